@@ -121,6 +121,7 @@ class SoundFit:
     match: Match
     heard: Ringdown  #: all modes in the recordings
     decay_time: np.ndarray  #: T60 by the fitted law of the matched modes, s; (K,)
+    taps: list[int]  #: number of strikes in each recording
 
     @property
     def frequency_error(self) -> float:
@@ -156,7 +157,8 @@ def fit_sound(
     ObjectFolderError
         If there is no tap, or fewer than three modes match.
     """
-    taps = [tap for sound in sounds for tap in strikes(sound, rate)]
+    cut = [strikes(sound, rate) for sound in sounds]
+    taps = [tap for found in cut for tap in found]
     if not taps:
         rise = 10 * np.log10(RISE)
         raise ObjectFolderError(
@@ -179,4 +181,4 @@ def fit_sound(
     else:
         fitted["alpha"], fitted["beta"] = fit_rayleigh(matched)
     damping = own_material(fitted).damping((2 * np.pi * matched.frequency) ** 2)
-    return SoundFit(fitted, match, heard, LN_1000 / damping)
+    return SoundFit(fitted, match, heard, LN_1000 / damping, [len(found) for found in cut])

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage, signal
 
+from objectfolder.audio.recordings import USABLE
+
 LN_1000 = np.log(1000.0)  # an amplitude falls by 60 dB in T60 = ln(1000) / decay rate
 RISE = 10.0  # of the power at a strike
 START = 0.004  # s after the strike: its noise and the overdamped modes are gone
@@ -84,7 +86,7 @@ def ringdown(
     lowest, highest : float
         Range of frequencies, Hz; up to 0.45 of the rate by default.
     """
-    limit = 0.45 * rate if highest is None else min(highest, 0.45 * rate)
+    limit = USABLE * rate if highest is None else min(highest, USABLE * rate)
     found = [_band(taps, rate, centre) for centre in _bands(taps, rate, lowest, limit)]
     rows = np.concatenate([np.zeros((0, 3)), *found])
     rows = rows[np.argsort(rows[:, 0])]

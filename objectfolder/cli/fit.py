@@ -57,7 +57,7 @@ def sound(
     check_object(key, params.read())
     build = Build(key)
     report, modes = read_json(build.modal), read_npz(build.modes, "eigenvalues")
-    sounds, rate = at_one_rate([read_recording(path) for path in recordings])
+    sounds, rate = at_one_rate([read_recording(path) for path in recordings], recordings)
     computed = np.sqrt(modes["eigenvalues"]) / (2 * np.pi)
     solid = Material(report["material"], **report["material_properties"])
     fit = fit_sound(computed, solid, sounds, rate, law)
@@ -77,6 +77,7 @@ def sound(
     print_wide(table)
     left = ", ".join(f"{heard.frequency[row]:.0f}" for row in fit.left_out)
     lines = [
+        *(f"{path}: no strike, left out" for path, count in zip(recordings, fit.taps) if not count),
         f"stiffness: {match.stiffness:.4f} times that of {report['material']} as built; frequencies then "
         f"differ by {fit.frequency_error:.2%} (root mean square)",
         f"not matched, Hz: {left or 'none'}",
@@ -96,4 +97,6 @@ def sound(
     console.print(
         f"wrote objects.{key}.material to {params.PARAMS_FILE}; next: objectfolder build {key}",
         highlight=False,
+        soft_wrap=True,
+        markup=False,
     )

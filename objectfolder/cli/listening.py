@@ -27,8 +27,9 @@ def make(
 ) -> None:
     """Write a page that plays pairs of sounds, such as ours and recordings, and asks which is more real.
 
-    It works from disk and keeps the answers in the browser until they are saved as CSV. Levels are matched,
-    orders are random and balanced. By default as in the paper, which had 10 listeners.
+    It works from disk and keeps the answers in the browser until they are saved as CSV. Of each sound, the
+    first 10 s of the loudest channel are played. Levels are matched, orders are random and balanced. By
+    default as in the paper, which had 10 listeners.
     """
     from objectfolder.io import write_text
     from objectfolder.report.listening import study_page

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 
 query_app = typer.Typer(no_args_is_help=True, help="Query an Object File: `vision`, `audio` or `touch`.")
 
+#: Units of a sound without a listener, by response.
+SOUND_UNITS = {
+    "displacement": "m kg^1/2",
+    "velocity": "m kg^1/2/s",
+    "acceleration": "m kg^1/2/s^2",
+}
 TOUCH_ARRAYS = ("height", "displacement", "pressure", "normals")
 SHEAR_ARRAYS = ("sideways", "traction", "marker_flow")  #: of contacts that are sheared
 TOUCH_OUTPUTS = ("image", "mask", *TOUCH_ARRAYS, *SHEAR_ARRAYS)
@@ -204,7 +210,9 @@ def audio(
         soundfile.write(content, sound, sample_rate, format="WAV", subtype="FLOAT")
         with atomic(out / f"{i}.wav") as path:
             path.write_bytes(content.getbuffer())
-    _print_line(f"{plural(len(sounds), 'sound')} in {out}/, {_sound_summary(peak, frequencies, sample_rate)}")
+    loudest = _peak_summary(peak, response, listener is not None, normalize)
+    modes = _mode_summary(frequencies, sample_rate)
+    _print_line(f"{plural(len(sounds), 'sound')} in {out}/, {loudest}; {modes}")
 
 
 @query_app.command()
@@ -306,11 +314,17 @@ def _print_line(text: str) -> None:
     console.print(text, highlight=False, soft_wrap=True)
 
 
-def _sound_summary(peak: float, frequencies: np.ndarray, sample_rate: int) -> str:
+def _peak_summary(peak: float, response: str, heard: bool, normalized: bool) -> str:
+    if not peak:
+        return "peak 0: silent"
+    unit = "Pa" if heard else SOUND_UNITS[response]
+    return f"peak {peak:.3g} {unit}" + (" before normalizing" if normalized else "")
+
+
+def _mode_summary(frequencies: np.ndarray, sample_rate: int) -> str:
     above = int((frequencies >= sample_rate / 2).sum())
-    text = f"peak {peak:.3g}" + ("" if peak else ": silent") + f"; {plural(len(frequencies), 'mode')}"
-    nyquist = f"{sample_rate / 2:g} Hz"
-    return text + (f", {above} left out above the Nyquist frequency of {nyquist}" if above else "")
+    left_out = f", {above} left out above the Nyquist frequency of {sample_rate / 2:g} Hz" if above else ""
+    return plural(len(frequencies), "mode") + left_out
 
 
 def _contact_summary(rows: np.ndarray) -> str:

@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 from objectfolder.cli.console import console
+from objectfolder.cli.files import empty_folder
 from objectfolder.errors import ObjectFolderError, plural
 
 sensor_app = typer.Typer(
@@ -131,7 +132,8 @@ def fit_sensor_profile(
 def export_sensor(
     sensor: Annotated[str, typer.Argument(help="Profile: a name (`sensor list`) or a .yaml file.")],
     taxim: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for polycalib.npz, bg.jpg and real_bg.npy.")
+        Path | None,
+        typer.Option(metavar="DIR", help="New or empty folder for polycalib.npz, bg.jpg and real_bg.npy."),
     ] = None,
     isaac_lab: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The same, with the slopes that Isaac Lab looks up.")
@@ -148,9 +150,9 @@ def export_sensor(
 
     if (taxim is None) == (isaac_lab is None):
         raise ObjectFolderError("give one folder: --taxim DIR or --isaac-lab DIR")
-    profile = load_profile(sensor)
-    folder = taxim or isaac_lab
-    assert folder is not None
+    given = taxim or isaac_lab
+    assert given is not None
+    folder, profile = empty_folder(given), load_profile(sensor)
     written = export_taxim(profile, folder, isaac=isaac_lab is not None)
     console.print(
         f"wrote {', '.join(map(str, written))}\nimage_height={profile.height}, image_width={profile.width}, "

@@ -215,12 +215,17 @@ def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object
         error = math.inf
         text = f"{name}: frequencies may be wrong; walls are too thin for the {grid} grid to say how much"
     else:
-        text = f"{name}: frequencies may be {error:.0%} wrong: the walls are thin for the {grid} grid"
+        worst = int(np.argmax(report["discretisation_error"]))
+        text = (
+            f"{name}: frequencies may be {error:.0%} wrong, mode {worst + 1} most: walls or joints are thin "
+            f"for the {grid} grid"
+        )
     if error <= CERTAIN:
         return None
     if error > REFUSED and not allow:
         raise ObjectFolderError(
-            f"{text}; thicken them, raise modal.fine.max_degrees_of_freedom, or set modal.allow_uncertain"
+            f"{text}; thicken them, raise modal.fine.max_degrees_of_freedom in params.yaml, or accept the "
+            "error there: `modal.allow_uncertain: true` (docs/modal.md#accuracy)"
         )
     return text
 

@@ -4,15 +4,18 @@ pooch (1.9) would not do: it starts every attempt and every run from the first b
 beforehand, and its archive processors neither limit sizes nor, before Python 3.12, filter members.
 """
 
+import errno
 import io
+import socket
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 from urllib.error import HTTPError
+from urllib.parse import urlsplit
 from urllib.request import HTTPHandler, HTTPRedirectHandler, HTTPSHandler, Request, build_opener
 
 from objectfolder.disk import free_bytes
@@ -31,8 +34,29 @@ ProgressCallback = Callable[[int, int | None], None]  #: takes bytes received, a
 ProgressFactory = Callable[[str], ProgressCallback]  #: takes the name of the file to download
 
 
+class UnreachableError(ObjectFolderError):
+    """No connection to a host at the first attempt.
+
+    Parameters
+    ----------
+    host : str
+        As in a URL, perhaps with a port.
+    reason : object
+    """
+
+    def __init__(self, host: str, reason: object):
+        super().__init__(
+            f"{host} cannot be reached ({reason}): check the network and the address, or use --from DIR"
+        )
+        self.host = host
+
+
 class _RetryableError(Exception):
     """A failed attempt that may succeed when repeated."""
+
+
+class _NoConnectionError(_RetryableError):
+    """An attempt that ended before the host answered: its name is unknown, or there is no way to it."""
 
 
 def download(
@@ -63,15 +87,20 @@ def download(
     Raises
     ------
     ObjectFolderError
-        If the server refuses, redirects to another protocol, keeps breaking off or is slower than `LEAST` in
-        `PERIOD`, or the file is too large or cannot be written.
+        If the server cannot be reached (`UnreachableError`, after the first attempt), refuses, redirects to
+        another protocol, keeps breaking off or is slower than `LEAST` in `PERIOD`, or the file is too large
+        or cannot be written.
     """
     furthest, since, left = 0, time.monotonic(), list(waits)
+    reached = False
     while True:
         try:
             _attempt(url, path, report, most)
             break
         except _RetryableError as error:
+            if isinstance(error, _NoConnectionError) and not reached:
+                raise UnreachableError(urlsplit(url).netloc, error) from error
+            reached = True
             size = path.stat().st_size if path.exists() else 0
             now = time.monotonic()
             if size > furthest + (now - since) * LEAST / PERIOD:
@@ -181,7 +210,17 @@ def _attempt(url: str, path: Path, report: ProgressCallback, most: int) -> None:
                 ) from error
             raise _RetryableError(f"{error.code} {error.reason}") from error
     except (OSError, HTTPException, UnicodeError) as error:  # UnicodeError: of a host's name
-        raise _RetryableError(getattr(error, "reason", None) or error or type(error).__name__) from error
+        reason = getattr(error, "reason", None) or error or type(error).__name__
+        if _unconnected(reason):
+            raise _NoConnectionError(reason.strerror or reason) from error
+        raise _RetryableError(reason) from error
+
+
+def _unconnected(reason: object) -> TypeGuard[OSError]:
+    """Return whether no host of that name is known, none listens, or no way leads there."""
+    return isinstance(reason, socket.gaierror | ConnectionRefusedError) or (
+        isinstance(reason, OSError) and reason.errno in (errno.ENETUNREACH, errno.EHOSTUNREACH)
+    )
 
 
 def _receive(response: HTTPResponse, path: Path, start: int, report: ProgressCallback, most: int) -> None:

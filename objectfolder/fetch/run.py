@@ -6,19 +6,22 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from urllib.parse import urlsplit
 
-import trimesh
+import numpy as np
 
 from objectfolder.engine.dvc.repository import track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import checksums
 from objectfolder.fetch.archive import extract
 from objectfolder.fetch.catalogue import Catalogue
-from objectfolder.fetch.download import ProgressFactory, download_to, no_progress
+from objectfolder.fetch.download import ProgressFactory, UnreachableError, download_to, no_progress
 from objectfolder.fetch.layout import collect, find_mesh
 from objectfolder.fetch.local import find_local
 from objectfolder.fetch.polyhaven import download_polyhaven
 from objectfolder.io import check_writable, file_digest
+from objectfolder.mesh.normalize import NormalizeConfig
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import params
 from objectfolder.workspace.objects import add_mesh
 
@@ -87,7 +90,8 @@ def fetch_object(
         On any failure; ``data/`` and ``params.yaml`` are then unchanged.
     """
     home = Path("data/objects") / key
-    if key in params.read(root / params.PARAMS_FILE)["objects"]:
+    values = params.read(root / params.PARAMS_FILE)
+    if key in values["objects"]:
         return FetchResult(key, FetchStatus.PRESENT, f"{home} is there already")
     if (root / home).exists():
         raise ObjectFolderError(
@@ -110,13 +114,14 @@ def fetch_object(
                 checksums.check_unchanged(recorded, digests, key, lock)
             notice = scratch / SOURCE_FILE
             notice.write_text(source_text(key, catalogue, obtained.origin))
+            most = params.settings(NormalizeConfig, values, root / params.PARAMS_FILE).texture_size
+            own_size = float(np.ptp(load_mesh(mesh, texture_size=most).bounds, axis=0).max())
             # The source's up axis applies to its own format only.
             up = source.up if mesh.suffix.lower() == Path(source.mesh).suffix else None
             add_mesh(mesh, key, entry.material, entry.scale, up, root, [notice], track=track)
         except (ObjectFolderError, OSError) as error:
             message = str(error).replace(f"{scratch / 'object'}/", "")
             raise ObjectFolderError(f"{message} (from {obtained.origin})") from error
-        own_size = float(trimesh.load_scene(mesh, process=False, skip_materials=True).extents.max())
     checksums.record_checksums(lock, key, digests)
     detail = f"{entry.material}, {entry.scale:g} m"
     if abs(own_size / entry.scale - 1) > SIZE_TOLERANCE:
@@ -135,18 +140,27 @@ def fetch_all(
 ) -> list[FetchResult]:
     """Fetch objects one after another; a failure does not stop the others.
 
+    A host that cannot be reached is not asked for further objects.
+
     Parameters
     ----------
     keys : sequence of str
     on_result : callable
         Called with each result. The other parameters are those of `fetch_object`.
     """
-    params.read(root / params.PARAMS_FILE)  # without a workspace, raise once instead of once per object
+    # Without a workspace, raises once instead of once per object.
+    present = params.read(root / params.PARAMS_FILE)["objects"]
+    unreachable: dict[str, UnreachableError] = {}
     results = []
     for key in keys:
+        host = urlsplit(catalogue.url(key)).netloc
         try:
+            if host in unreachable and key not in present:
+                raise unreachable[host]
             result = fetch_object(key, catalogue, directory, accept_changed, root, progress)
         except (ObjectFolderError, OSError) as error:
+            if isinstance(error, UnreachableError):
+                unreachable[error.host] = error
             result = FetchResult(key, FetchStatus.FAILED, str(error))
         except Exception as error:  # readers may raise anything on unexpected content
             result = FetchResult(key, FetchStatus.FAILED, f"unexpected {error!r}")

@@ -9,7 +9,7 @@ import numpy as np
 
 from objectfolder.audio.figures import show_spectrogram
 from objectfolder.figures import page, page_rows, save_page, show_image
-from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
+from objectfolder.inspection.record import Inspection, in_kilobytes, kilobytes, picture_path, require, span
 from objectfolder.io import read_json, read_safetensors
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision.cameras import CAMERA_RADIUS
@@ -81,7 +81,7 @@ def inspect_pack(build: Build) -> Inspection:
         *_leaves(header),
         *((f"made from {name}", digest[:12]) for name, digest in file.header.get("provenance", {}).items()),
         *_tensor_rows(file.tensors),
-        ("modes", f"{len(file.frequencies)}, {span(file.frequencies, 'Hz')}"),
+        ("modes", f"{len(file.frequencies)}, {span(file.frequencies, 'Hz', ',.0f')}"),
         ("file", kilobytes(build.object_file)),
     ]
     return Inspection(f"pack@{build.key}", table, [_pack_picture(build, file)])
@@ -115,7 +115,7 @@ def _pack_picture(build: Build, file: ObjectFile) -> Path:
     left.set(
         title=f"struck at {_triple(points[0] * 1000)} mm with 1 N s along z",
         xlabel="time [s]",
-        ylabel="displacement [µm]",
+        ylabel="sum of modal displacements [$10^{-6}$ m kg$^{1/2}$]",
     )
     left.grid(alpha=0.3)
     show_spectrogram(right, sound, "its spectrogram")
@@ -126,13 +126,13 @@ def _tensor_rows(tensors: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
     listed = [
         (
             f"  {name}",
-            f"{value.dtype} {'x'.join(map(str, value.shape)) or 'scalar'}, {value.nbytes / 1024:,.1f} KB",
+            f"{value.dtype} {'x'.join(map(str, value.shape)) or 'scalar'}, {in_kilobytes(value.nbytes)}",
         )
         for name, value in sorted(tensors.items())
     ]
     total = sum(value.nbytes for value in tensors.values())
     size = sum(value.size for value in tensors.values())
-    return [("tensors", f"{len(tensors)}: {size:,} numbers, {total / 1024:,.1f} KB"), *listed]
+    return [("tensors", f"{len(tensors)}: {size:,} numbers, {in_kilobytes(total)}"), *listed]
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:

@@ -41,11 +41,16 @@ def picture_path(build: Build, stage: str) -> Path:
 
 def kilobytes(*paths: Path) -> str:
     """Format the total size of files."""
-    return f"{sum(path.stat().st_size for path in paths) / 1024:,.1f} KB"
+    return in_kilobytes(sum(path.stat().st_size for path in paths))
 
 
-def span(values: np.ndarray, unit: str = "") -> str:
+def in_kilobytes(count: int) -> str:
+    """Format a number of bytes, in thousands."""
+    return f"{count / 1000:,.1f} KB"
+
+
+def span(values: np.ndarray, unit: str = "", form: str = ".4g") -> str:
     """Format the smallest and the largest value."""
     if np.size(values) == 0:
         return "none"
-    return f"{np.min(values):.4g} to {np.max(values):.4g} {unit}".rstrip()
+    return f"{np.min(values):{form}} to {np.max(values):{form}} {unit}".rstrip()

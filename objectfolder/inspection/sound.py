@@ -49,7 +49,7 @@ def inspect_modal(build: Build) -> Inspection:
             ("not counted" if total is None else f"{total}")
             + (" (truncated)" if report["truncated"] else ""),
         ),
-        ("frequencies", span(frequency, "Hz")),
+        ("frequencies", span(frequency, "Hz", ",.0f")),
         ("decay times T60", span(decay, "s")),
         *listed,
         *([("  ...", f"{count - LISTED} more")] if count > LISTED else []),

@@ -26,7 +26,10 @@ class ObjectSurface:
 
     def resized(self, scale: float | None) -> "ObjectSurface":
         """Return the surface of the same shape with another longest side, if one is given."""
-        return self if scale is None else replace(self, scale=scale)
+        if scale is None:
+            return self
+        box = None if self.box is None else self.box * (scale / self.scale)
+        return replace(self, scale=scale, box=box)
 
     def to_unit(self, points: np.ndarray) -> np.ndarray:
         """Return points in the unit frame."""

@@ -171,7 +171,7 @@ def view_images(
         If shapes do not fit, values are not finite, there is no light, or the images do not fit into memory.
     """
     poses, lights = poses_and_lights(camera, light, lamps)
-    require_room(len(poses), intrinsics, bytes_per_pixel=12)
+    require_image_room(len(poses), intrinsics, bytes_per_pixel=12)
     drawer = load_drawer()
     images = np.empty((len(poses), intrinsics.height, intrinsics.width, 3), np.float32)
     for image, pose, lit_by in zip(images, poses, lights):
@@ -198,7 +198,7 @@ def render_views(
         Longest side, metres.
     """
     poses, lights = poses_and_lights(camera, light, lamps)
-    require_room(len(poses), intrinsics, bytes_per_pixel=44)
+    require_image_room(len(poses), intrinsics, bytes_per_pixel=44)
     drawer = load_drawer()
     size = len(poses), intrinsics.height, intrinsics.width
     views = Views(*(np.empty((*size, *last), np.float32) for last in ((3,), (4,), (), (3,))))
@@ -210,7 +210,7 @@ def render_views(
     return views
 
 
-def require_room(count: int, intrinsics: Intrinsics, bytes_per_pixel: int) -> None:
+def require_image_room(count: int, intrinsics: Intrinsics, bytes_per_pixel: int) -> None:
     """Raise ObjectFolderError if images do not fit into memory; ``bytes_per_pixel`` are those of each."""
     width, height = intrinsics.width, intrinsics.height
     require_memory(

@@ -191,6 +191,8 @@ def read_released(path: str | Path) -> ReleasedDict:
         If the file is missing, too large, damaged, or contains more than numbers.
     """
     path = Path(path)
+    if path.is_dir():
+        raise ObjectFolderError(f"{path} is a folder; expected a file such as {path}/ObjectFile.pth")
     if not path.is_file():
         raise ObjectFolderError(f"{path} does not exist; expected a released ObjectFile.pth")
     size = path.stat().st_size

@@ -11,8 +11,8 @@ import numpy as np
 
 from objectfolder import materials
 from objectfolder.checks import finite_number
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest
+from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.io import file_digest, read_rows
 from objectfolder.nets.released.gains import ReleasedGains
 from objectfolder.nets.released.kilo import ReleasedKilo
 from objectfolder.nets.released.network import Frame
@@ -30,7 +30,11 @@ from objectfolder.workspace.layout import MODALITIES
 
 SENSOR = "gelsight_r15"  #: default sensor that renders images from the depth maps of 2.0
 RESOLUTION = 192  #: of a mesh's distance grid
+ASSUMED_SCALE = 1.0  #: longest side of an object whose size nothing tells, metres
+SIZE_MISMATCH = 0.1  #: greatest, between a mesh and the bounds that a file stores
+MAX_NAME = 100  #: characters of a key or a material in an Object File
 
+_KEY = re.compile(rf"[a-z][a-z0-9_]{{0,{MAX_NAME - 1}}}")
 _NAMES = {"vision": "VisionNet", "audio": "AudioNet", "touch": "TouchNet"}
 _KINDS = {
     ReleasedNerf: "released_nerf",
@@ -70,21 +74,23 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
     Raises
     ------
     ObjectFolderError
-        If no part can be read, or an option is invalid.
+        If no part can be read, an option is invalid, or a mesh is of another size than the file's object.
     """
     path = Path(path)
     # Checked here: an error of a part would leave the part out.
+    _check_names(options)
     sensor, gel = load_profile(options.sensor), _gel(options.gel)
     if options.crop is not None and finite_number("crop", options.crop) <= 0:
         raise ObjectFolderError(
             f"crop is {options.crop!r}, expected half the side of a cube in the unit frame, such as 0.6"
         )
     checkpoint = read_released(path)
-    bounds, geometry = _body(options)
-    where = bounds if bounds is not None else _stored_bounds(checkpoint)
+    stored = _stored_bounds(checkpoint)
+    bounds, geometry = _body(options, stored)
+    where = bounds if bounds is not None else stored
     scale = options.scale
     if scale is None:
-        scale = 1.0 if where is None else float(np.ptp(where, axis=0).max())
+        scale = ASSUMED_SCALE if where is None else float(np.ptp(where, axis=0).max())
     frame = Frame(unit=scale)
     if geometry is not None and bounds is not None:
         low, high = bounds
@@ -118,10 +124,30 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
         tensors |= {f"{modality}.{name}": value for name, value in net_tensors.items()}
     if not tensors:
         raise ObjectFolderError(f"{path}: nothing could be imported. " + "; ".join(notes))
+    if options.scale is None and where is None:
+        notes.append(f"longest side not known ({scale:g} m assumed): give --scale or --bounds")
+        log.warning("%s", notes[-1])
     header["imported"] = {"release": _release(header), "notes": notes}
     if geometry is not None:
         header["geometry"], tensors["geometry.distances"], header["source"] = geometry
     return ObjectFile(header, tensors, path)
+
+
+def _check_names(options: ImportOptions) -> None:
+    """Raise ObjectFolderError unless an Object File may hold key and material.
+
+    `objectfolder.workspace.params.check_key` needs the build extra, which an import does without.
+    """
+    if options.key is not None and not _KEY.fullmatch(options.key):
+        raise ObjectFolderError(
+            f"key is {quoted(options.key)}, expected a letter, then letters, digits or underscores, all "
+            f"lower case, at most {MAX_NAME}"
+        )
+    if not options.material.strip() or len(options.material) > MAX_NAME:
+        raise ObjectFolderError(
+            f"material is {quoted(options.material)}, expected a name such as steel or unknown, at most "
+            f"{MAX_NAME} characters"
+        )
 
 
 def _vision(part: ReleasedDict, options: ImportOptions) -> ReleasedNerf | ReleasedKilo:
@@ -154,12 +180,10 @@ def _touch(
 def _gel(path: Path | None) -> np.ndarray | None:
     if path is None:
         return None
-    try:
-        heights = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
-    if not isinstance(heights, np.ndarray) or heights.shape != DEPTH_SIZE or heights.dtype.kind not in "fiu":
-        raise ObjectFolderError(f"{path}: expected heights of shape {DEPTH_SIZE}, as calibs/depth_bg.npy")
+    expected = f"heights of shape {DEPTH_SIZE}, as calibs/depth_bg.npy"
+    heights = read_rows(path, DEPTH_SIZE[1], f": {expected}")
+    if heights.shape != DEPTH_SIZE:
+        raise ObjectFolderError(f"{path} has {len(heights)} rows; expected {expected}")
     if not np.isfinite(heights).all():
         raise ObjectFolderError(f"{path} holds values that are not finite")
     return heights
@@ -178,8 +202,11 @@ def _stored_bounds(checkpoint: ReleasedDict) -> np.ndarray | None:
     return None
 
 
-def _body(options: ImportOptions) -> tuple[np.ndarray | None, Any]:
-    """Return the bounds in the file's coordinates, and the geometry's header, stream and source, if known."""
+def _body(options: ImportOptions, stored: np.ndarray | None) -> tuple[np.ndarray | None, Any]:
+    """Return the bounds in the file's coordinates, and the geometry's header, stream and source, if known.
+
+    A mesh is compared with the bounds that the file stores, unless a scale is given.
+    """
     if options.scale is not None and not 0 < options.scale < np.inf:
         raise ObjectFolderError(f"scale is {options.scale!r}, expected the longest side in metres")
     if options.mesh is None:
@@ -192,6 +219,10 @@ def _body(options: ImportOptions) -> tuple[np.ndarray | None, Any]:
                 "below its maximum"
             )
         return bounds, None
+    if options.bounds is not None:
+        raise ObjectFolderError(
+            f"bounds are given beside the mesh {options.mesh}, which has its own; leave one of them out"
+        )
     # Imported here: needs the build extra. The mesh is not rotated, so that its axes stay those of the file.
     from objectfolder.mesh.gridcodec import pack_grid
     from objectfolder.mesh.normalize import normalize
@@ -199,6 +230,9 @@ def _body(options: ImportOptions) -> tuple[np.ndarray | None, Any]:
     from objectfolder.mesh.sdf import distance_grid
 
     mesh = load_mesh(options.mesh, "z")
+    bounds = np.asarray(mesh.bounds, np.float64)
+    if stored is not None and options.scale is None:
+        _check_size(options.mesh, bounds, stored)
     solid = normalize(mesh, str(options.mesh))
     values, band = distance_grid(solid.surface.vertices, solid.surface.faces, RESOLUTION)
     stream, predictor = pack_grid(values)
@@ -208,7 +242,19 @@ def _body(options: ImportOptions) -> tuple[np.ndarray | None, Any]:
         "source_size": solid.source_size,
         "source_up": "z",
     }
-    return np.asarray(mesh.bounds, np.float64), (header, stream, source)
+    return bounds, (header, stream, source)
+
+
+def _check_size(mesh: Path, bounds: np.ndarray, stored: np.ndarray) -> None:
+    """Raise unless a mesh is as large as the file's object; stored bounds may be one pair for all axes."""
+    pair = not np.ptp(stored, axis=1).any()
+    size, expected = (np.ptp(x, axis=None if pair else 0).max() for x in (bounds, stored))
+    if abs(size / expected - 1) > SIZE_MISMATCH:
+        what = "coordinates span" if pair else "longest side is"
+        raise ObjectFolderError(
+            f"{mesh}: its {what} {size:.4g}, the file's stored bounds say {expected:.4g}; expected a mesh in "
+            "the coordinates of the released file. If it is that, give --scale, its longest side in metres"
+        )
 
 
 def _release(header: dict[str, Any]) -> str:

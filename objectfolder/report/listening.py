@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import soundfile
 
+from objectfolder.audio.recordings import at_rate, loudest_channel
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.viewer.page import filled_page, static_text
 
@@ -22,6 +23,8 @@ SUFFIXES = (".wav", ".flac", ".ogg")
 WINDOW = 0.4  # seconds, of the loudest part, as of a momentary loudness (ITU-R BS.1771)
 PEAK = 0.9  # of full scale, of the loudest sound of a study
 LONGEST = 10.0  # seconds
+PLAYED = 48000  # Hz; sounds of higher rates are brought to it, since FLAC does not hold every one of them
+MOST = 1_000_000  # Hz, of a sound that is brought to it
 COLUMNS = ("study", "listener", "pair", "material", "first", "second", "chosen", "ours")
 
 
@@ -49,8 +52,9 @@ class Preference:
 def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> str:
     """Return the page of a study, which works from disk.
 
-    Sounds of the same name in both folders are a pair. Both are brought to the same level: the root mean
-    square of their loudest 0.4 s. If there are more pairs than asked for, materials are drawn evenly.
+    Sounds of the same name in both folders are a pair; of each, the first 10 s of the loudest channel are
+    played. Both are brought to the same level: the root mean square of their loudest 0.4 s. If there are more
+    pairs than asked for, materials are drawn evenly.
 
     Parameters
     ----------
@@ -63,7 +67,7 @@ def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> st
     Raises
     ------
     ObjectFolderError
-        If the folders hold too few pairs, or a file cannot be read or is silent.
+        If the folders hold too few pairs, or a file cannot be read, is silent or is not finite.
     """
     if ours.resolve().name == other.resolve().name:
         raise ObjectFolderError(f"{ours} and {other} have the same name, which names the method; rename one")
@@ -187,13 +191,20 @@ def _levelled(path: Path) -> tuple[np.ndarray, int]:
         channels, rate = soundfile.read(path, always_2d=True)
     except Exception as error:  # of the library that decodes
         raise ObjectFolderError(f"{path} cannot be read as a sound ({shortened(error, 200)})") from error
-    sound = channels.mean(1)[: int(LONGEST * rate)]
+    if rate > MOST:
+        raise ObjectFolderError(f"{path} has {rate} Hz, expected at most {MOST} Hz; resample it")
+    sound = loudest_channel(channels[: int(LONGEST * rate)], path)
+    peak = np.abs(sound).max(initial=0)
+    if not peak > 0:
+        raise ObjectFolderError(
+            f"{path} is silent in its first {LONGEST:g} s, expected a sound; remove the silence before it"
+        )
+    played = min(rate, PLAYED)
+    sound = at_rate(sound / peak, rate, played)
     power = np.concatenate([[0.0], np.square(sound).cumsum()])
-    window = max(min(int(WINDOW * rate), len(sound)), 1)
-    loudest = (power[window:] - power[:-window]).max(initial=0.0) / window
-    if not (np.isfinite(loudest) and loudest > 0):
-        raise ObjectFolderError(f"{path} is silent or not finite, expected a sound")
-    return sound / np.sqrt(loudest), rate
+    window = max(min(int(WINDOW * played), len(sound)), 1)
+    loudest = (power[window:] - power[:-window]).max() / window
+    return sound / np.sqrt(loudest), played
 
 
 def _encoded(sound: np.ndarray, rate: int) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import atomic, file_digest, write_json, write_png
 from objectfolder.metrics import psnr
 from objectfolder.touch.ball import BallModel
@@ -109,8 +109,8 @@ def fit_sensor(
     needed = 1 if untouched is not None else 3 if circles is None else 2
     if len(pictures) < needed:
         raise ObjectFolderError(
-            f"{len(pictures)} pictures do not determine the background: give one of the untouched sensor, or "
-            f"{needed} pictures with the ball in different places"
+            f"{plural(len(pictures), 'picture')} cannot determine the background: give one of the untouched "
+            f"sensor, or {needed} pictures with the ball in different places"
         )
     observed = np.asarray(pictures, np.float32)
     if circles is None:

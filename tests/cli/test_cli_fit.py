@@ -62,6 +62,19 @@ def test_the_fitted_material_goes_to_params(built, recordings):
     assert own_material(params.read()["objects"]["mug"]["material"]).law == "rayleigh"
 
 
+def test_a_recording_without_a_strike_is_named(built, recordings, tmp_path):
+    noise = tmp_path / "[noise].wav"
+    soundfile.write(noise, 0.1 * np.random.default_rng(0).standard_normal(2 * RATE).clip(-4, 4), RATE)
+    lines = run("mug", *recordings, noise, "--dry-run").output.splitlines()
+    assert [line for line in lines if "no strike" in line] == [f"{noise}: no strike, left out"]
+
+
+def test_the_next_command_is_in_one_line(built, recordings, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    last = run("mug", *recordings).output.splitlines()[-1]
+    assert last == "wrote objects.mug.material to params.yaml; next: objectfolder build mug"
+
+
 def test_density_and_poissons_ratio_stay_as_they_are(built, recordings):
     own = {"base": "ceramic", "density": 2400.0, "poisson_ratio": 0.22}
     write_json(
@@ -94,7 +107,10 @@ def test_recordings_that_tell_nothing_are_refused(built, tmp_path, spoil, messag
 def test_what_is_no_recording_or_no_object_is_named(built, recordings, tmp_path):
     (tmp_path / "text.wav").write_text("no audio")
     assert "text.wav is not a readable audio file" in str(run("mug", tmp_path / "text.wav").exception)
-    assert "nowhere.wav" in str(run("mug", tmp_path / "nowhere.wav").exception)
+    assert "nowhere.wav does not exist" in str(run("mug", tmp_path / "nowhere.wav").exception)
+    slow = tmp_path / "slow.wav"
+    soundfile.write(slow, taps(MODES, 1)[0], 16000)
+    assert "slow.wav has 16000 Hz, the others up to 44100 Hz" in str(run("mug", *recordings, slow).exception)
     assert "cup" in str(run("cup", recordings[0]).exception)
     assert "--law 'magic' is not one of rayleigh, loss_factor" in str(
         run("mug", recordings[0], "--law", "magic").exception

@@ -138,6 +138,26 @@ def test_a_listener_hears_pascals(brick, strike):
     np.testing.assert_array_equal([sound for sound, _ in sounds], expected)
 
 
+@pytest.mark.parametrize(
+    ("options", "unit"),
+    [
+        ([], "m kg^1/2"),
+        (["--response", "velocity"], "m kg^1/2/s"),
+        (["--response", "acceleration"], "m kg^1/2/s^2"),
+        (["--listener", 0.3, 0.1, 0.5], "Pa"),
+    ],
+)
+@pytest.mark.parametrize("normalize", [False, True])
+def test_the_peak_has_its_unit_and_is_that_before_normalizing(brick, strike, options, unit, normalize):
+    given = {"response": options[1]} if "--response" in options else {"listener": [options[1:]]}
+    expected = brick.impact(brick.sample_surface(3), np.eye(3), duration=0.1, **(given if options else {}))
+    output, sounds = strike("--duration", 0.1, *options, *["--normalize"] * normalize)
+    said = f"out/, peak {np.abs(expected).max():.3g} {unit}{' before normalizing' * normalize}; 12 modes"
+    assert said in output
+    written = max(np.abs(sound).max() for sound, _ in sounds)
+    assert written == pytest.approx(0.9 if normalize else np.abs(expected).max(), rel=1e-6)
+
+
 def test_a_silent_object_says_so(brick, strike):
     output, sounds = strike("--sample-rate", int(brick.frequencies[0]), "--duration", 0.1, "--normalize")
     assert "peak 0: silent; 12 modes, 12 left out" in output

@@ -85,7 +85,9 @@ def test_the_uncertainty_is_the_largest_estimated_error(cells):
 
 @pytest.mark.parametrize(("error", "said"), [(0.1, None), (0.11, "11%"), (0.3, "30%")])
 def test_uncertain_frequencies_are_warned_of(error, said):
-    warning = uncertainty_warning({"frequency_uncertainty": error, "resolution": 32}, False, "cabinet")
+    warning = uncertainty_warning(
+        {"frequency_uncertainty": error, "discretisation_error": [error], "resolution": 32}, False, "cabinet"
+    )
     assert warning is None if said is None else f"cabinet: frequencies may be {said} wrong" in warning
 
 
@@ -108,9 +110,9 @@ def test_cut_cells_without_an_estimate_are_as_uncertain_as_can_be():
 
 
 def test_very_uncertain_frequencies_are_refused_unless_allowed():
-    report = {"frequency_uncertainty": 0.31, "resolution": 32}
+    report = {"frequency_uncertainty": 0.31, "discretisation_error": [0.1, 0.31, 0.2], "resolution": 32}
     assert "31%" in uncertainty_warning(report, True, "cabinet")
-    with pytest.raises(ObjectFolderError, match=r"cabinet: .*31% wrong.*modal\.allow_uncertain"):
+    with pytest.raises(ObjectFolderError, match=r"cabinet: .*31% wrong, mode 2 most.*modal\.allow_uncertain"):
         uncertainty_warning(report, False, "cabinet")
 
 

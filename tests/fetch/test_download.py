@@ -1,13 +1,14 @@
 """Downloads go on where they broke off, and end whole or with a reason."""
 
 import itertools
+import socket
 from threading import Event
 
 import pytest
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import download as module
-from objectfolder.fetch.download import SPARE, WAITS, download
+from objectfolder.fetch.download import SPARE, WAITS, UnreachableError, download
 
 CONTENT = bytes(range(256)) * 1000
 
@@ -95,10 +96,41 @@ def test_a_busy_server_is_asked_again_and_a_refusal_is_not(publisher, page, tmp_
     assert not (tmp_path / "gone").exists()
 
 
-def test_nobody_there_is_said_after_the_waits(publisher, tmp_path, no_waits):
-    with pytest.raises(ObjectFolderError, match=r"127\.0\.0\.1:1/file broke off \(.*refused"):
-        download("http://127.0.0.1:1/file", tmp_path / "file")
-    assert no_waits == list(WAITS)
+def no_names(*_):
+    raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
+
+
+@pytest.mark.parametrize(
+    ("host", "reason"),
+    [("127.0.0.1:1", "Connection refused"), ("mirror.example", "Temporary failure in name resolution")],
+)
+@pytest.mark.parametrize("kept", [b"", b"from an earlier run"])
+def test_nobody_there_is_said_at_once(tmp_path, monkeypatch, no_waits, host, reason, kept):
+    monkeypatch.setenv("no_proxy", "*")
+    if "1" not in host:
+        monkeypatch.setattr(socket, "getaddrinfo", no_names)
+    (tmp_path / "file").write_bytes(kept)
+    with pytest.raises(UnreachableError) as error:
+        download(f"http://{host}/file", tmp_path / "file")
+    assert str(error.value) == (
+        f"{host} cannot be reached ({reason}): check the network and the address, or use --from DIR"
+    )
+    assert no_waits == []
+    assert (tmp_path / "file").read_bytes() == kept
+
+
+def test_a_host_that_goes_away_midway_is_asked_again(publisher, page, tmp_path, monkeypatch):
+    waits = []
+
+    def sleep(seconds):
+        waits.append(seconds)
+        publisher.server.server_close()
+
+    monkeypatch.setattr(module.time, "sleep", sleep)
+    publisher.drops["/file"] = [100_000]
+    with pytest.raises(ObjectFolderError, match=r"/file broke off \(Connection refused\).*100000 bytes"):
+        download(page, tmp_path / "file")
+    assert waits == list(WAITS)
 
 
 def test_it_says_who_asks(publisher, page, tmp_path):

@@ -16,7 +16,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import run as run_module
 from objectfolder.fetch.catalogue import read_catalogue
 from objectfolder.fetch.checksums import read_checksums
-from objectfolder.fetch.download import WAITS
+from objectfolder.fetch.download import WAITS, download_to
 from objectfolder.fetch.local import find_local
 from objectfolder.fetch.run import SIZE_TOLERANCE, FetchStatus, fetch_all, fetch_object
 from objectfolder.mesh.reading.load import load_mesh
@@ -100,6 +100,50 @@ def test_every_layout_is_fetched_added_and_tracked(published, publisher):
     asked = len(publisher.requests)
     assert [result.status for result in fetch_all(keys, published)] == [FetchStatus.PRESENT] * 3
     assert len(publisher.requests) == asked
+
+
+def test_a_gltf_without_scenes_is_measured_as_it_is_read(published, publisher, tmp_path):
+    home = tmp_path / "mine" / "Barrel_01"
+    (home / "textures").mkdir(parents=True)
+    for path, content in polyhaven(publisher, "Barrel_01").items():
+        if path.startswith("/dl/1k/"):
+            (home / path.removeprefix("/dl/1k/")).write_bytes(content)
+    gltf = json.loads((home / "Barrel_01_1k.gltf").read_text())
+    del gltf["scene"], gltf["scenes"]
+    gltf["nodes"][0]["scale"] = [2, 2, 2]
+    (home / "Barrel_01_1k.gltf").write_text(json.dumps(gltf))
+    (result,) = fetch_all(["polyhaven_barrel_01"], published, home.parent)
+    assert result.status is FetchStatus.ADDED
+    assert "scaled: the mesh itself measures 1.76 m" in result.detail
+    assert "polyhaven_barrel_01" in read_checksums(Path("data/checksums.yaml"))
+
+
+def test_a_mesh_that_cannot_be_measured_leaves_nothing(published, monkeypatch):
+    before = state()
+
+    def fail(*_, **__):
+        raise ObjectFolderError("no size")
+
+    monkeypatch.setattr(run_module, "load_mesh", fail)
+    (result,) = fetch_all(["ycb_mug"], published)
+    assert result.status is FetchStatus.FAILED
+    assert result.detail.startswith("no size (from http")
+    assert state() == before
+
+
+def test_an_unreachable_host_is_asked_once(published, publisher, monkeypatch, no_waits):
+    fetch_object("ycb_mug", published)
+    elsewhere = ["ycb=http://127.0.0.1:1/{model}.tgz", *addresses(publisher)[1:]]
+    asked = []
+    monkeypatch.setattr(run_module, "download_to", lambda *args: asked.append(args[1]) or download_to(*args))
+    keys = ["ycb_bowl", "ycb_mug", "ycb_plate", "gso_bunny_racer"]
+    results = fetch_all(keys, read_catalogue(CATALOGUE, elsewhere))
+    failed = FetchStatus.FAILED
+    assert [r.status for r in results] == [failed, FetchStatus.PRESENT, failed, FetchStatus.ADDED]
+    assert asked == ["http://127.0.0.1:1/024_bowl.tgz", f"{publisher.url}{RACER}"]
+    assert results[0].detail == results[2].detail
+    assert "127.0.0.1:1 cannot be reached (Connection refused)" in results[0].detail
+    assert no_waits == []
 
 
 def test_what_a_killed_fetch_left_is_removed(published):

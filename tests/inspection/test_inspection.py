@@ -11,6 +11,7 @@ import pytest
 import pyvista
 import torch
 import trimesh
+from matplotlib.axes import Axes
 from PIL import Image
 from rich.console import Console
 
@@ -19,7 +20,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.elements import solid_arrays, solid_from_arrays
 from objectfolder.fem.modal import modal_analysis
-from objectfolder.inspection import STAGES, Inspection, inspect_stage, print_inspection
+from objectfolder.inspection import STAGES, Inspection, inspect_stage, nets, print_inspection
 from objectfolder.inspection.scene import triangles
 from objectfolder.io import (
     atomic,
@@ -44,6 +45,7 @@ from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.packing import pack_object_file
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import look_at, sphere_points
@@ -278,6 +280,11 @@ def test_modal_rows(root):
         np.sqrt(modes["eigenvalues"][0]) / (2 * modes["damping"][0]), rel=1e-3
     )
     assert rows["modes"].startswith(f"{len(modes['damping'])}, of which ")
+    hertz = modes["damped_frequency"] / (2 * np.pi)
+    assert hertz.max() > 10000
+    assert rows["frequencies"] == f"{hertz.min():,.0f} to {hertz.max():,.0f} Hz"
+    bytes_ = sum(path.stat().st_size for path in (build.modes, build.modal))
+    assert rows["files"] == f"{bytes_ / 1000:,.1f} KB"
     grams = float(rows["material"].split()[1])
     assert grams == pytest.approx(VOLUME * 2.7, rel=2e-3)
 
@@ -352,7 +359,24 @@ def test_pack_rows(root):
     assert rows["geometry.resolution"] == "32"
     assert rows["touch.net.sensor"] == "digit"
     assert rows["made from sdf"] == "ab" * 6
-    assert rows["  touch.background"] == "uint8 160x120x3, 56.2 KB"
+    assert rows["  touch.background"] == "uint8 160x120x3, 57.6 KB"
+    file = ObjectFile.load(Build("brick", root).object_file)
+    assert rows["file"] == f"{Build('brick', root).object_file.stat().st_size / 1000:,.1f} KB"
+    lowest, highest = (f"{hertz:,.0f}" for hertz in (file.frequencies.min(), file.frequencies.max()))
+    assert rows["modes"] == f"{len(file.frequencies)}, {lowest} to {highest} Hz"
+    count = sum(tensor.nbytes for tensor in file.tensors.values())
+    assert rows["tensors"].endswith(f"numbers, {count / 1000:,.1f} KB")
+
+
+def test_the_picture_of_a_strike_has_its_quantity_and_unit(root, monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(nets, "save_page", lambda figure, path: drawn.append(figure) or path)
+    inspect_stage("pack", "brick", root)
+    (axes,) = [axes for axes in drawn[0].findobj(Axes) if axes.get_ylabel().startswith("sum of modal")]
+    assert axes.get_ylabel() == "sum of modal displacements [$10^{-6}$ m kg$^{1/2}$]"
+    file = ObjectFile.load(Build("brick", root).object_file)
+    expected = file.impact(file.sample_surface(4)[:1], [[0.0, 0, 1]])[0]
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), 1e6 * expected, rtol=1e-6)
 
 
 def test_evaluate_rows(root):

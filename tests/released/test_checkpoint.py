@@ -178,6 +178,12 @@ def test_files_that_are_none_are_errors(tmp_path):
         read_released(save(tmp_path / "tensor", torch.zeros(2)))
 
 
+def test_a_folder_is_said_to_be_one(tmp_path):
+    with pytest.raises(ObjectFolderError) as error:
+        read_released(tmp_path)
+    assert str(error.value) == f"{tmp_path} is a folder; expected a file such as {tmp_path}/ObjectFile.pth"
+
+
 def test_errors_name_the_key_and_what_is_there(tmp_path):
     values = {
         "a": {

@@ -4,6 +4,7 @@ import copy
 import logging
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -271,6 +272,73 @@ def test_points_are_those_of_the_released_file_or_of_the_centred_mesh(file, tmp_
     assert len(centred.sample_surface(5)) == 5
 
 
+def test_points_outside_the_bounds_of_the_net_are_refused(file, quick_gel):
+    second, first = file(released.released_2(1)), file(released.released_1(1), bounds=BOUNDS)
+    box = {"second": "[-0.08, -0.08, -0.08] to [0.11, 0.11, 0.11]", "first": "[-0.12, -0.12, -0.12] to [0.13"}
+    questions = [
+        (second.mode_shapes, box["second"]),
+        (lambda points: second.impact(points, [[0.0, 0.0, 1.0]] * 2, duration=0.01), box["second"]),
+        (lambda points: second.touch(points, depth=0.001), box["second"]),
+        (lambda points: second.depth_maps(points, depth=0.001), box["second"]),
+        (first.touch, box["first"]),
+    ]
+    for ask, bounds in questions:
+        with pytest.raises(ObjectFolderError) as error:
+            ask(np.array([[0.0, 0.0, 0.0], [50.0, -30.0, 70.0]]))  # of the second, in millimetres
+        assert f"row 1 at [50.0, -30.0, 70.0] m is outside the net's bounds, {bounds}" in str(error.value)
+        assert "points are in the released file's coordinates, metres" in str(error.value)
+    for end, outside in ((-0.08, -1), (0.11, 1)):
+        assert second.mode_shapes([[end + outside * 0.0037, 0, 0]]).shape == (
+            1,
+            3,
+            7,
+        )  # 2 % of 0.19 m: 0.0038
+        for axis in range(3):
+            with pytest.raises(ObjectFolderError, match=r"by more than 0\.0038 m"):
+                second.mode_shapes([np.eye(3)[axis] * (end + outside * 0.0039)])
+    assert second.mode_shapes([[0.2, 0, 0]], tolerance=0.5).shape == (1, 3, 7)
+
+
+@pytest.mark.parametrize("pair", [True, False])
+def test_a_mesh_is_as_large_as_the_file_says(file, tmp_path, quick_gel, monkeypatch, pair):
+    monkeypatch.setattr(converter, "RESOLUTION", 48)
+    trimesh = pytest.importorskip("trimesh")
+    values, bounds = released.released_2(4, 4), np.array([[-0.08, 0.0, 0.0], [0.02, 0.05, 0.11]])
+    if not pair:
+        for part in (values["AudioNet"]["normalizer"], values["TouchNet"]):
+            part["xyz_min"], part["xyz_max"] = bounds
+
+    def converted(factor, **options):
+        trimesh.creation.box(bounds=bounds * factor).export(tmp_path / "box.ply")
+        return file(values, mesh=tmp_path / "box.ply", **options)
+
+    # One pair for all axes spans the numbers of all of them.
+    found, expected = ("coordinates span 190", "0.19") if pair else ("longest side is 110", "0.11")
+    message = rf"box\.ply: its {found}, the file's stored bounds say {expected}; .* give --scale"
+    with pytest.raises(ObjectFolderError, match=message):
+        converted(1000)
+    for factor in (0.89, 1.11):
+        with pytest.raises(ObjectFolderError, match="stored bounds"):
+            converted(factor)
+    assert converted(1.09).scale == pytest.approx(1.09 * 0.11)
+    assert converted(1000, scale=0.11).scale == 0.11
+    with pytest.raises(ObjectFolderError, match=r"bounds are given beside the mesh .*box\.ply"):
+        converted(1, bounds=bounds)
+
+
+def test_a_size_that_nothing_tells_is_said_to_be_assumed(file, caplog):
+    note = "longest side not known (1 m assumed): give --scale or --bounds"
+    for values in (released.released_1(1, 4), released.released_kilo(3)):
+        with caplog.at_level(logging.WARNING):
+            obj = file(values)
+        assert obj.scale == 1
+        assert obj.header["imported"]["notes"][-1] == note
+        assert note in caplog.messages
+        for options in ({"scale": 1.0}, {"bounds": BOUNDS}):
+            assert note not in file(values, **options).header["imported"]["notes"]
+    assert file(released.released_2(1, 4)).header["imported"]["notes"] == []
+
+
 def test_cropping_changes_nothing_inside(file):
     values = released.released_1(5, density=5.0)
     whole, cropped = file(values), file(values, crop=10.0)
@@ -364,7 +432,13 @@ def test_options_that_make_no_sense_are_errors(file):
     for options, message in (
         ({"bounds": BOUNDS[::-1]}, "expected xmin"),
         ({"scale": -1.0}, "longest side"),
-        ({"key": "../x"}, "key"),
+        ({"key": "../x"}, "^key is '../x', expected a letter"),
+        ({"key": "Bowl 1"}, "^key is 'Bowl 1', expected a letter, then letters"),
+        ({"key": ""}, "^key is '', expected a letter"),
+        ({"key": "k" * 101}, "^key is 'k+', .* at most 100$"),
+        ({"material": "m" * 101}, "^material is 'm+', .* at most 100 characters$"),
+        ({"material": ""}, "^material is '', expected a name such as steel"),
+        ({"material": " "}, "^material is ' ', expected a name such as steel"),
     ):
         with pytest.raises(ObjectFolderError, match=message):
             file(released.released_1(1, 4), **options)
@@ -374,8 +448,12 @@ def test_options_that_make_no_sense_are_errors(file):
     ("options", "message"),
     [
         (["--sensor", "gelsite"], "unknown sensor profile 'gelsite'"),
-        (["--gel", "depth_bg.npy"], r"expected heights of shape \(120, 160\)"),
-        (["--gel", "absent.npy"], "is not a .npy file of numbers"),
+        (["--gel", "depth_bg.npy"], r"\(160, 120\), expected .*: heights of shape \(120, 160\)"),
+        (["--gel", "low.npy"], r"low.npy has 119 rows; expected heights of shape \(120, 160\)"),
+        (["--gel", "absent.npy"], "absent.npy does not exist; expected a .npy file"),
+        (["--gel", "ObjectFile.pth"], "^ObjectFile.pth is not a .npy file of numbers: (?!.*pickle)"),
+        (["--gel", "objects.npy"], "^objects.npy holds object, expected real numbers$"),
+        (["--gel", "other.bin"], "^other.bin is not a .npy file of numbers: (?!.*pickle)"),
         (["--crop", "0"], "crop is 0.0, expected half the side"),
         (["--crop", "-0.6"], "crop is -0.6, expected half the side"),
         (["--crop", "nan"], "crop is nan, expected a finite number"),
@@ -385,6 +463,9 @@ def test_options_that_make_no_sense_are_errors(file):
 def test_wrong_options_write_nothing(tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(tmp_path)
     np.save("depth_bg.npy", np.full((160, 120), 8.0, np.float32))
+    np.save("low.npy", np.full((119, 160), 8.0, np.float32))
+    np.save("objects.npy", np.full((120, 160), None), allow_pickle=True)
+    Path("other.bin").write_bytes(b"\x08" + bytes(100))
     torch.save(released.released_2(1), "ObjectFile.pth")
     ran = CliRunner().invoke(app, ["import", "ObjectFile.pth", "out.safetensors", *options])
     assert isinstance(ran.exception, ObjectFolderError)

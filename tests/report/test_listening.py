@@ -83,8 +83,63 @@ def test_too_few_pairs_are_refused(folders):
 def test_silence_is_refused(folders, tmp_path):
     shutil.copytree(folders[0], tmp_path / "silent")
     soundfile.write(tmp_path / "silent" / "wood_2.wav", np.zeros(1000), 16000)
-    with pytest.raises(ObjectFolderError, match=r"wood_2\.wav is silent"):
+    with pytest.raises(ObjectFolderError, match=r"wood_2\.wav is silent in its first 10 s"):
         study_page(tmp_path / "silent", folders[1], pairs=12)
+
+
+@pytest.fixture
+def one_pair(tmp_path):
+    """Return the page of a pair whose second sound is given, and that sound as it is heard."""
+    for name in ("ours", "recorded"):
+        (tmp_path / name).mkdir()
+    soundfile.write(tmp_path / "ours" / "wood_1.wav", ring(16000, 0.5, 1), 16000)
+
+    def made(sound, rate):
+        soundfile.write(tmp_path / "recorded" / "wood_1.wav", sound, rate, subtype="DOUBLE")
+        page = study_page(tmp_path / "ours", tmp_path / "recorded", pairs=1)
+        return heard(study(page)["pairs"][0]["sounds"][1])
+
+    return made
+
+
+@pytest.mark.parametrize("rate", [1000, 44100, 96000, 96001, 768000])
+def test_sounds_of_any_rate_are_played_at_a_rate_that_flac_holds(one_pair, rate):
+    sound, played = one_pair(ring(rate, 0.5, 0), rate)
+    assert played == min(rate, 48000)
+    expected = ring(played, 0.5, 0)
+    rows = slice(played // 100, played // 2)
+    error = sound / np.abs(sound).max() - expected / np.abs(expected).max()
+    assert np.abs(error[rows]).max() < 5e-3
+
+
+def test_a_rate_of_no_sound_is_refused(one_pair):
+    with pytest.raises(ObjectFolderError, match=r"wood_1\.wav has 1000001 Hz, expected at most 1000000 Hz"):
+        one_pair(ring(16000, 0.5, 0), 1000001)
+
+
+def test_channels_in_antiphase_do_not_cancel(one_pair):
+    one = ring(16000, 0.5, 0)
+    alone, _ = one_pair(one, 16000)
+    np.testing.assert_array_equal(one_pair(np.stack([one, -one], 1), 16000)[0], alone)
+    assert np.abs(alone).max() > 0.1
+
+
+@pytest.mark.parametrize("level", [1e-300, 1e300])
+def test_levels_at_the_limits_of_floats_are_matched(one_pair, level):
+    np.testing.assert_allclose(
+        one_pair(ring(16000, level, 0), 16000)[0], one_pair(ring(16000, 1.0, 0), 16000)[0]
+    )
+
+
+def test_sounds_that_begin_late_are_told_from_broken_ones(one_pair):
+    late = np.concatenate([np.zeros(106000), ring(10000, 0.5, 0)])
+    with pytest.raises(
+        ObjectFolderError, match=r"wood_1\.wav is silent in its first 10 s, expected a sound; remove"
+    ):
+        one_pair(late, 10000)
+    assert np.abs(one_pair(late[6100:], 10000)[0]).max() > 0.1
+    with pytest.raises(ObjectFolderError, match=r"wood_1\.wav holds values that are not finite"):
+        one_pair(np.where(np.arange(10000) == 7, np.nan, ring(10000, 0.5, 0)), 10000)
 
 
 def test_a_folder_twice_is_refused(folders):

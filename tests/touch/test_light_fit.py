@@ -294,6 +294,17 @@ def test_exports_are_for_one_simulator(options):
         raise done.exception
 
 
+@pytest.mark.parametrize("option", ["--taxim", "--isaac-lab"])
+def test_exports_replace_nothing(tmp_path, option):
+    held = tmp_path / "bg.jpg"
+    held.write_text("precious")
+    for place, reason in ((held, "bg.jpg is a file, expected a folder"), (tmp_path, "it holds bg.jpg;")):
+        done = CliRunner().invoke(app, ["sensor", "export", "digit", option, str(place)])
+        with pytest.raises(ObjectFolderError, match=reason):
+            raise done.exception
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("bg.jpg", "precious")]
+
+
 def test_commands_fit_a_pack_and_export_it(tmp_path, pictures, profile):
     from ruamel.yaml import YAML
 

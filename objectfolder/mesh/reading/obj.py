@@ -112,8 +112,8 @@ def _libraries(line: str) -> list[str]:
 
 
 def _plain(obj: str) -> str:
-    """Join continued lines, as trimesh does, and begin every line with its keyword and a space."""
-    joined = "\n" + obj.replace("\r\n", "\n").replace("\\\n", "")
+    """End lines in a newline, join continued ones, as trimesh does, and begin each with keyword and space."""
+    joined = "\n" + obj.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
     return _SKIPPED.sub(lambda start: f"\n{start[1] or start[2]} ", joined)[1:]
 
 

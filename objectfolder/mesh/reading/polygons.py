@@ -44,6 +44,9 @@ def read_polygons(path: Path) -> MeshContent:
     _check_solids(path, data)
     if kind == "stl":
         _check_length(path, data)
+    if kind == "ply":
+        header, end, body = data.partition(b"end_header")
+        data = _header_text(header).encode() + end + body
     _check_textures(path, data if kind == "ply" else b"")
     scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
     files.check()
@@ -80,9 +83,17 @@ def read_polygons(path: Path) -> MeshContent:
 
 def ply_textures(data: bytes) -> list[str]:
     """Return the textures named in the header of a ``.ply``, in order."""
-    header = data.partition(b"end_header")[0].decode(errors="replace")
+    header = _header_text(data.partition(b"end_header")[0])
     names = re.findall(r"^(?:comment|obj_info)\b.*?texturefile(.*)", header, re.MULTILINE | re.I)
     return list(dict.fromkeys(name.strip() for name in names))
+
+
+def _header_text(header: bytes) -> str:
+    """Decode the header of a ``.ply``: UTF-8, or else Latin-1, in which any bytes are characters."""
+    try:
+        return header.decode()
+    except UnicodeDecodeError:
+        return header.decode("latin-1")
 
 
 def _check_textures(path: Path, data: bytes) -> None:

@@ -11,7 +11,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.gradients.module import AnswerModule
-from objectfolder.objectfile.vision import SurfaceSense, poses_and_lights, require_room
+from objectfolder.objectfile.vision import SurfaceSense, poses_and_lights, require_image_room
 from objectfolder.vision.cameras import Intrinsics, PixelRays, covered_rectangle, up_directions
 from objectfolder.vision.trace import SurfaceSamples, is_lit, weighted_rows
 from objectfolder.vision.vectors import column_major, dot, normalized
@@ -78,7 +78,7 @@ class View(AnswerModule):
         """
         poses, lamps = poses_and_lights(camera, light, ())
         seen_by = Intrinsics.given(intrinsics, resolution)
-        require_room(len(poses), seen_by, _BYTES_PER_PIXEL)
+        require_image_room(len(poses), seen_by, _BYTES_PER_PIXEL)
         places = torch.as_tensor(camera).double()
         frames = (
             places.reshape(-1, 4, 4) if places.shape[-2:] == (4, 4) else looking_at(places.reshape(-1, 3))

@@ -100,6 +100,21 @@ def test_lines_may_be_indented_and_keywords_end_at_a_tab(tmp_path, start, every)
     np.testing.assert_array_equal(part.material.color, same.material.color)
 
 
+def test_lines_may_end_in_carriage_returns(tmp_path):
+    cube = trimesh.creation.box((0.1, 0.2, 0.3))
+    (tmp_path / "m.mtl").write_bytes(b"newmtl skin\rKd 1 0 0\r")
+    text = "mtllib m.mtl\n" + vertex_lines(cube.vertices) + "usemtl skin\n" + numbered(cube.faces)
+    path = tmp_path / "m.obj"
+    path.write_text(text)
+    plain = read_obj(path)
+    for end in ("\r", "\r\n", "\r\r\n"):
+        path.write_bytes(text.replace("\n", end).encode())
+        (part,), (same,) = read_obj(path).parts, plain.parts
+        np.testing.assert_array_equal(part.vertices, same.vertices)
+        np.testing.assert_array_equal(part.faces, same.faces)
+        np.testing.assert_array_equal(part.material.color, [1, 0, 0])
+
+
 def test_all_lines_may_be_indented(tmp_path):
     cube = trimesh.creation.box((0.1, 0.2, 0.3))
     text = vertex_lines(cube.vertices) + numbered(cube.faces)

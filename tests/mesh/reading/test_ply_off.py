@@ -9,6 +9,7 @@ from polygons import AREA, area, u_plate
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.reading.references import references
 from objectfolder.mesh.textured import PLAIN
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
@@ -90,6 +91,25 @@ def test_a_ply_of_several_textures_is_refused(tmp_path):
         load_mesh(path)
     path.write_text(path.read_text().replace("b.png", "a.png"))
     assert load_mesh(path).texture is not None
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+def test_a_header_may_be_in_latin_1(tmp_path, encoding, kind):
+    Image.fromarray(checker([[[9, 8, 7]]], 4)).save(tmp_path / "häute.png")
+    comments = "comment Maß: 1 Å\ncomment TextureFile häute.png\n"
+    head = header(4, 1, vertex=["float s", "float t"], kind=kind, comment=comments).encode(encoding)
+    vertices = np.hstack([SQUARE, SQUARE[:, :2]])
+    path = tmp_path / "m.ply"
+    if kind == "ascii":
+        path.write_bytes(head + (rows(vertices) + "4 0 1 2 3\n").encode())
+    else:
+        face = np.array([(4, [0, 1, 2, 3])], [("n", "u1"), ("p", "<i4", 4)])
+        path.write_bytes(head + vertices.astype("<f4").tobytes() + face.tobytes())
+    mesh = load_mesh(path)
+    assert area(mesh.vertices, mesh.faces) == pytest.approx(1)
+    assert (mesh.texture == [9, 8, 7]).all()
+    assert [str(name) for name in references(path)] == ["häute.png"]
 
 
 @pytest.mark.parametrize("prefix", ["", "diffuse_"])

@@ -1,0 +1,97 @@
+"""Recordings are read as they are, or refused with the reason."""
+
+import re
+
+import numpy as np
+import pytest
+import soundfile
+from taps import MODES, RATE, taps
+
+from objectfolder.audio.recordings import at_one_rate, loudest_channel, read_recording
+from objectfolder.errors import ObjectFolderError
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write sounds to a file and return its path."""
+
+    def write(sound, subtype="PCM_16"):
+        soundfile.write(tmp_path / "tap.wav", sound, RATE, subtype=subtype)
+        return tmp_path / "tap.wav"
+
+    return write
+
+
+def loud(peak):
+    """A tap of that peak."""
+    sound = taps(MODES, 1)[0]
+    return sound * (peak / np.abs(sound).max())
+
+
+@pytest.mark.parametrize("subtype", ["PCM_16", "PCM_24", "FLOAT", "DOUBLE"])
+@pytest.mark.parametrize(("lower", "upper"), [(-1, 1), (-1, 9), (-9, 1)])
+def test_a_sound_cut_off_below_full_scale_is_clipped(written, subtype, lower, upper):
+    sound = 0.3 * np.clip(loud(2.0), lower, upper)
+    with pytest.raises(ObjectFolderError, match=r"tap\.wav is clipped"):
+        read_recording(written(sound, subtype))
+
+
+@pytest.mark.parametrize("peak", [0.03, 0.1, 0.9])
+@pytest.mark.parametrize("subtype", ["PCM_U8", "PCM_16", "FLOAT"])
+@pytest.mark.parametrize("hertz", [None, 20, 1000, 6000])
+def test_few_levels_low_tones_and_quiet_taps_are_not_clipped(written, peak, subtype, hertz):
+    """Coarse levels make many samples in a row equal at the top of a slow or quiet wave."""
+    tone = None if hertz is None else peak * np.sin(2 * np.pi * hertz / RATE * np.arange(2 * RATE))
+    sound = loud(peak) if tone is None else tone
+    found, rate = read_recording(written(sound, subtype))
+    assert rate == RATE
+    np.testing.assert_allclose(found, sound, atol=1 / 128)
+
+
+@pytest.mark.parametrize("subtype", ["FLOAT", "DOUBLE"])
+def test_floats_above_full_scale_are_not_clipped(written, subtype):
+    sound = loud(5.0)
+    np.testing.assert_allclose(read_recording(written(sound, subtype))[0], sound, rtol=1e-6)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("channel", [0, 1])
+def test_values_that_are_not_finite_are_called_so(written, value, channel):
+    channels = np.stack([loud(0.5), loud(0.1)], 1)
+    channels[100, channel] = value
+    with pytest.raises(ObjectFolderError, match=r"tap\.wav holds values that are not finite"):
+        read_recording(written(channels, "FLOAT"))
+
+
+def test_the_loudest_channel_has_the_highest_peak(tmp_path):
+    channels = np.array([[0.5, 0, -0.2], [0.5, -0.9, 0.2]])
+    np.testing.assert_array_equal(loudest_channel(channels, tmp_path), channels[:, 1])
+
+
+def test_a_path_without_a_recording_is_told_from_an_unreadable_one(tmp_path):
+    with pytest.raises(ObjectFolderError, match=r"no\.wav does not exist; expected a recording: WAV, FLAC"):
+        read_recording(tmp_path / "no.wav")
+    with pytest.raises(ObjectFolderError, match=f"^{re.escape(str(tmp_path))} is a folder; expected a rec"):
+        read_recording(tmp_path)
+
+
+def test_a_rate_at_which_modes_would_be_lost_is_refused_by_name():
+    sounds = [(np.ones(9), rate) for rate in (96000.0, 8000.0, 48000.0)]
+    message = (
+        "b.wav has 8000 Hz, the others up to 96000 Hz; all are brought to the lowest rate, and modes above "
+        "3600 Hz would be lost: leave out recordings of 8000 Hz"
+    )
+    with pytest.raises(ObjectFolderError, match=f"^{re.escape(message)}$"):
+        at_one_rate(sounds, ["a.wav", "b.wav", "c.wav"])
+    with pytest.raises(ObjectFolderError, match=r"^recording 2 has 8000 Hz"):
+        at_one_rate(sounds)
+
+
+def test_near_rates_are_brought_to_the_lowest():
+    tones = [
+        (np.sin(2 * np.pi * 500 * np.arange(rate) / rate), float(rate)) for rate in (48000, 44100, 66150)
+    ]
+    sounds, rate = at_one_rate(tones)
+    assert rate == 44100
+    for sound in sounds:
+        np.testing.assert_allclose(sound[2000:40000], tones[1][0][2000:40000], atol=2e-3)
