@@ -14,7 +14,7 @@ from objectfolder.cli.console import console
 from objectfolder.cli.files import SAMPLE, empty_folder, object_file
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import read_rows
-from objectfolder.objectfile.header import PARTS, known_kinds
+from objectfolder.objectfile.header import PARTS, RADIATION, known_kinds
 
 if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
@@ -28,6 +28,7 @@ SOUND_UNITS = {
     "velocity": "m kg^1/2/s",
     "acceleration": "m kg^1/2/s^2",
 }
+UNCERTAIN = 0.1  #: error of frequencies from which `info` says so
 TOUCH_ARRAYS = ("height", "displacement", "pressure", "normals")
 SHEAR_ARRAYS = ("sideways", "traction", "marker_flow")  #: of contacts that are sheared
 TOUCH_OUTPUTS = ("image", "mask", *TOUCH_ARRAYS, *SHEAR_ARRAYS)
@@ -67,7 +68,12 @@ def info(file: FileArgument) -> None:
     obj = ObjectFile.load(file)
     table = Table(title=f"{obj.key} ({file.stat().st_size / 1000:.0f} KB)", show_header=False)
     rows = {"material": obj.material, "longest side": f"{obj.scale:g} m"}
+    if {"solid", "material_properties"} <= obj.header.keys():
+        volume = obj.header["solid"]["volume"] * obj.scale**3
+        rows["mass"] = f"{obj.header['material_properties']['density'] * volume:.3g} kg"
     rows |= {part: _summary_of(obj, part) for part in PARTS}
+    heard = RADIATION in obj.header
+    rows[RADIATION] = obj.header[RADIATION]["kind"] if heard else "none: no listener hears it"
     rows["format"] = obj.header["format"]
     for name, value in rows.items():
         table.add_row(name, escape(value))
@@ -357,7 +363,11 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
         return f"{kind}, no modes: {heard}" if obj.has_modes else kind
     described = obj.header[part]
     error = described.get("frequency_uncertainty")
-    certain = "" if error is None else f", lowest ten within about {error:.1%}"
+    certain = ""
+    if error is not None and error > UNCERTAIN:
+        certain = f", uncertain: the lowest ten may be {error:.0%} wrong"
+    elif error is not None:
+        certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")
     if described.get("frequency_uncertainty_unknown"):
         certain = ", their error not known: walls are too thin for the grid"
     span = f"{frequencies.min():.0f} to {frequencies.max():.0f} Hz"

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from brick import SCALE, SIDES
 from typer.main import get_command
 
 from objectfolder.benchmarks.collect import load_object_files
@@ -74,6 +75,24 @@ def test_the_frequency_above_which_modes_are_not_stored_is_shown(brick, tmp_path
     assert "Hz, truncated above 8408 Hz" in re.sub(r"[│\s]+", " ", capsys.readouterr().out)
     app(["info", "mug"], standalone_mode=False)
     assert "truncated" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (3e-4, "lowest ten within 0.1%"),
+        (0.017, "lowest ten within about 1.7%"),
+        (2.22, "uncertain: the lowest ten may be 222% wrong"),
+    ],
+)
+def test_how_far_frequencies_may_be_off_is_shown(brick, tmp_path, capsys, error, said):
+    header = brick.header | {"audio": brick.header["audio"] | {"frequency_uncertainty": error}}
+    ObjectFile(header, brick.tensors).save(tmp_path / "brick.safetensors")
+    app(["info", str(tmp_path / "brick.safetensors")], standalone_mode=False)
+    shown = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
+    assert said in shown
+    mass = np.prod(SIDES) * SCALE**3 * header["material_properties"]["density"]
+    assert float(re.search(r"mass (\S+) kg", shown)[1]) == pytest.approx(mass, rel=0.01)
 
 
 def test_a_sample_is_shown_sampled_queried_and_seen(tmp_path, monkeypatch, capsys):
