@@ -8,6 +8,7 @@ from objectfolder.objectfile.samples import available_samples, file_or_sample
 
 #: Names of the samples, for the help of commands.
 SAMPLE = f"a sample: {', '.join(available_samples())}"
+PAGES = (".html", ".htm")  #: suffixes
 
 
 def object_file(given: Path) -> Path:
@@ -79,7 +80,7 @@ def page_to_write(given: Path) -> Path:
     ObjectFolderError
         If its name is not one of a page, as that of an Object File.
     """
-    if given.suffix.lower() not in (".html", ".htm"):
+    if given.suffix.lower() not in PAGES:
         raise ObjectFolderError(f"--out {given}: expected the name of a page, such as {given.stem}.html")
     return given
 
@@ -90,8 +91,10 @@ def site_to_write(given: Path) -> Path:
     Raises
     ------
     ObjectFolderError
-        If it is a file, or holds a page that no report wrote.
+        If it has the name of a page, is a file, or holds a page that no report wrote.
     """
+    if given.suffix.lower() in PAGES:
+        raise ObjectFolderError(f"--out {given}: expected a folder; for one page, add --single-file")
     folder = folder_to_write(given)
     if (folder / "index.html").exists() and not (folder / "viewer.js").exists():
         raise ObjectFolderError(

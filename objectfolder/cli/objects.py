@@ -1,5 +1,6 @@
 """Commands that add objects to a workspace: add, fetch."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
@@ -14,6 +15,17 @@ if TYPE_CHECKING:
     from objectfolder.workspace.discover import Examination
 
 
+def _metres(text: str) -> float:
+    from objectfolder.workspace.discover import UNITS
+
+    try:
+        return float(text)
+    except ValueError:
+        number = re.fullmatch(rf"(\d+(?:\.\d+)?) *({'|'.join(UNITS)})", text)
+        example = float(number[1]) * UNITS[number[2]] if number else 0.112
+        raise typer.BadParameter(f"{text!r} is not a number of metres, such as {example:g}") from None
+
+
 def add(
     mesh: Annotated[
         Path,
@@ -25,7 +37,12 @@ def add(
     name: Annotated[str | None, typer.Option(help="Object key, such as `blue_mug`.")] = None,
     material: Annotated[str | None, typer.Option(help="ceramic, glass, wood, plastic, iron, ...")] = None,
     scale: Annotated[
-        float | None, typer.Option(help="Longest side in metres; default: the size of the mesh.")
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            parser=_metres,
+            help="Longest side in metres; default: the size of the mesh.",
+        ),
     ] = None,
     up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,
     unit: Annotated[str, typer.Option(help="Unit of the mesh coordinates: m, cm or mm.")] = "m",
@@ -51,7 +68,7 @@ def add(
     from objectfolder.engine.dvc.repository import track
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_entries
-    from objectfolder.workspace.discover import UNITS, Candidate, examination_table, examine
+    from objectfolder.workspace.discover import UNITS, Candidate, discover, examination_table, examine
     from objectfolder.workspace.installed import check_installed
     from objectfolder.workspace.objects import add_catalogue, add_mesh
 
@@ -91,7 +108,10 @@ def add(
         raise ObjectFolderError(f"{mesh} does not exist; expected a mesh, a folder of meshes, or a catalogue")
     if mesh.is_dir():
         if name is not None or scale is not None:
-            raise ObjectFolderError(f"{mesh} is a folder; --name and --scale are for one mesh")
+            found = discover(mesh)[0].mesh
+            raise ObjectFolderError(
+                f"{mesh} is a folder; --name and --scale are for one mesh, such as {found}"
+            )
         raise typer.Exit(not _add_folder(mesh, values, material, up, unit, wall, bridge, dry_run))
     if name is None or material is None:
         raise ObjectFolderError(f"{mesh}: a mesh needs --name and --material; see objectfolder add --help")
@@ -156,7 +176,8 @@ def _add_folder(
         except ObjectFolderError as error:
             refused.append((candidate.key, str(error)))
     for key, reason in dict.fromkeys(refused):
-        console.print(f"[bold red]refused[/] {key}: {escape(reason)}", soft_wrap=True, highlight=False)
+        text = f"[bold red]refused[/] {key}: {escape(reason.removeprefix(f'{key}: '))}"
+        console.print(text, soft_wrap=True, highlight=False)
     text = f"{len(accepted)} can be added" if dry_run else f"{len(added)} added"
     text += f", {len(refused)} refused" if refused else ""
     console.print(text + ("; next: objectfolder build" if added else ""), highlight=False)

@@ -35,19 +35,19 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
     """Print objects that are not fresh with a mark per stage, and the most common reasons."""
     objects: dict[str, dict[str, StageStatus]] = {}
     for one in found:
-        objects.setdefault(one.key or one.address, {})[one.stage] = one
+        if one.key:
+            objects.setdefault(one.key, {})[one.stage] = one
     lines = {
         key: row for key, row in objects.items() if any(s.state is not State.FRESH for s in row.values())
     }
-    stages = list(dict.fromkeys(one.stage for row in lines.values() for one in row.values() if one.key))
+    for one in found:
+        if not one.key and one.state is not State.FRESH:
+            console.print(Text.assemble(_mark(one.state), f" {one.address}  {one.state}"), soft_wrap=True)
     if lines:
+        stages = list(dict.fromkeys(stage for row in lines.values() for stage in row))
         table = Table("", *(name.replace("_", "\n") for name in stages), box=None, padding=(0, 1, 0, 0))
         for key, row in sorted(lines.items()):
-            if all(one.key for one in row.values()):
-                table.add_row(key, *(_mark(row[s].state) if s in row else "" for s in stages))
-            else:
-                (one,) = row.values()
-                table.add_row(key, Text.assemble(_mark(one.state), f" {one.state}"))
+            table.add_row(key, *(_mark(row[s].state) if s in row else "" for s in stages))
         print_wide(table, console)
         shown = [
             state
@@ -61,8 +61,11 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
         console.print(Text(f"{count:5d} x {reason}"), soft_wrap=True)
     keys = {one.key for one in found if one.key and one.stage not in TASKS}  # theirs are splits
     fresh = len(keys - set(lines))
-    complete = f"{fresh} of {plural(len(keys), 'object')} complete" if fresh else "no object is complete"
-    console.print(f"{_states(found)}; {complete}", highlight=False)
+    if not keys:
+        complete = "no objects yet: `objectfolder add MESH --name NAME --material MATERIAL`"
+    else:
+        complete = f"{fresh} of {plural(len(keys), 'object')} complete" if fresh else "no object is complete"
+    console.print(f"{_states(found)}; {complete}", highlight=False, soft_wrap=True)
     if lines:
         hint = (
             "`objectfolder status OBJECT` explains why; `objectfolder build --dry-run` shows what would run"
@@ -94,7 +97,7 @@ def print_outlook(found: Iterable[StageStatus], console: Console) -> None:
         line.append(f"{one.address.ljust(width)}  ", style="default")
         line.append("; ".join(_reasons(one)) or one.state, style="default")
         console.print(line, soft_wrap=True)
-    counts = Counter(one.outlook for one in found)
+    counts = Counter(one.outlook for one in found if not _is_source(one) or one in acting)
     text = ", ".join(f"{counts[outlook]} {words}" for outlook, words in WORDS.items() if counts[outlook])
     console.print(text or "no stages", highlight=False)
 

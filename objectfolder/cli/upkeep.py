@@ -76,7 +76,7 @@ def verify(
     from objectfolder.engine.progress import Progress, print_summary
     from objectfolder.engine.verify import verify as run_verify
 
-    with Progress() as progress:
+    with Progress(task="verifying") as progress:
         report = run_verify(targets or (), repair=repair, jobs=jobs, track=tracked, on_event=progress)
     if report.rebuilt is not None:
         print_summary(report.rebuilt)

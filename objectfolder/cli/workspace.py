@@ -137,14 +137,16 @@ def inspect(
     vtu: Annotated[bool, typer.Option(help="Also export the solid for ParaView (voxelize only).")] = False,
 ) -> None:
     """Summarize the artifacts of a stage in a table, and save a picture next to them."""
-    from objectfolder.inspection import inspect_stage, print_inspection
+    from objectfolder.inspection import STAGES, inspect_stage, print_inspection
     from objectfolder.workspace.params import PARAMS_FILE, outside_workspace
 
     if not Path(PARAMS_FILE).is_file():
         raise outside_workspace(Path(PARAMS_FILE))
     stage, at, key = target.partition("@")
     if not at:
-        raise ObjectFolderError(f"{target!r} is not STAGE@OBJECT, such as modal@mug")
+        raise ObjectFolderError(
+            f"{target!r} is not STAGE@OBJECT, such as modal@mug; the stages are {', '.join(STAGES)}"
+        )
     print_inspection(inspect_stage(stage, key, vtu=vtu), console)
 
 
@@ -157,16 +159,18 @@ def _print_metrics(keys: list[str]) -> None:
 
     rows = [summary_row(key, read_json(Build(key).metrics)) for key in keys]
     title = "Held-out PSNR in dB / PSNR of a trivial baseline"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=0)
     for name in rows[0]:
-        # Folded, not cut: in a narrow terminal a score takes more lines.
-        table.add_column(name, justify="left" if name == "object" else "right", overflow="fold")
+        # In a narrow terminal names take more lines; scores stay whole.
+        scores = name != "object"
+        header = name.replace(" / ", "/").replace("/", "/\n").replace(" ", "\n")
+        table.add_column(header, justify="right" if scores else "left", overflow="fold", no_wrap=scores)
     for row in rows:
-        table.add_row(*row.values())
+        table.add_row(*(cell.replace(" / ", "/") for cell in row.values()))
     console.print(table)
     for key in keys:
         b = Build(key)
         if warning := uncertainty_warning(read_json(b.modal), allow=True, name=key):
-            console.print(f"warning: {warning}", style="yellow", soft_wrap=True)
+            console.print(f"warning: {warning}", style="yellow", soft_wrap=True, highlight=False)
         sheets = (b.views_sheet, b.touch_sheet, b.vision_sheet, b.sound_sheet)
         console.print(f"{b.object_file}  pictures: {' '.join(map(str, sheets))}", soft_wrap=True)

@@ -35,6 +35,7 @@ from objectfolder.engine.summary import (
     StageOutcome,
     StageResult,
     Started,
+    Stopping,
     Summary,
 )
 from objectfolder.engine.workers import FinishedQueue, LocalWorkers, WorkerLost, Workers
@@ -178,7 +179,7 @@ class _Build:
             weight=lambda address: needs[address].seconds,
             group=object_groups(graph.stages, OBJECTS_PER_CORE * self.workers.cores),
         )
-        self.signals = StopSignals(wake=lambda: self.finished.put(None))
+        self.signals = StopSignals(lambda: self.finished.put(None), lambda: on_event(Stopping()))
         self.compared = False
         self.stopping = False
         self.unwritable = False

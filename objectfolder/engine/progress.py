@@ -2,6 +2,7 @@
 
 import statistics
 import time
+from datetime import timedelta
 from types import TracebackType
 from typing import Self
 
@@ -20,10 +21,12 @@ from objectfolder.engine.summary import (
     StageOutcome,
     StageResult,
     Started,
+    Stopping,
     Summary,
 )
 from objectfolder.errors import plural
 
+ENOUGH = 0.1  # of the planned work, after which the rest is estimated
 MAX_ROWS = 60  # of the summary table; with more results, one row per stage and outcome
 STYLES = {
     StageOutcome.RAN: "green",
@@ -32,6 +35,8 @@ STYLES = {
     StageOutcome.FAILED: "bold red",
     StageOutcome.BLOCKED: "yellow",
 }
+#: Outcomes after which a stage is up to date.
+UP_TO_DATE = (StageOutcome.RAN, StageOutcome.RESTORED, StageOutcome.SKIPPED)
 
 
 class Progress:
@@ -41,9 +46,12 @@ class Progress:
     ----------
     console : Console, optional
         Output; default: standard error.
+    task : str
+        What happens before the stages are known.
     """
 
-    def __init__(self, console: Console | None = None):
+    def __init__(self, console: Console | None = None, task: str = "reading the pipeline"):
+        self.task = task
         self.console = console or Console(stderr=True, emoji=False)
         self.total = 0
         self.counts = dict.fromkeys(StageOutcome, 0)
@@ -71,6 +79,8 @@ class Progress:
     ) -> None:
         if self._live is not None:
             self._live.stop()
+        if kind is KeyboardInterrupt:
+            self._line(self._interruption(), "yellow")
 
     def __call__(self, event: Event) -> None:
         """Show one event of the build."""
@@ -91,6 +101,8 @@ class Progress:
                 self.running.pop(address, None)
                 text = f"again    {address} {', '.join(files)} changed while it ran; nothing was saved"
                 self._line(text, "yellow")
+            case Stopping():
+                self._line("stopping: running stages are killed, finished ones are kept", "yellow")
             case Finished(result):
                 self.running.pop(result.address, None)
                 self.counts[result.status] += 1
@@ -107,15 +119,23 @@ class Progress:
         return sum(self.counts.values())
 
     def seconds_left(self) -> float | None:
-        """Return the remaining time in s at the speed so far; None before the first stage has run."""
-        if not self._behind:
+        """Return the remaining time in s at the speed so far; None before a tenth of the work is done."""
+        ahead = sum(self._ahead.copy().values())
+        if not self._behind or self._behind < ENOUGH * (self._behind + ahead):
             return None
-        return (time.monotonic() - self._clock) * sum(self._ahead.copy().values()) / self._behind
+        return (time.monotonic() - self._clock) * ahead / self._behind
 
     def _times(self) -> str:
         left = self.seconds_left()
         elapsed = f"{_duration(time.monotonic() - self._clock)} elapsed"
-        return elapsed if left is None else f"{elapsed}, about {_duration(left)} left"
+        return f"{elapsed}, about {_duration(left)} left" if left else elapsed
+
+    def _interruption(self) -> str:
+        if not self.total:
+            return "interrupted"
+        kept = sum(self.counts[status] for status in UP_TO_DATE)
+        stages = f"{kept} of {plural(self.total, 'stage')} {'is' if self.total == 1 else 'are'} up to date"
+        return f"interrupted: {stages}; `objectfolder build` continues"
 
     def _describe(self, result: StageResult) -> str:
         place = f"[{self.done}/{self.total}]"
@@ -131,19 +151,20 @@ class Progress:
     def _render(self) -> Group:
         now = time.monotonic()
         # Copied in one step, because this runs in the display thread.
-        running = [
-            Text(f"  {address}  {now - start:.0f} s", style="bold")
-            for address, start in self.running.copy().items()
-        ]
+        if not self.total:
+            return Group(Text(f"{self.task} ...  {_duration(now - self._clock)}"))
+        lines = [f"  {address}  {now - start:.0f} s" for address, start in self.running.copy().items()]
+        running = [Text(line, style="bold", no_wrap=True, overflow="ellipsis") for line in lines]
         counts = "  ".join(f"{count} {status}" for status, count in self.counts.copy().items() if count)
         bar = Table.grid(padding=(0, 1))
+        for _ in range(3):
+            bar.add_column(no_wrap=True)
         bar.add_row(
-            ProgressBar(total=self.total or 1, completed=self.done, width=30),
+            ProgressBar(total=self.total, completed=self.done, width=20),
             f"{self.done}/{self.total}",
-            counts,
             self._times(),
         )
-        return Group(*running, bar)
+        return Group(*running, bar, Text(f"  {counts}", no_wrap=True, overflow="ellipsis"))
 
 
 def print_summary(summary: Summary, console: Console | None = None) -> None:
@@ -205,11 +226,8 @@ def _failure(result: StageResult) -> Text:
 
 
 def _duration(seconds: float) -> str:
-    hours, rest = divmod(round(seconds), 3600)
-    minutes, rest = divmod(rest, 60)
-    return (
-        f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
-    )
+    """Return a time as hours, minutes and seconds, such as ``0:08:51``."""
+    return str(timedelta(seconds=round(seconds)))
 
 
 def _seconds(result: StageResult) -> str:

@@ -19,16 +19,22 @@ class StopSignals:
     ----------
     wake : callable
         Called from the signal handler, to end a wait of the main loop.
+    on_interrupt : callable
+        Called by the main loop, once it sees that the user interrupts it; not if the terminal is gone.
     """
 
-    def __init__(self, wake: Callable[[], None]):
+    def __init__(self, wake: Callable[[], None], on_interrupt: Callable[[], None]):
         self._wake = wake
+        self._on_interrupt = on_interrupt
         self._number: int | None = None
 
     def raise_if_caught(self) -> None:
         """Leave the block of `caught` if a signal has arrived."""
-        if self._number is not None:
-            raise _Interrupted
+        if self._number is None:
+            return
+        if self._number == signal.SIGINT:
+            self._on_interrupt()
+        raise _Interrupted
 
     @contextmanager
     def caught(self) -> Iterator[None]:

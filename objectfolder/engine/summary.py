@@ -135,5 +135,10 @@ class Finished:
     result: StageResult
 
 
-Event = Planned | Started | Lost | Disturbed | Finished
+@dataclass(frozen=True)
+class Stopping:
+    """Interruption from the keyboard: no more stages start, and the running ones are killed."""
+
+
+Event = Planned | Started | Lost | Disturbed | Finished | Stopping
 Listener = Callable[[Event], None]

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from objectfolder import materials
-from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.errors import ObjectFolderError, plural, quoted
 from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
 from objectfolder.mesh.normalize import NormalizeConfig, normalize
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
@@ -22,6 +22,7 @@ from objectfolder.workspace.params import settings
 from objectfolder.yamlfile import read_yaml
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  #: metres
+SMALL = 0.01  # metres; smallest size that is guessed
 LARGE = 2.0  # metres; few objects that are struck and touched are larger
 MOVED = 1e-3  # fraction of the size by which closing may move a surface without a note
 CLOSED = "closed already"  # in place of the repair step that closed a surface
@@ -222,7 +223,7 @@ def examine(
     if not MIN_SCALE <= size <= MAX_SCALE:
         raise ObjectFolderError(
             f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "
-            + (f"{_other_units(own)}give --unit or --scale" if scale is None else "give it in metres")
+            + (_size_in_other_units(own, unit) if scale is None else _in_metres(scale))
         )
     normalized = normalize(loaded, key, wall and wall / size, bridge != "off")
     config = settings(VoxelizeConfig, values)
@@ -230,9 +231,10 @@ def examine(
     report = normalized.report(size, up or default_up(mesh))
     notes = [*report["warnings"], *report["appearance"].get("notes", [])]
     if scale is None and size > LARGE:
-        notes.insert(0, f"{size:.3g} m is large: {_other_units(own)}set --unit or --scale")
-    if report["self_intersections"]:
-        notes.append(f"{report['self_intersections']} edges of its surface pierce another face of it")
+        notes.insert(0, f"{size:.3g} m is large: {_size_in_other_units(own, unit)}")
+    if crossing := report["self_intersections"]:
+        verb = "pierces" if crossing == 1 else "pierce"
+        notes.append(f"{plural(crossing, 'edge')} of its surface {verb} another face of it")
     if report["deviation_max_m"] > MOVED * size:
         notes.append(f"closing it moved its surface by up to {report['deviation_max_m'] * 1000:.2g} mm")
     welded = [rung["components_after"] for rung in report["rungs"] if rung["name"] == "clean"]
@@ -242,10 +244,22 @@ def examine(
     )
 
 
-def _other_units(own: float) -> str:
-    """Suggest units in which the size would be plausible."""
-    fitting = [f"{own:.4g} {unit}" for unit in ("cm", "mm") if 0.01 <= own * UNITS[unit] <= LARGE]
-    return f"perhaps it is {' or '.join(fitting)}; " if fitting else ""
+def _fitting_units(length: float) -> list[str]:
+    """Return the units in which a length would be that of a plausible object."""
+    return [unit for unit in UNITS if SMALL <= length * UNITS[unit] <= LARGE]
+
+
+def _size_in_other_units(own: float, unit: str) -> str:
+    """Say what to do about a mesh whose size is not plausible in a unit."""
+    fitting = [f"{own:.4g} {other}" for other in _fitting_units(own)]
+    guess = f"perhaps it is {' or '.join(fitting)}; " if fitting else ""
+    return f"{guess}give {'--unit' if unit == 'm' else 'another --unit'} or --scale"
+
+
+def _in_metres(scale: float) -> str:
+    """Say what to do about a scale that is not plausible in metres."""
+    guesses = [f"{scale * UNITS[unit]:.4g} for {scale:.4g} {unit}" for unit in _fitting_units(scale)]
+    return "give it in metres" + (f": {' or '.join(guesses)}" if guesses else "")
 
 
 def examine_all(
@@ -267,9 +281,9 @@ def examine_all(
 def examination_table(examinations: Sequence[Examination], up_given: bool) -> Table:
     """Format examinations as a table."""
     caption = None if up_given else "? guessed"
-    result = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), caption=caption)
+    result = Table(box=SIMPLE_HEAD, show_edge=False, padding=0, caption=caption)
     numbers = ("size\nm", "pieces", "volume\ncm³")
-    for name in ("object", "mesh", "material", "size\nm", "up", "pieces", "closed by", "volume\ncm³"):
+    for name in ("object", "material", "size\nm", "up", "pieces", "closed by", "volume\ncm³"):
         # In a narrow terminal names take more lines; numbers stay whole.
         whole = name in (*numbers, "up")
         result.add_column(
@@ -277,7 +291,7 @@ def examination_table(examinations: Sequence[Examination], up_given: bool) -> Ta
         )
     for shown in examinations:
         candidate = shown.candidate
-        row = [candidate.key, escape(candidate.mesh.name), escape(candidate.material or "?")]
+        row = [candidate.key, escape(candidate.material or "?")]
         if shown.refusal is not None:
             row.append("[bold red]refused[/]")
         else:

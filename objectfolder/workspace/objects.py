@@ -170,10 +170,16 @@ def check_new(key: str, values: dict[str, Any], root: Path = Path()) -> Path:
     """
     params.check_key(key)
     home = root / "data" / "objects" / key
-    if key in values["objects"] or home.exists() or home.with_name(f"{key}.dvc").exists():
+    record = home.with_name(f"{key}.dvc")
+    entries = [f"{group}.{key}" for group in ("objects", "procedural") if key in values[group]]
+    remedies = [f"delete {' and '.join(entries)} from {root / params.PARAMS_FILE}"] if entries else []
+    if record.exists():
+        remedies.append(f"run `dvc remove --outs {record}`")
+    elif home.exists():
+        remedies.append(f"delete the folder {home}")
+    if remedies:
         raise ObjectFolderError(
-            f"object {key!r} exists already ({root / params.PARAMS_FILE}, {home} or {home}.dvc); choose "
-            "another name, or remove it"
+            f"object {key!r} exists already; choose another name, or remove it: {', then '.join(remedies)}"
         )
     return home
 

@@ -4,10 +4,12 @@ A section is a frozen dataclass beside the code that uses it, such as `objectfol
 Its annotations are the checks (`objectfolder.settings`).
 """
 
+import difflib
 import json
 import math
 import os
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -30,6 +32,8 @@ Config = TypeVar("Config")
 Model = TypeVar("Model", bound=BaseModel)
 
 
+#: Types of pydantic's errors about a name that is not one of the fields.
+UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 #: Dataclass of each section. By name, so that a stage depends on the modules of its own section alone.
@@ -268,7 +272,7 @@ def settings(config: type[Config], values: dict[str, Any], path: str | Path = PA
     try:
         return adapter.validate_json(text)[name]
     except ValidationError as error:
-        raise _wrong(f"{path}: {name}", error, 1) from error
+        raise _wrong(f"{path}: {name}", error, outer=1) from error
 
 
 def require_section(name: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
@@ -309,16 +313,25 @@ def checked(model: type[Model], value: Any, where: str) -> Model:
     try:
         return model.model_validate(value)
     except ValidationError as error:
-        raise _wrong(where, error) from error
+        raise _wrong(where, error, model.model_fields) from error
 
 
-def _wrong(where: str, error: ValidationError, outer: int = 0) -> ObjectFolderError:
+def _wrong(
+    where: str, error: ValidationError, known: Collection[str] = (), outer: int = 0
+) -> ObjectFolderError:
     """Name every wrong field; ``outer`` levels of its location are in ``where`` already."""
+    lacking = [str(e["loc"][-1]) for e in error.errors() if e["type"] == "missing"]
 
     def problem(e: ErrorDetails) -> str:
         place = ".".join(map(str, e["loc"][outer:]))
         if not place and e["type"] == "value_error":  # of a dataclass's own check, which names the field
             return str(e["ctx"]["error"])
-        return f"{place or 'entry'}: {e['msg']}, got {quoted(e['input'])}"
+        if e["type"] == "missing":  # its input is all that is there
+            return f"{place}: {e['msg']}"
+        text = f"{place or 'entry'}: {e['msg']}, got {quoted(e['input'])}"
+        if e["type"] not in UNKNOWN:
+            return text
+        near = difflib.get_close_matches(str(e["loc"][-1])[:60], {*lacking, *known}, 1)
+        return f"{text}; did you mean {near[0]}?" if near else text
 
     return ObjectFolderError(f"{where}: {'; '.join(map(problem, error.errors()))}")

@@ -17,6 +17,7 @@ from objectfolder.cli import app
 from objectfolder.engine.build import build
 from objectfolder.engine.dvc.repository import track
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.normalize import Normalized
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import objects as catalog
 from objectfolder.workspace import params
@@ -257,21 +258,11 @@ def test_names_become_keys(name, key):
 def test_a_folder_shows_what_it_understood_and_adds_what_it_can(workspace, collection):
     result = run(collection, "--material", "wood")
     assert result.exit_code == 1
-    assert row(result, "mug_blue") == [
-        "mug_blue",
-        "textured.glb",
-        "wood",
-        "0.2",
-        "y?",
-        "1",
-        *("closed", "already"),
-        "2,000",
-    ]
-    brick = ["brick", "Brick.STL", "wood", "0.2", "z?", "1", "closed", "already", "2,000"]
-    assert row(result, "brick") == brick
-    assert row(result, "open") == ["open", "mesh.ply", "wood", "refused"]
-    assert row(result, "both") == ["both", "a.ply", "wood", "refused"]
-    assert "refused open: open: 2 separate pieces" in result.output
+    assert row(result, "mug_blue") == ["mug_blue", "wood", "0.2", "y?", "1", "closed", "already", "2,000"]
+    assert row(result, "brick") == ["brick", "wood", "0.2", "z?", "1", "closed", "already", "2,000"]
+    assert row(result, "open") == ["open", "wood", "refused"]
+    assert row(result, "both") == ["both", "wood", "refused"]
+    assert "refused open: 2 separate pieces" in result.output
     assert re.search(r"refused both: .*both holds 2 meshes \(both/a\.ply, both/b\.off\)", result.output)
     assert "2 added, 2 refused" in result.output
     objects = params.read()["objects"]
@@ -300,7 +291,7 @@ def test_a_dry_run_changes_nothing(workspace, collection):
     result = run(collection, "--material", "wood", "--dry-run", "--up", "y")
     assert result.exit_code == 0
     assert "3 can be added" in result.output
-    assert row(result, "brick")[4] == "y"
+    assert row(result, "brick")[3] == "y"
     assert snapshot(workspace) == before
 
 
@@ -308,7 +299,9 @@ def test_a_dry_run_changes_nothing(workspace, collection):
 def test_an_object_that_is_there_is_refused_and_the_others_are_added(workspace, collection):
     (collection / "025_Mug (blue)").rename(collection / "mug")
     result = run(collection, "--material", "wood")
-    assert "refused mug: object 'mug' exists already" in result.output
+    remedy = "delete objects.mug and procedural.mug from params.yaml"
+    message = f"refused mug: object 'mug' exists already; choose another name, or remove it: {remedy}\n"
+    assert message in result.output
     assert "brick" in params.read()["objects"]
     assert run(collection, "--material", "wood").exit_code == 1  # and again: nothing new, nothing lost
     assert set(params.read()["objects"]) == {"mug", "die", "bell", "brick"}
@@ -328,7 +321,7 @@ def test_a_list_names_materials(workspace, collection, file, text):
     by_key = {c.key: c.material for c in discover(collection, "wood")}
     assert by_key == {"mug_blue": "ceramic", "brick": "iron", "open": "wood", "both": "wood"}
     result = run(collection, "--dry-run")
-    assert row(result, "mug_blue")[2] == "ceramic"
+    assert row(result, "mug_blue")[1] == "ceramic"
     assert "refused open: open has no material; give --material, or list it in materials.csv" in result.output
 
 
@@ -403,9 +396,9 @@ def test_deeper_folders_and_the_folder_of_one_mesh(tmp_path):
         (117.0, "m", 1, r"117 m, expected .* perhaps it is 117 cm or 117 mm; give --unit or --scale"),
         (117.0, "mm", 0, "1 can be added"),
         (1500.0, "m", 1, "perhaps it is 1500 mm; give --unit"),
-        (11.7, "m", 0, "11.7 m is large: perhaps it is 11.7 cm or 11.7 mm; set --unit or --scale"),
+        (11.7, "m", 0, "11.7 m is large: perhaps it is 11.7 cm or 11.7 mm; give --unit or --scale"),
         (0.117, "m", 0, "1 can be added"),
-        (0.117, "mm", 1, "0.000117 m, expected"),
+        (0.117, "mm", 1, "0.000117 m, expected .*; perhaps it is 0.117 m; give another --unit or --scale"),
     ],
 )
 @pytest.mark.usefixtures("coarse")
@@ -417,7 +410,7 @@ def test_sizes_that_look_like_other_units(workspace, tmp_path, size, unit, code,
     assert result.exit_code == code
     assert re.search(message, result.output)
     if (size, unit) == (117, "mm"):
-        assert row(result, "set")[3] == "0.117"
+        assert row(result, "set")[2] == "0.117"
 
 
 @pytest.mark.usefixtures("coarse")
@@ -429,7 +422,7 @@ def test_one_mesh_is_examined_before_it_is_added(workspace, collection):
     brick = [collection / "Brick.STL", "--name", "brick", "--material", "wood"]
     dry = run(*brick, "--scale", "0.5", "--dry-run")
     assert dry.exit_code == 0
-    assert row(dry, "brick")[3:] == ["0.5", "z?", "1", "closed", "already", "31,250"]
+    assert row(dry, "brick")[2:] == ["0.5", "z?", "1", "closed", "already", "31,250"]
     assert snapshot(workspace) == before
     done = run(*brick, "--unit", "cm")
     assert done.exit_code == 0
@@ -440,7 +433,8 @@ def test_one_mesh_is_examined_before_it_is_added(workspace, collection):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--name", "x"], "is a folder; --name and --scale are for one mesh"),
+        (["--name", "x"], "my objects/Brick.STL"),
+        (["--scale", "0.1"], "is a folder; --name and --scale are for one mesh, such as /"),
         (["--unit", "inch"], "unit 'inch' is not one of m, cm, mm"),
         (["--up", "x"], "up axis 'x' is neither 'y' nor 'z'"),
     ],
@@ -504,6 +498,30 @@ def test_nothing_is_added_to_parameters_that_a_build_refuses(workspace, collecti
     assert snapshot(workspace) == before
 
 
+@pytest.mark.usefixtures("coarse")
+def test_notes_count_one_in_the_singular(workspace, tmp_path, monkeypatch):
+    report = Normalized.report
+    monkeypatch.setattr(Normalized, "report", lambda *given: report(*given) | {"self_intersections": 1})
+    sheet = trimesh.Trimesh([[0, 0, 0], [0.2, 0, 0], [0.2, 0.2, 0], [0, 0.2, 0]], [[0, 1, 2], [0, 2, 3]])
+    sheet.export(tmp_path / "sheet.ply")
+    result = run(tmp_path / "sheet.ply", "--name", "sheet", "--material", "wood", "--dry-run")
+    assert "sheet: 1 open sheet got a wall of 2% of the size" in result.output
+    assert "1 edge of its surface pierces another face of it" in result.output
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_scale_in_other_units_is_refused_with_the_one_in_metres(workspace, collection):
+    brick = (collection / "Brick.STL", "--name", "brick", "--material", "wood", "--dry-run")
+    for given, example in (("112mm", "0.112"), ("45.5 cm", "0.455"), ("2m", "2"), ("large", "0.112")):
+        result = run(*brick, "--scale", given)
+        assert result.exit_code == 2
+        text = re.sub(r"[│\s]+", " ", result.output)
+        assert f"{given!r} is not a number of metres, such as {example} " in text
+    message = str(run(*brick, "--scale", "112").exception)
+    assert message.endswith("; give it in metres: 1.12 for 112 cm or 0.112 for 112 mm")
+    assert str(run(*brick, "--scale", "-1").exception).endswith("; give it in metres")
+
+
 @pytest.mark.parametrize("width", [60, 80, 100])
 def test_numbers_of_the_table_stay_whole_in_a_narrow_terminal(width):
     found = [
@@ -521,6 +539,7 @@ def test_numbers_of_the_table_stay_whole_in_a_narrow_terminal(width):
     text = console.file.getvalue()
     assert max(map(len, text.splitlines())) <= width
     words = text.split()
+    assert ("a_rather_long_object_key" in words) == (width >= 80)
     for number in ("0.06152", "12", "254.9", "1.235", "2,549", "0.2", "1234", "1,250,000"):
         assert number in words
     assert "keep" not in words

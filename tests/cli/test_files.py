@@ -133,6 +133,15 @@ def test_a_report_does_not_replace_another_site(tmp_path, monkeypatch):
     assert Path("site/index.html").read_text() == "precious"
 
 
+@pytest.mark.parametrize("name", ["rep.html", "rep.HTM"])
+def test_a_site_has_no_name_of_a_page(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    message = f"--out {name}: expected a folder; for one page, add --single-file"
+    with pytest.raises(ObjectFolderError, match=re.escape(message)):
+        app(["report", "mug", "bell", "--out", name, "--no-open"], standalone_mode=False)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_names_between_colons_are_printed_as_they_are(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["objectfolder", "info", ":bell:.safetensors"])
     with pytest.raises(SystemExit):

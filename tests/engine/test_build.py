@@ -162,6 +162,11 @@ def test_unknown_target_suggests_close_ones(workspace, target, suggestion):
         build([target], root=workspace.root)
 
 
+def test_an_unknown_target_like_no_other_lists_the_objects(workspace):
+    with pytest.raises(ObjectFolderError, match=r"; the objects are bell, bowl, mug; `dvc stage list`"):
+        build(["zzzz"], root=workspace.root)
+
+
 def test_two_jobs_overlap(workspace):
     for key in ("bell", "mug"):
         workspace.control(f"prepare@{key}", "1.5")

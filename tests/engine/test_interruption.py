@@ -15,10 +15,10 @@ from .processes import alive, start, started, wait_for
 ENGINE = "from objectfolder.engine.build import BuildOptions, build; build(options=BuildOptions(jobs=2))"
 
 
-def start_and_hang(workspace):
+def start_and_hang(workspace, engine=ENGINE):
     """Start a build that hangs in solve@mug after everything else is done; give engine and stage."""
     workspace.control("solve@mug", "60")
-    engine = start(workspace, "-c", ENGINE)
+    engine = start(workspace, "-c", engine)
     done = len(everything()) - 2
     wait_for(lambda: started(workspace, "solve@mug"))
     wait_for(lambda: sum(call[1] == "end" for call in workspace.calls()) == done)
@@ -59,6 +59,16 @@ def test_interrupted_engine_keeps_what_has_finished(workspace, number, code):
     assert workspace.locked() <= finished
     assert len(workspace.locked()) >= len(finished) - 1
     resume(workspace)
+
+
+def test_an_interrupted_engine_tells_that_it_stops(workspace):
+    listener = "on_event=lambda event: print(type(event).__name__, flush=True)"
+    engine, _ = start_and_hang(workspace, ENGINE.replace("jobs=2)", f"jobs=2), {listener}"))
+    engine.send_signal(signal.SIGINT)
+    engine.wait(60)
+    told = (workspace.root / "process.log").read_text().split()
+    assert told.count("Stopping") == 1
+    assert "Finished" in told[: told.index("Stopping")]
 
 
 def test_second_engine_is_kept_out(workspace):

@@ -12,6 +12,7 @@ from objectfolder.engine.summary import (
     StageOutcome,
     StageResult,
     Started,
+    Stopping,
     Summary,
 )
 
@@ -59,7 +60,69 @@ def test_time_left_is_what_the_rest_takes_at_the_pace_so_far(monkeypatch):
     assert progress.seconds_left() is None
     progress(Finished(RAN))
     assert progress.seconds_left() == 120 * 60 / 30
-    assert "2 min 00 s elapsed, about 4 min 00 s left" in console.file.getvalue()
+    assert "0:02:00 elapsed, about 0:04:00 left" in console.file.getvalue()
+
+
+def test_no_time_left_is_told_before_a_tenth_of_the_work_is_done():
+    progress = Progress(Console(file=io.StringIO()))
+    progress(Planned({"modal@mug": 10.0, "pack@mug": 1.0, "modal@bell": 90.0}))
+    progress(Finished(RAN))
+    assert progress.seconds_left() is None
+    progress(Finished(SKIPPED))  # which is no work
+    assert progress.seconds_left() is not None
+
+
+def shown(progress, width):
+    """Lines of the display in a terminal."""
+    console = Console(file=io.StringIO(), width=width)
+    console.print(progress._render())
+    return console.file.getvalue().splitlines()
+
+
+def test_the_display_fits_eighty_columns(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr("objectfolder.engine.progress.time.monotonic", lambda: clock[0])
+    progress = Progress(Console(file=io.StringIO()))
+    progress(Planned({f"{stage}@o{i}": 1.0 for i in range(2500) for stage in ("modal", "pack")}))
+    for i in range(1000):
+        progress(Finished(StageResult(f"modal@o{i}", StageOutcome.RAN)))
+        progress(Finished(StageResult(f"pack@o{i}", list(StageOutcome)[i % 5])))
+    progress(Started("train_vision@" + "k" * 64, Path("x.log")))
+    clock[0] = 80_000.0
+    running, bar, counts = shown(progress, 80)
+    assert running.startswith("  train_vision@kkk")
+    assert bar.endswith("2000/5000 22:13:20 elapsed, about 2 days, 7:33:20 left")
+    assert counts == "  1200 ran  200 restored  200 skipped  200 failed  200 blocked"
+
+
+def test_the_display_says_what_happens_before_the_plan_is_known():
+    progress = Progress(Console(file=io.StringIO()))
+    assert shown(progress, 80) == ["reading the pipeline ...  0:00:00"]
+    progress(Planned({"modal@mug": 30.0}))
+    assert "0/1" in shown(progress, 80)[0]
+    assert shown(Progress(task="verifying"), 80) == ["verifying ...  0:00:00"]
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_an_interruption_says_what_is_kept(terminal):
+    console = Console(file=io.StringIO(), force_terminal=terminal, width=100)
+    progress = Progress(console)
+
+    def interrupted_build():
+        progress(Planned(dict.fromkeys(("modal@mug", "pack@mug", "modal@bell", "pack@bell", "x"), 1.0)))
+        for result in (RAN, SKIPPED, FAILED, BLOCKED):
+            progress(Finished(result))
+        progress(Stopping())
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), progress:
+        interrupted_build()
+    text = console.file.getvalue()
+    assert "stopping: running stages are killed, finished ones are kept" in text
+    assert "interrupted: 2 of 5 stages are up to date; `objectfolder build` continues" in text
+    with pytest.raises(KeyboardInterrupt), Progress(console):
+        raise KeyboardInterrupt
+    assert "interrupted\n" in console.file.getvalue().removeprefix(text).replace("\x1b[0m", "")
 
 
 def test_summary_names_what_ran_and_what_failed():

@@ -205,7 +205,11 @@ def test_splits_of_benchmarks_are_no_objects():
         (("fresh", "failed", "fresh"), "1 stage fresh, 1 failed; no object is complete"),
         (("fresh", "fresh", "fresh"), "2 stages fresh; 1 of 1 object complete"),
         (("fresh", "stale"), "1 stage fresh, 1 source stale; 1 of 1 object complete"),
-        (("missing",), "no stages, 1 source missing; no object is complete"),
+        (
+            ("missing",),
+            "no stages, 1 source missing; no objects yet: "
+            "`objectfolder add MESH --name NAME --material MATERIAL`",
+        ),
     ],
 )
 def test_a_source_is_no_stage(states, counts):
@@ -215,3 +219,30 @@ def test_a_source_is_no_stage(states, counts):
     console = Console(file=io.StringIO(), width=100)
     print_table(found, console)
     assert counts in console.file.getvalue().splitlines()
+
+
+def test_a_dry_run_counts_no_source_that_is_up_to_date():
+    states = {"data/objects/mug.dvc": Outlook.SKIP, "hash_code": Outlook.RUN, "pack@mug": Outlook.SKIP}
+    found = [StageStatus(address, State.FRESH, outlook) for address, outlook in states.items()]
+    console = Console(file=io.StringIO(), width=100)
+    print_outlook(found, console)
+    assert console.file.getvalue().endswith("\n1 up to date, 1 to run\n")
+    print_outlook([StageStatus("data/objects/mug.dvc", State.STALE, Outlook.RUN)], console)
+    assert console.file.getvalue().endswith("\n1 to run\n")
+
+
+def test_what_is_of_no_object_is_no_row_of_the_table():
+    addresses = ("hash_code", "pack@anvil", "pack@mug")
+    console = Console(file=io.StringIO(), width=100)
+    print_table([StageStatus(address, State.NEVER, Outlook.RUN) for address in addresses], console)
+    lines = [line.split() for line in console.file.getvalue().splitlines()]
+    assert lines[:4] == [["-", "hash_code", "never", "built"], ["pack"], ["anvil", "-"], ["mug", "-"]]
+
+
+def test_without_objects_it_says_how_to_add_one():
+    console = Console(file=io.StringIO(), width=60)
+    print_table([StageStatus("hash_code", State.NEVER, Outlook.RUN)], console)
+    assert console.file.getvalue().splitlines() == [
+        "- hash_code  never built",
+        "1 stage never built; no objects yet: `objectfolder add MESH --name NAME --material MATERIAL`",
+    ]

@@ -11,7 +11,7 @@ from objectfolder.engine.dvc.repository import open_repository, track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace import params
 from objectfolder.workspace.discover import Candidate, examine
-from objectfolder.workspace.objects import add_catalogue, add_mesh
+from objectfolder.workspace.objects import add_catalogue, add_mesh, check_new
 
 SHAPE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
@@ -157,7 +157,33 @@ def test_a_record_that_is_there_is_not_overwritten(workspace, tmp_path):
     """Its data may be in a remote alone."""
     Path("data/objects").mkdir(parents=True)
     Path("data/objects/crate.dvc").write_text("outs: []\n")
-    assert "crate.dvc); choose another name, or remove it" in refused(write_mesh(tmp_path / "source"))
+    message = refused(write_mesh(tmp_path / "source"))
+    assert message == (
+        "object 'crate' exists already; choose another name, or remove it: "
+        "run `dvc remove --outs data/objects/crate.dvc`"
+    )
+
+
+@pytest.mark.parametrize(
+    ("there", "remedy"),
+    [
+        ("folder", "delete the folder data/objects/crate"),
+        ("objects", "delete objects.crate from params.yaml"),
+        ("procedural", "delete procedural.crate from params.yaml"),
+        (
+            "all",
+            "delete objects.crate and procedural.crate from params.yaml, then delete the folder "
+            "data/objects/crate",
+        ),
+    ],
+)
+def test_what_is_in_the_way_of_a_new_object_is_named(workspace, tmp_path, there, remedy):
+    groups = ("objects", "procedural")
+    values = {group: {"crate": {}} if there in (group, "all") else {} for group in groups}
+    if there in ("folder", "all"):
+        Path("data/objects/crate").mkdir(parents=True)
+    with pytest.raises(ObjectFolderError, match=rf"exists already; .* or remove it: {remedy}$"):
+        check_new("crate", values)
 
 
 def test_a_record_that_is_there_is_not_in_the_way_of_a_generated_mesh(workspace):

@@ -172,6 +172,25 @@ def test_an_unknown_material_is_found_before_a_build(write):
         assert str(caught.value).startswith(f"{path}: objects.mug: material: ")
 
 
+@pytest.mark.parametrize(
+    ("section", "old", "new"),
+    [("train_audio", "batch", "bach"), ("modal", "max_modes", "maxmodes"), ("objects", "wall", "wal")],
+)
+def test_a_misspelled_field_is_refused_with_the_nearest_name(write, values, section, old, new):
+    fields = {"wall": None, **MUG} if section == "objects" else values[section]
+    value = fields[old]
+    renamed = {name: other for name, other in fields.items() if name != old} | {new: value}
+    path = write(**{section: {"mug": renamed} if section == "objects" else renamed})
+    with pytest.raises(ObjectFolderError) as caught:
+        stage_params(section_config("modal" if section == "objects" else section), "mug", path)
+    message = str(caught.value)
+    assert f"{new}: " in message
+    assert f", got {value!r}; did you mean {old}?" in message
+    assert "got {" not in message
+    if section != "objects":
+        assert f"{old}: Field required" in message
+
+
 def test_a_missing_field_and_an_entry_that_is_none(write):
     entry = {k: v for k, v in MUG.items() if k != "scale"}
     with pytest.raises(ObjectFolderError, match=r"objects\.mug: scale: Field required"):

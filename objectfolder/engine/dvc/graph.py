@@ -2,7 +2,7 @@
 
 import difflib
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +11,8 @@ from dvc.repo.reproduce import get_active_graph
 from dvc.stage import PipelineStage, Stage
 
 from objectfolder.engine.dvc.repository import OpenRepository
-from objectfolder.errors import ObjectFolderError
-from objectfolder.workspace.params import ON_DEMAND
+from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.workspace.params import ON_DEMAND, TASKS
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def _match(target: str, addresses: dict[str, Stage], root: Path) -> set[str]:
         return by_output
     raise ObjectFolderError(
         f"unknown target {target!r}: expected a stage address, a stage name, an object key or the path of an "
-        f"output; {_suggest(target, _choices(addresses, root))}"
+        f"output; {_suggest(target, addresses, root)}"
     )
 
 
@@ -124,6 +124,10 @@ def _choices(addresses: dict[str, Stage], root: Path) -> list[str]:
     return sorted({*parts, *outputs})
 
 
-def _suggest(target: str, choices: Iterable[str]) -> str:
-    close = difflib.get_close_matches(target, list(choices), n=5)
-    return f"did you mean {', '.join(close)}?" if close else "`dvc stage list` lists the stages"
+def _suggest(target: str, addresses: dict[str, Stage], root: Path) -> str:
+    close = difflib.get_close_matches(target, _choices(addresses, root), n=5)
+    if close:
+        return f"did you mean {', '.join(close)}?"
+    split = (address.partition("@") for address in addresses)
+    keys = ", ".join(sorted({key for stage, _, key in split if key and stage not in TASKS}))
+    return f"the objects are {shortened(keys, 300) or 'none yet'}; `dvc stage list` lists the stages"

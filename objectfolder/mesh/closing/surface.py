@@ -136,7 +136,8 @@ def close_surface(
     openings = ladder.close_pieces(SHEET_WALL if wall is None else wall)
     if openings and wall is None:
         ladder.warnings.append(
-            f"{openings} open sheets were given a wall of {SHEET_WALL:.0%} of the size; set `wall` in metres"
+            f"{plural(openings, 'open sheet')} got a wall of {SHEET_WALL:.0%} of the size; "
+            "set `wall` in metres"
         )
     if wall is not None and not openings:
         ladder.warnings.append(
@@ -262,14 +263,15 @@ class _Ladder:
         mesh, dropped = without_specks(*before, across)
         if dropped:
             share = 1 - signed_volume(*mesh) / signed_volume(*before)
-            self._record("specks", f"{dropped} pieces with {share:.2e} of the volume dropped", before, mesh)
+            detail = f"{plural(dropped, 'piece')} with {share:.2e} of the volume dropped"
+            self._record("specks", detail, before, mesh)
 
     def bridge(self) -> None:
         before = self.mesh
         if 1 < len(bodies(*before)[1]) <= MAX_BODIES:
             mesh, bridged = bridge(*before, BRIDGED_GAP)
             if bridged:
-                detail = f"{len(bridged)} gaps up to {max(bridged):.3%} of the size filled"
+                detail = f"{plural(len(bridged), 'gap')} up to {max(bridged):.3%} of the size filled"
                 self._record("bridge", detail, before, mesh)
 
     def accept(self, bridging: bool) -> None:
@@ -278,9 +280,9 @@ class _Ladder:
             overlap = winding_certificate(v, f).outside_fraction
             raise ObjectFolderError(
                 f"{self.name}: could not be closed into a solid ({self._history()}): "
-                f"{sum(edge_defects(f))} edges are open or shared by more than two faces, and it overlaps "
-                f"itself in {overlap:.2%} of the space; expected a mesh that encloses a volume once: close "
-                "its holes or give it thickness"
+                f"it has {plural(sum(edge_defects(f)), 'edge')} open or shared by more than two faces, and "
+                f"overlaps itself in {overlap:.2%} of the space; expected a mesh that encloses a volume "
+                "once: close its holes or give it thickness"
             )
         body, volumes = bodies(v, f)
         if volumes[0] >= (1 - SPECKS) * volumes.sum():
