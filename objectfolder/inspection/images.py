@@ -1,6 +1,7 @@
 """Inspections of render_views and render_touch: the images for training and evaluation."""
 
 from collections.abc import Iterable
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,11 +87,12 @@ def _views_picture(build: Build, splits: dict[str, dict[str, np.ndarray]]) -> Pa
     figure = page(15, 13, f"render_views@{build.key}")
     top, bottom = page_rows(figure, 3, 1.4)
     top.suptitle(
-        f"training {_kind(splits['train'])} on white; yellow: the light (filled: before the object, ring: "
+        "test views on white, best lit first; yellow: the light (filled: before the object, ring: "
         "behind it), at the border if it is outside"
     )
-    _show_views(top.subplots(3, 6).flat, splits["train"])
-    for axes, name in zip(bottom.subplots(1, 2), ("camera", "light")):
+    _show_views(top.subplots(3, 6), splits["test"])
+    directions = bottom.subplots(1, 2)
+    for axes, name in zip(directions, ("camera", "light")):
         for split, views in splits.items():
             position = views["camera_to_world"][:, :3, 3] if name == "camera" else views["light"]
             axes.scatter(*_angles(position), s=14, color=COLORS[split][1], label=f"{split} ({len(position)})")
@@ -101,8 +103,8 @@ def _views_picture(build: Build, splits: dict[str, dict[str, np.ndarray]]) -> Pa
             xlim=(-180, 180),
             ylim=(-1, 1),
         )
-        axes.legend(loc="upper right")
         axes.grid(alpha=0.3)
+    bottom.legend(*directions[0].get_legend_handles_labels(), loc="outside right center")
     return save_page(figure, picture_path(build, "render_views"))
 
 
@@ -119,13 +121,14 @@ def _touch_picture(build: Build, splits: dict[str, dict[str, np.ndarray]]) -> Pa
     return save_page(figure, picture_path(build, "render_touch"))
 
 
-def _show_views(panels: Iterable["Axes"], views: dict[str, np.ndarray]) -> None:
+def _show_views(panels: np.ndarray, views: dict[str, np.ndarray]) -> None:
     rgba = views["rgba"]
     intrinsics = image_intrinsics(views)
     azimuth, elevation = _angles(views["camera_to_world"][:, :3, 3])
-    for index, axes in enumerate(panels):
+    best_lit = np.argsort(-lit_foreground(rgba).mean((1, 2)), kind="stable").tolist()
+    for axes, index in zip_longest(panels.flat, best_lit[: panels.size]):
         axes.set_axis_off()
-        if index >= len(rgba):
+        if index is None:
             continue
         image = on_white(torch.from_numpy(rgba[index].astype(np.float32))).numpy()
         pose, light = views["camera_to_world"][index], views["light"][index]

@@ -1,6 +1,7 @@
 """Inspections of the trained nets, the Object File and its metrics."""
 
 import csv
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,16 @@ CAMERAS = np.array([[0.8, -2.1, 1.1], [2.2, 0.9, 0.7], [-1.7, 1.5, 1.0], [0.3, -
 LIGHT_OFFSET = np.array([-0.3, -0.3, 0.5])  # beside the camera, so that the visible side is lit
 TOUCHES = 4
 PRESS = 0.001  # m
+#: Scores by parts of their names: unit, and what is better. Those in per cent are stored as shares.
+SCORES = (
+    ("psnr", " dB", ", higher is better"),
+    ("ssim", "", ", higher is better"),
+    ("noise_floor|baseline_(white|silence|noise|mean_image)", " dB", ""),
+    ("_error|lost_energy", " %", ", lower is better"),
+    ("baseline_nearest|obstructed_fraction", " %", ""),
+    ("_hz", " Hz", ""),
+    ("file_bytes", " bytes", ""),
+)
 
 
 def inspect_net(build: Build, modality: str) -> Inspection:
@@ -63,8 +74,12 @@ def inspect_net(build: Build, modality: str) -> Inspection:
         label="lowest validation",
     )
     axes.set(xlabel=STEPS[modality], ylabel=LOSSES[modality])
-    if all(point[name] > 0 for point in points for name in ("train_loss", "val_loss")):
+    losses = [point[name] for point in points for name in ("train_loss", "val_loss")]
+    if 0 < 10 * min(losses) < max(losses):
         axes.set_yscale("log")
+    else:
+        axes.set_ylim(bottom=0)
+    axes.locator_params(axis="x", integer=True)
     axes.grid(alpha=0.3, which="both")
     axes.legend()
     return Inspection(f"{stage}@{build.key}", table, [save_page(figure, picture_path(build, stage))])
@@ -91,7 +106,8 @@ def inspect_evaluate(build: Build) -> Inspection:
     """Inspect the metrics; pictures compare views and spectrograms with the ground truth."""
     sheets = [build.vision_sheet, build.sound_sheet]
     require(build, "evaluate", build.metrics, *sheets)
-    return Inspection(f"evaluate@{build.key}", list(_leaves(read_json(build.metrics))), sheets)
+    rows = [(name, _score(name, value)) for name, value in _flat(read_json(build.metrics))]
+    return Inspection(f"evaluate@{build.key}", rows, sheets)
 
 
 def _pack_picture(build: Build, file: ObjectFile) -> Path:
@@ -135,15 +151,28 @@ def _tensor_rows(tensors: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
     return [("tensors", f"{len(tensors)}: {size:,} numbers, {in_kilobytes(total)}"), *listed]
 
 
-def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+def _leaves(value: Any) -> Iterator[tuple[str, str]]:
     """Flatten nested values to dotted names and short texts."""
+    for name, leaf in _flat(value):
+        yield name, f"{leaf:.6g}" if isinstance(leaf, float) else str(leaf)
+
+
+def _flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Flatten nested values to dotted names and leaves."""
     if isinstance(value, dict):
         for key, item in value.items():
-            yield from _leaves(item, f"{name}.{key}" if name else str(key))
-    elif isinstance(value, float):
-        yield name, f"{value:.6g}"
+            yield from _flat(item, f"{name}.{key}" if name else str(key))
     else:
-        yield name, str(value)
+        yield name, value
+
+
+def _score(name: str, value: Any) -> str:
+    """Format a score with its unit and what is better, where these are known."""
+    unit, better = next((found for part, *found in SCORES if re.search(part, name)), ("", ""))
+    if isinstance(value, float):
+        rounded = f"{value * (100 if unit == ' %' else 1):.4g}"
+        value = f"{float(rounded):g}"  # no exponent below a million
+    return f"{value}{unit}{better}"
 
 
 def _triple(values: np.ndarray) -> str:

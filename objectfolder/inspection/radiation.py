@@ -35,13 +35,20 @@ def inspect_radiation(build: Build) -> Inspection:
         ("ball that holds the surface", f"{header['radius']:.4f} of the longest side"),
         ("file", kilobytes(build.radiation)),
     ]
-    figure = page(15, 9, f"radiation@{build.key}: levels over directions, dB below the loudest")
+    figure = page(15, 9, f"radiation@{build.key}: levels of modes over directions")
     upper, lower = page_rows(figure, 2, 1)
     chosen: list[int] = np.unique(np.linspace(0, max(len(hertz) - 1, 0), DRAWN).astype(int))[
         : len(hertz)
     ].tolist()
-    for axes, mode in zip(upper.subplots(2, DRAWN // 2).flat, chosen):
+    panels = upper.subplots(2, DRAWN // 2)
+    maps = [
         show_directivity(axes, field, mode, f"{hertz[mode]:.0f} Hz")
+        for axes, mode in zip(panels.flat, chosen)
+    ]
+    if maps:
+        upper.colorbar(maps[0], ax=panels, label="dB relative to the loudest direction")
+    for axes in panels.flat[len(maps) :]:
+        axes.set_axis_off()
     axes = lower.subplots()
     axes.scatter(hertz / 1000, power, s=18)
     axes.set(xlabel="frequency [kHz]", ylabel="dB re 1 Pa at 1 m", title="per unit of modal acceleration")

@@ -31,11 +31,13 @@ def inspect_modal(build: Build) -> Inspection:
     natural, damping = np.sqrt(modes["eigenvalues"]), modes["damping"]
     frequency, decay = modes["damped_frequency"] / (2 * np.pi), LN_1000 / damping
     count, total = len(damping), report["count_below_max_frequency"]
+    errors = report.get("discretisation_error") or []
     splits = np.bincount(modes["split"], minlength=3)
     listed = [
         (
             f"  mode {i + 1}",
-            f"{frequency[i]:9.2f} Hz, T60 {decay[i]:.3g} s, Q {natural[i] / (2 * damping[i]):.4g}",
+            f"{frequency[i]:9.2f} Hz, T60 {decay[i]:.3g} s, Q {natural[i] / (2 * damping[i]):.4g}"
+            + (f", estimated error {errors[i]:.2%}" if i < len(errors) else ""),
         )
         for i in range(min(count, LISTED))
     ]
@@ -50,6 +52,10 @@ def inspect_modal(build: Build) -> Inspection:
             + (" (truncated)" if report["truncated"] else ""),
         ),
         ("frequencies", span(frequency, "Hz", ",.0f")),
+        (
+            "estimated error",
+            f"of the lowest {len(errors)} frequencies: up to {max(errors):.2%}" if errors else "not known",
+        ),
         ("decay times T60", span(decay, "s")),
         *listed,
         *([("  ...", f"{count - LISTED} more")] if count > LISTED else []),

@@ -223,17 +223,18 @@ def white_noise(sounds: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
 
 
 def strike_sounds(
-    file: ObjectFile, modes: dict[str, np.ndarray], strikes: Strikes
+    file: ObjectFile, modes: dict[str, np.ndarray], strikes: Strikes, sample_rate: int = SAMPLE_RATE
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return true sounds of strikes and the Object File's; both (N, samples).
 
     The strikes are ideal impulses, which excite all modes alike.
     """
-    bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
+    tuning = torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"])
+    bank = sinusoid_bank(*tuning, sample_rate)
     shapes = torch.from_numpy(modes["shapes"][strikes.rows]).float()
     truth = gains(shapes, torch.from_numpy(strikes.impulses).float()) @ bank
     points = modes["points"][strikes.rows] * file.scale
-    return truth.numpy(), file.impact(points, strikes.impulses, contact_time=0.0)
+    return truth.numpy(), file.impact(points, strikes.impulses, sample_rate, contact_time=0.0)
 
 
 def evaluate_touch(

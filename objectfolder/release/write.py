@@ -76,6 +76,7 @@ def write_release(
                 folder / SITE,
                 on_object=on_object,
                 costs=False,
+                title=words.name,
             )
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         sums = [f"{file_digest(path)}  {path.relative_to(folder)}" for path in files]

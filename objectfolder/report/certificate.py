@@ -8,6 +8,7 @@ import numpy as np
 from objectfolder.fem.modal import CERTAIN, MAX_RESIDUAL, rigid_limit
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.report.pictures import playing_rate
 
 STRIKES = 8  # points at which sounds and touches are checked
 VOLUME = 0.05  # difference between the volume of the surface and that of the solid, relative
@@ -50,8 +51,15 @@ def build_checks(
         far = normalize["deviation_max_percent"]
         checks.append(_most("Closed surface near the mesh", far, DEVIATION, " % of the size"))
     if modal:
-        checks.append(_most("Residual of the modes", modal["residual_max"], MAX_RESIDUAL))
-        checks.append(_most("Rigid motions ring at 0 Hz", max(modal["rigid_hz"]), rigid_limit(modal), " Hz"))
+        checks.append(_most("Largest residual of the modes, relative", modal["residual_max"], MAX_RESIDUAL))
+        checks.append(
+            _most(
+                "Highest frequency of a rigid motion, 0 in theory",
+                max(modal["rigid_hz"]),
+                rigid_limit(modal),
+                " Hz",
+            )
+        )
     scores = metrics or {}
     for sense, name, score, baseline in (
         ("vision", "Looks better than an empty picture", "psnr", "baseline_white"),
@@ -65,14 +73,16 @@ def build_checks(
     if "gain_error" in sound and "baseline_nearest" in sound:
         checks.append(
             _most(
-                "Gains nearer than the nearest point's",
+                "Error of gains, below that of the nearest known point",
                 sound["gain_error"] * 100,
                 sound["baseline_nearest"] * 100,
                 " %",
             )
         )
     if "lost_energy" in sound:
-        checks.append(_most("Energy of modes left out", sound["lost_energy"] * 100, LOST_ENERGY * 100, " %"))
+        checks.append(
+            _most("Energy of a sound in modes left out", sound["lost_energy"] * 100, LOST_ENERGY * 100, " %")
+        )
     return checks
 
 
@@ -94,9 +104,14 @@ def _solid_checks(file: ObjectFile) -> list[PhysicalCheck]:
     low, high = file.bounds / file.scale
     inside = np.minimum(np.array(solid["centre"]) - low, high - np.array(solid["centre"])).min()
     return [
-        _most("Volume of surface and solid differ", abs(volume / solid["volume"] - 1), VOLUME),
-        _least("Moments of inertia are those of a body", (least + middle) / most, 1.0),
-        _least("Centre of mass inside the box", float(inside), 0.0, " of the size"),
+        _most(
+            "Volumes of surface and solid differ by",
+            abs(volume / solid["volume"] - 1) * 100,
+            VOLUME * 100,
+            " %",
+        ),
+        _least("Two smaller moments of inertia, over the largest", (least + middle) / most, 1.0),
+        _least("Centre of mass, depth in the bounding box", float(inside) * file.scale * 1000, 0.0, " mm"),
     ]
 
 
@@ -109,15 +124,15 @@ def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
     elif file.header["audio"].get("frequency_uncertainty_unknown"):
         limit = f"at most {CERTAIN * 100:.3g} %"
         checks.append(PhysicalCheck("Estimated error of frequencies", "not known", limit, False))
-    points = file.sample_surface(STRIKES, seed=0)
+    points, rate = file.sample_surface(STRIKES, seed=0), playing_rate(file)
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=(2, STRIKES, 3))
     a, b, both = (
-        file.impact(points, f, duration=0.25).astype(float) for f in (first, second, first + second)
+        file.impact(points, f, rate, duration=0.25).astype(float) for f in (first, second, first + second)
     )
     if both.any():
         error = np.linalg.norm(a + b - both) / np.linalg.norm(both)
-        checks.append(_most("Sound is linear in the strike", float(error), LINEAR))
+        checks.append(_most("Two strikes at once differ from their sum by", float(error), LINEAR))
     if file.has_modes:
         least = float(file.tuning().damping.min())
         checks.append(

@@ -17,7 +17,7 @@ from objectfolder.objectfile.evaluation import Strikes, shown_views, strike_soun
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.report.certificate import build_checks, file_checks
-from objectfolder.report.pictures import beside, picture_uri, sound_uri, spectrograms
+from objectfolder.report.pictures import beside, picture_uri, playing_rate, sound_uri, spectrograms
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import OBJECT_STAGES
@@ -25,18 +25,19 @@ from objectfolder.workspace.params import OBJECT_STAGES
 CAMERA = (1.9, -1.2, 1.1)
 CAMERAS = np.array([CAMERA, (-1.6, -1.6, 1.2), (0.6, 2.0, 1.5)])
 THUMBNAIL = 128  # pixels
-VIEW_SIZE = 224
-VIEWS, STRIKES, TOUCHES = 4, 2, 5
+VIEW_SIZE = 320
+VIEWS, STRIKES, TOUCHES = 3, 2, 6
 DEPTH = 0.001  # metres, of touches without a truth
 #: Scores that a report compares between objects: path in the metrics, title, unit, whether more is better.
+#: The page shows a share as per cent, and bytes as KB.
 SCORES = (
     ("vision.psnr", "views", "dB", True),
     ("vision.psnr_lit_foreground", "views, lit object", "dB", True),
     ("audio.psnr", "sound", "dB", True),
-    ("audio.gain_error", "gains", "", False),
+    ("audio.gain_error", "gain error", "share", False),
     ("touch.psnr", "touch", "dB", True),
-    ("touch.force_error", "forces", "", False),
-    ("file_bytes", "size", "bytes", False),
+    ("touch.force_error", "force error", "share", False),
+    ("file_bytes", "file size", "bytes", False),
 )
 
 
@@ -119,7 +120,7 @@ def object_report(path: Path, costs: bool = True) -> ObjectReport:
         "material": file.material,
         "size": file.scale,
         "modes": len(frequencies),
-        "lowest": _rounded(frequencies.min()) if len(frequencies) else None,
+        "lowest": round(float(frequencies.min()), 1) if len(frequencies) else None,
         "bytes": path.stat().st_size,
         "failed": [check["name"] for check in checks if not check["passed"]],
         "warnings": warnings,
@@ -178,7 +179,7 @@ def _modes(file: ObjectFile, modal: dict[str, Any] | None) -> list[list[float | 
     errors = (modal or {}).get("discretisation_error") or []
     return [
         [
-            _rounded(frequency),
+            round(float(frequency), 1),
             _rounded(math.log(1000) / rate) if rate else None,
             _rounded(math.pi * frequency / rate) if rate else None,
             _rounded(errors[n]) if n < len(errors) else None,
@@ -188,17 +189,19 @@ def _modes(file: ObjectFile, modal: dict[str, Any] | None) -> list[list[float | 
 
 
 def _views(file: ObjectFile, build: Build | None, metrics: dict[str, Any] | None) -> list[dict[str, Any]]:
+    """Return views in studio light, then held-out ones beside their truth."""
     if not _seen(file):
         return []
+    images = file.view(CAMERAS, resolution=VIEW_SIZE, lights="studio")
+    shown = [{"title": "studio light", "source": picture_uri(image)} for image in images]
     if build is None or metrics is None or not build.views("test").is_file():
-        images = file.view(CAMERAS, resolution=VIEW_SIZE, lights="studio")
-        return [{"title": "studio light", "source": picture_uri(image)} for image in images]
+        return shown
     data = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "center")
     titles = shown_views(metrics["vision"], VIEWS)
     pairs = zip(*view_answers(file, data, list(titles)))
-    return [
+    return shown + [
         {
-            "title": title,
+            "title": f"{title}, one point light",
             "score": _rounded(psnr(np.square(answer - truth).mean())),
             "source": picture_uri(beside(truth, answer)),
         }
@@ -209,29 +212,31 @@ def _views(file: ObjectFile, build: Build | None, metrics: dict[str, Any] | None
 def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     if "audio" not in file.header or "geometry" not in file.header:
         return []
-    rng = numpy_generator(0, file.key, "report")
+    rng, rate = numpy_generator(0, file.key, "report"), playing_rate(file)
     modes = None
     if build is not None and build.modes.is_file():
         modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
         modes = modes if _holds(file, modes["damped_frequency"]) else None
     if modes is not None and (modes["split"] == 2).any():
         strikes = Strikes.random(np.flatnonzero(modes["split"] == 2), STRIKES, rng)
-        truths, answers = strike_sounds(file, modes, strikes)
+        truths, answers = strike_sounds(file, modes, strikes, rate)
         titles = strikes.titles(modes["points"] * file.scale)
     else:
         points = file.sample_surface(STRIKES, seed=0)
-        truths, answers = None, file.impact(points, rng.normal(size=(STRIKES, 3)))
+        truths, answers = None, file.impact(points, rng.normal(size=(STRIKES, 3)), rate)
         titles = [f"at ({', '.join(f'{x:.1f}' for x in point * 1000)}) mm" for point in points]
     sounds = []
     for n, (title, answer) in enumerate(zip(titles, answers)):
         truth = None if truths is None else truths[n]
         peak = float(np.abs(answer if truth is None else truth).max())
+        image, seconds = spectrograms(truth, answer, rate)
         sounds.append(
             {
                 "title": title.replace("\n", " "),
-                "truth": None if truth is None else sound_uri(truth, peak),
-                "answer": sound_uri(answer, peak),
-                "source": picture_uri(spectrograms(truth, answer)),
+                "axes": f"0 to {rate / 2000:g} kHz upwards, 0 to {seconds:g} s to the right",
+                "truth": None if truth is None else sound_uri(truth, peak, rate),
+                "answer": sound_uri(answer, peak, rate),
+                "source": picture_uri(image),
             }
         )
     return sounds
@@ -251,14 +256,14 @@ def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     if build is None or not build.touch("test").is_file():
         return _touches_alone(file)
     data = read_npz(build.touch("test"), "images", "points", "depths", "angles", "obstructed")
-    rows = np.unique(np.linspace(0, len(data["images"]) - 1, TOUCHES).round().astype(int))
+    rows = _free_first(data["obstructed"], TOUCHES)
     answers = file.touch(data["points"][rows], data["depths"][rows], data["angles"][rows]) / 255.0
     truths = data["images"][rows] / 255.0
     if truths.shape != answers.shape:  # of another sensor, since the file was written
         return _touches_alone(file)
     return [
         {
-            "title": f"{depth * 1e3:.2g} mm{', obstructed' if obstructed else ''}",
+            "title": _contact(depth, obstructed),
             "score": _rounded(psnr(np.square(answer - truth).mean())),
             "source": picture_uri(beside(truth, answer)),
         }
@@ -273,8 +278,27 @@ def _touches_alone(file: ObjectFile) -> list[dict[str, Any]]:
     if file.fixed_contact is not None:
         return []
     depth = float(np.clip(DEPTH, *file.press_range()))
-    images = file.touch(file.sample_surface(TOUCHES, seed=0), depth)
-    return [{"title": f"{depth * 1e3:.2g} mm", "source": picture_uri(image)} for image in images]
+    pressed = file.press(file.sample_surface(3 * TOUCHES, seed=0), depth)
+    return [
+        {
+            "title": _contact(depth, pressed.obstructed[row]),
+            "source": picture_uri(pressed.images[row]),
+        }
+        for row in _free_first(pressed.obstructed, TOUCHES)
+    ]
+
+
+def _free_first(obstructed: np.ndarray, count: int) -> np.ndarray:
+    """Choose contacts at equal steps of those that nothing blocks; others only where these are too few."""
+    blocked = obstructed > 0
+    free = np.flatnonzero(~blocked)
+    steps = np.linspace(0, len(free) - 1, min(count, len(free))).round().astype(int)
+    return np.concatenate([free[steps], np.flatnonzero(blocked)[: count - len(steps)]])
+
+
+def _contact(depth: float, obstructed: float) -> str:
+    """Name a contact by its depth."""
+    return f"{depth * 1e3:.2g} mm deep{', obstructed' if obstructed else ''}"
 
 
 def _provenance(file: ObjectFile, path: Path) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Mapping
+from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,6 +28,7 @@ def write_site(
     on_object: Callable[[str], None] = lambda key: None,
     on_failure: Callable[[str, ObjectFolderError], None] | None = None,
     costs: bool = True,
+    title: str = "Objects",
 ) -> Path:
     """Write a report: complete, or not at all.
 
@@ -48,6 +50,8 @@ def write_site(
         raise the error.
     costs : bool
         Whether to report what builds cost, which differs from one to the next.
+    title : str
+        Name of the dataset.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def write_site(
                 rows.append(found.row)
                 write(found)
                 on_object(key)
-        return _page(rows, held, single_file)
+        return _page(title, rows, held, single_file)
 
     if single_file:
         write_text(out, report(lambda found: held.append(_embedded(found))))
@@ -114,13 +118,13 @@ def write_site(
     return out / "index.html"
 
 
-def _page(rows: list[dict[str, Any]], held: list[str], single_file: bool) -> str:
+def _page(title: str, rows: list[dict[str, Any]], held: list[str], single_file: bool) -> str:
     # What the live viewer is made of; the page puts an object into it.
     frame = filled_page(
         "page.html", page_parts({}, "{{title}}") | {"objects": "{{objects}}", "script": "{{script}}"}
     )
     content = {
-        "title": "Report of objects",
+        "title": escape(title),
         "data": _json({"rows": rows, "scores": SCORES, "frame": frame}),
         "objects": "\n".join(held),
         "viewer": _json(static_text("viewer.js")) if single_file else "null",

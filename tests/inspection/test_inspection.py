@@ -12,6 +12,8 @@ import pyvista
 import torch
 import trimesh
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from PIL import Image
 from rich.console import Console
 
@@ -20,7 +22,16 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.elements import solid_arrays, solid_from_arrays
 from objectfolder.fem.modal import modal_analysis
-from objectfolder.inspection import STAGES, Inspection, inspect_stage, nets, print_inspection
+from objectfolder.inspection import (
+    STAGES,
+    Inspection,
+    images,
+    inspect_stage,
+    nets,
+    print_inspection,
+    radiation,
+    sound,
+)
 from objectfolder.inspection.scene import triangles
 from objectfolder.io import (
     atomic,
@@ -238,7 +249,7 @@ def test_normalize_counts_pieces_and_holes(tmp_path, opengl):
     rows = dict(inspect_stage("normalize", "plate", tmp_path).rows)
     assert rows["holes through it"] == "2"
     assert rows["surface"].endswith("1 body, 1 cavity")
-    assert "bridge: 1 gaps up to 0.500% of the size filled (volume +" in rows["closed by"]
+    assert "bridge: 1 gap up to 0.500% of the size filled (volume +" in rows["closed by"]
 
 
 def test_voxelize_rows(root):
@@ -272,7 +283,7 @@ def test_vtu_is_the_solid_in_metres(root):
 def test_modal_rows(root):
     build = Build("brick", root)
     modes, rows = read_npz(build.modes), _rows(root, "modal")
-    hertz, _, _, decay, _, _, quality = rows["  mode 1"].replace(",", "").split()
+    hertz, _, _, decay, _, _, quality, *_ = rows["  mode 1"].replace(",", "").split()
     frequency = modes["damped_frequency"][0] / (2 * np.pi)
     assert float(hertz) == pytest.approx(frequency, abs=0.005)
     assert float(decay) == float(f"{np.log(1000) / modes['damping'][0]:.3g}")
@@ -287,6 +298,27 @@ def test_modal_rows(root):
     assert rows["files"] == f"{bytes_ / 1000:,.1f} KB"
     grams = float(rows["material"].split()[1])
     assert grams == pytest.approx(VOLUME * 2.7, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("errors", "row", "first", "second"),
+    [
+        ([0.012345, 0.2], "of the lowest 2 frequencies: up to 20.00%", "1.23%", "20.00%"),
+        (None, "not known", None, None),
+    ],
+)
+def test_modal_tells_the_estimated_error(tmp_path, root, monkeypatch, errors, row, first, second):
+    source, build = Build("brick", root), Build("brick", tmp_path)
+    monkeypatch.setattr(sound, "_modal_picture", lambda *arguments: None)
+    for name in ("modes", "surface"):
+        getattr(build, name).parent.mkdir(parents=True, exist_ok=True)
+        getattr(build, name).write_bytes(getattr(source, name).read_bytes())
+    write_json(build.modal, read_json(source.modal) | {"discretisation_error": errors})
+    rows = dict(inspect_stage("modal", "brick", tmp_path).rows)
+    assert rows["estimated error"] == row
+    for mode, error in ((1, first), (2, second), (3, None)):
+        told = rows[f"  mode {mode}"].partition(", estimated error ")[2]
+        assert told == (error or "")
 
 
 @pytest.mark.slow
@@ -326,6 +358,54 @@ def test_render_views_rows(root):
     ]
     assert dict(rows)["  pixels"] == "object covers 25.0% of the image; 50.0% of that is lit"
     assert dict(rows)["  camera distance"] == "2.5 to 2.5 sizes"
+
+
+def drawn(monkeypatch, module, root, stage):
+    """Figure that a module of `objectfolder.inspection` draws of a stage."""
+    figures = []
+    monkeypatch.setattr(module, "save_page", lambda figure, path: figures.append(figure) or path)
+    inspect_stage(stage, "brick", root)
+    figures[0].draw_without_rendering()
+    return figures[0]
+
+
+def test_the_legend_of_directions_hides_none(root, monkeypatch):
+    figure = drawn(monkeypatch, images, root, "render_views")
+    (legend,) = figure.findobj(Legend)
+    assert [text.get_text() for text in legend.get_texts()] == ["train (20)", "val (3)", "test (4)"]
+    plots = [axes for axes in figure.findobj(Axes) if axes.get_xlabel() == "azimuth [°]"]
+    assert len(plots) == 2
+    assert not any(legend.get_window_extent().overlaps(axes.get_window_extent()) for axes in plots)
+
+
+def test_test_views_are_shown_best_lit_first(root):
+    views = read_npz(Build("brick", root).views("test"))
+    views["rgba"] = views["rgba"].copy()
+    views["rgba"][[0, 2], ..., :3] = 0  # black
+    panels = Figure().subplots(2, 3)
+    images._show_views(panels, views)
+    azimuth, _ = images._angles(views["camera_to_world"][:, :3, 3])
+    titles = [axes.get_title().partition("°")[0] for axes in panels.flat]
+    assert titles == [*(f"az {azimuth[row]:.0f}" for row in (1, 3, 0, 2)), "", ""]
+
+
+def test_levels_over_directions_have_a_scale(root, monkeypatch):
+    figure = drawn(monkeypatch, radiation, root, "radiation")
+    (scale,) = [
+        axes for axes in figure.findobj(Axes) if axes.get_ylabel() == "dB relative to the loudest direction"
+    ]
+    assert scale.get_ylim() == (-30, 0)
+
+
+@pytest.mark.parametrize(("losses", "scale"), [((2e-6, 1.9e-6), "linear"), ((0.5, 0.01), "log")])
+def test_a_curve_is_drawn_from_zero_unless_it_falls_by_a_decade(tmp_path, root, monkeypatch, losses, scale):
+    build = Build("brick", tmp_path)
+    write_curve(build.curve("touch"), [CurvePoint(n + 1, loss, loss, 1.0) for n, loss in enumerate(losses)])
+    build.net("touch").write_bytes(Build("brick", root).net("touch").read_bytes())
+    (axes,) = drawn(monkeypatch, nets, tmp_path, "train_touch").findobj(Axes)
+    assert axes.get_yscale() == scale
+    assert (axes.get_ylim()[0] == 0) == (scale == "linear")
+    assert all(tick == round(tick) for tick in axes.get_xticks())
 
 
 def test_render_touch_rows(root):
@@ -369,10 +449,8 @@ def test_pack_rows(root):
 
 
 def test_the_picture_of_a_strike_has_its_quantity_and_unit(root, monkeypatch, tmp_path):
-    drawn = []
-    monkeypatch.setattr(nets, "save_page", lambda figure, path: drawn.append(figure) or path)
-    inspect_stage("pack", "brick", root)
-    (axes,) = [axes for axes in drawn[0].findobj(Axes) if axes.get_ylabel().startswith("sum of modal")]
+    figure = drawn(monkeypatch, nets, root, "pack")
+    (axes,) = [axes for axes in figure.findobj(Axes) if axes.get_ylabel().startswith("sum of modal")]
     assert axes.get_ylabel() == "sum of modal displacements [$10^{-6}$ m kg$^{1/2}$]"
     file = ObjectFile.load(Build("brick", root).object_file)
     expected = file.impact(file.sample_surface(4)[:1], [[0.0, 0, 1]])[0]
@@ -381,10 +459,32 @@ def test_the_picture_of_a_strike_has_its_quantity_and_unit(root, monkeypatch, tm
 
 def test_evaluate_rows(root):
     assert _inspected(root, "evaluate").rows == [
-        ("file_bytes", "7"),
-        ("touch.psnr", "26.02"),
-        ("vision.psnr", "31.25"),
+        ("file_bytes", "7 bytes"),
+        ("touch.psnr", "26.02 dB, higher is better"),
+        ("vision.psnr", "31.25 dB, higher is better"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "shown"),
+    [
+        ("vision.psnr_lit_foreground", 27.29923, "27.3 dB, higher is better"),
+        ("vision.ssim", 0.98445, "0.9845, higher is better"),
+        ("vision.noise_floor_lit", 34.48421, "34.48 dB"),
+        ("vision.baseline_white", 8.29706, "8.297 dB"),
+        ("vision.views", 24, "24"),
+        ("audio.gain_error_frobenius", 0.00587249, "0.5872 %, lower is better"),
+        ("audio.baseline_nearest", 0.0362103, "3.621 %"),
+        ("audio.baseline_silence", 49.3994, "49.4 dB"),
+        ("audio.lost_energy", 0.0, "0 %, lower is better"),
+        ("audio.worst_mode_hz", 18756.2, "18760 Hz"),
+        ("touch.baseline_mean_image", 32.91123, "32.91 dB"),
+        ("touch.obstructed_fraction", 0.0625, "6.25 %"),
+        ("file_sha256", "ab" * 32, "ab" * 32),
+    ],
+)
+def test_scores_have_their_units(name, value, shown):
+    assert nets._score(name, value) == shown
 
 
 def test_unknown_stage_names_the_close_ones(tmp_path):

@@ -37,9 +37,9 @@ def test_a_sound_object_passes(brick):
 @pytest.mark.parametrize(
     ("solid", "name"),
     [
-        ({"volume": 0.3}, "Volume of surface and solid differ"),
-        ({"inertia": [1, 1, 3, 0, 0, 0]}, "Moments of inertia are those of a body"),
-        ({"centre": [0, 0.4, 0]}, "Centre of mass inside the box"),
+        ({"volume": 0.3}, "Volumes of surface and solid differ by"),
+        ({"inertia": [1, 1, 3, 0, 0, 0]}, "Two smaller moments of inertia, over the largest"),
+        ({"centre": [0, 0.4, 0]}, "Centre of mass, depth in the bounding box"),
     ],
 )
 def test_an_impossible_solid_fails(brick, solid, name):
@@ -49,8 +49,10 @@ def test_an_impossible_solid_fails(brick, solid, name):
 def test_a_uniform_brick_has_the_figures_of_theory(brick):
     rows = {check.name: check for check in file_checks(brick)}
     a, b, c = np.sort(np.array([1.0, 0.6, 0.3]) ** 2)
-    assert rows["Moments of inertia are those of a body"].figure == f"{((a + b) + (a + c)) / (b + c):.3g}"
-    assert rows["Centre of mass inside the box"].figure.startswith("0.15 ")  # half of the shortest side
+    moments = rows["Two smaller moments of inertia, over the largest"]
+    assert moments.figure == f"{((a + b) + (a + c)) / (b + c):.3g}"
+    centre = rows["Centre of mass, depth in the bounding box"]
+    assert (centre.figure, centre.limit) == ("15 mm", "at least 0 mm")  # half of the shortest side
 
 
 def test_uncertain_frequencies_fail(brick):
@@ -75,14 +77,17 @@ def test_a_good_build_passes():
     ("change", "name"),
     [
         ({"vision": {"psnr": 7.0, "baseline_white": 8.0}}, "Looks better than an empty picture"),
-        ({"audio": METRICS["audio"] | {"gain_error": 0.1}}, "Gains nearer than the nearest point's"),
-        ({"audio": METRICS["audio"] | {"lost_energy": 0.2}}, "Energy of modes left out"),
+        (
+            {"audio": METRICS["audio"] | {"gain_error": 0.1}},
+            "Error of gains, below that of the nearest known point",
+        ),
+        ({"audio": METRICS["audio"] | {"lost_energy": 0.2}}, "Energy of a sound in modes left out"),
     ],
 )
 def test_scores_below_their_baseline_fail(change, name):
     assert failed(build_checks(NORMALIZE, MODAL, METRICS | change)) == [name]
     assert failed(build_checks(NORMALIZE, MODAL | {"residual_max": 1.0}, METRICS)) == [
-        "Residual of the modes"
+        "Largest residual of the modes, relative"
     ]
 
 

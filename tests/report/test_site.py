@@ -95,13 +95,18 @@ def quick(report, monkeypatch):
 def test_truth_that_the_file_answers_differs_by_nothing(workspace):
     report = object_report(workspace.object_file)
     assert report.row["scores"] == {"vision.psnr": 40.0, "file_bytes": 1000.0}
-    assert [view["title"] for view in report.detail["views"]] == ["worst: view 2", "best: view 1"]
-    for strip in (*report.detail["views"], *report.detail["touches"]):
+    assert [view["title"] for view in report.detail["views"]] == [
+        *("studio light", "studio light", "studio light"),
+        *("worst: view 2, one point light", "best: view 1, one point light"),
+    ]
+    studio, compared = report.detail["views"][:3], report.detail["views"][3:]
+    assert all("score" not in view for view in studio)
+    for strip in (*compared, *report.detail["touches"]):
         assert strip["score"] > 60
         truth, answer, difference = np.split(picture(strip["source"]).astype(int), 3, axis=1)
         assert np.abs(truth - answer).mean() < 4  # lossy
         assert difference.mean() > 250  # white
-    assert report.detail["touches"][-1]["title"] == "1 mm, obstructed"
+    assert report.detail["touches"][-1]["title"] == "1 mm deep, obstructed"
     assert report.detail["costs"] == [["modal", 23.46, 12.35, 456.0], ["evaluate", 2.0, 3.0, 300.0]]
     for sound in report.detail["sounds"]:
         truth, answer = (
@@ -122,6 +127,55 @@ def test_a_file_alone_is_reported_without_truth(brick, brick_path, report):
     frequency, decay, quality, _ = np.array(report.detail["modes"], float).T
     np.testing.assert_allclose(frequency, brick.frequencies, rtol=1e-3)
     np.testing.assert_allclose(quality, np.pi * frequency * decay / np.log(1000), rtol=2e-3)
+
+
+def played(file, path):
+    """Sounds of a file's report and their sample rate."""
+    file.save(path)
+    sounds = object_report(path).detail["sounds"]
+    heard = [soundfile.read(io.BytesIO(base64.b64decode(s["answer"].partition(",")[2]))) for s in sounds]
+    return sounds, [sound for sound, _ in heard], {rate for _, rate in heard}
+
+
+@pytest.mark.parametrize(("highest", "rate"), [(7990, 16000), (20000, 48000)])
+def test_every_mode_is_heard_and_drawn(brick, tmp_path, caplog, highest, rate):
+    damped = np.linspace(0.7, 1, 12, dtype=np.float32) * 2 * np.pi * highest
+    file = ObjectFile(brick.header, dict(brick.tensors) | {"audio.damped_frequency": damped}, "brick")
+    sounds, heard, rates = played(file, tmp_path / "high.safetensors")
+    assert rates == {rate}
+    assert "silent" not in caplog.text
+    for sound, answer in zip(sounds, heard):
+        assert np.abs(answer).max() == pytest.approx(0.9, abs=1e-3)
+        assert re.fullmatch(rf"0 to {rate // 2000} kHz upwards, 0 to (0.\d|1) s to the right", sound["axes"])
+        brightest = picture(sound["source"]).mean((1, 2)).argmax()
+        assert 0.69 * highest < (1 - brightest / 257) * rate / 2 < 1.01 * highest
+
+
+def test_stored_spectrograms_are_played_at_their_own_rate(spectrograms, tmp_path):
+    assert played(spectrograms, tmp_path / "stored.safetensors")[2] == {16000}
+
+
+def test_contacts_that_nothing_blocks_are_shown_first(brick, brick_path, monkeypatch):
+    blocked = np.arange(18) % 2 * 0.2
+    real = ObjectFile.press
+
+    def press(self, points, depth):
+        done = real(self, points, depth)
+        return replace(done, obstructed=blocked) if len(points) == 18 else done
+
+    monkeypatch.setattr(ObjectFile, "press", press)
+    touches = object_report(brick_path).detail["touches"]
+    assert [touch["title"] for touch in touches] == ["1 mm deep"] * 6
+    blocked[2:] = 0.2
+    touches = object_report(brick_path).detail["touches"]
+    assert [touch["title"] for touch in touches] == ["1 mm deep"] + ["1 mm deep, obstructed"] * 5
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_site_is_titled_by_its_dataset(brick_path, tmp_path):
+    text = write_site([brick_path], tmp_path / "site", title="Pots & pans").read_text()
+    assert "<title>Pots &amp; pans: report</title>" in text
+    assert "<h1>Pots &amp; pans</h1>" in text
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -308,7 +362,7 @@ def test_truth_of_another_file_is_left_out(workspace, moved_on, scored):
         write_json(moved_on.metrics, read_json(moved_on.metrics) | {"file_sha256": "0" * 64})
     detail = object_report(moved_on.object_file).detail
     assert [sound["truth"] for sound in detail["sounds"]] == [None, None]
-    assert len(detail["touches"]) == 5
+    assert len(detail["touches"]) == 6
     assert all("score" not in touch for touch in detail["touches"])
 
 

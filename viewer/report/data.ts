@@ -1,6 +1,6 @@
 /** What objectfolder/report/facts.py writes. */
 
-/** Path in the metrics, title, unit, whether more is better. */
+/** Path in the metrics, title, unit (`measure` in dom.ts), whether more is better. */
 export type Score = [name: string, title: string, unit: string, more: boolean];
 
 export interface Row {
@@ -29,7 +29,8 @@ export interface Detail {
   checks: { name: string; figure: string; limit: string; passed: boolean }[];
   modes: (number | null)[][];
   views: Strip[];
-  sounds: (Strip & { truth: string | null; answer: string })[];
+  /** `axes`: what the spectrogram spans. */
+  sounds: (Strip & { axes: string; truth: string | null; answer: string })[];
   touches: Strip[];
   provenance: Record<string, string>;
   /** Stage, processor seconds, wall seconds, peak MB. */

@@ -24,6 +24,8 @@ export function draw(tag: string, attributes: Attributes = {}, ...children: (Nod
 
 export const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 
+const LONG = 40; // rows of a table that scrolls in its box
+
 /** A table with numbers on the right. */
 export function table(heads: string[], rows: (string | Node)[][], numbers: number): HTMLElement {
   const cell = (tag: "th" | "td", value: string | Node, n: number) =>
@@ -34,7 +36,12 @@ export function table(heads: string[], rows: (string | Node)[][], numbers: numbe
     );
   return make(
     "div",
-    { class: "scroll", tabindex: 0, role: "group", "aria-label": "table" },
+    {
+      class: rows.length > LONG ? "scroll long" : "scroll",
+      tabindex: 0,
+      role: "group",
+      "aria-label": "table",
+    },
     make(
       "table",
       {},
@@ -46,6 +53,26 @@ export function table(heads: string[], rows: (string | Node)[][], numbers: numbe
 
 export const short = (value: number | null | undefined, unit = ""): string =>
   value === null || value === undefined ? "–" : `${+value.toPrecision(3)}${unit && ` ${unit}`}`;
+
+/** A frequency to a tenth of a hertz, from 1 kHz on to a hertz. */
+const hertz = (value: number): string => `${value.toFixed(value < 1000 ? 1 : 0)} Hz`;
+
+/** Units of stored values: factor and name of the shown one. */
+const SHOWN: Record<string, [number, string]> = { bytes: [1e-3, "KB"], share: [100, "%"] };
+
+/** A value in its unit; bytes as KB, a share as per cent. */
+export function measure(value: number, unit: string): string {
+  if (unit === "Hz") return hertz(value);
+  const [factor, name] = SHOWN[unit] ?? [1, unit];
+  return short(value * factor, name);
+}
+
+/** Numbers of a column, with as many decimals as the smallest needs to show so many digits, but no more than `most`. */
+export function column(values: (number | null)[], digits: number, most = 4): string[] {
+  const least = Math.min(...(values.filter((value) => value !== null && value > 0) as number[]));
+  const decimals = Number.isFinite(least) ? digits - 1 - Math.floor(Math.log10(least)) : 0;
+  return values.map((value) => value?.toFixed(Math.min(Math.max(decimals, 0), most)) ?? "–");
+}
 
 export function length(metres: number | null): string {
   if (metres === null) return "";

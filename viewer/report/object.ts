@@ -1,13 +1,16 @@
 /** The page of one object. */
 
 import { type Data, type Detail, data, type Row, type Strip, viewerScript } from "./data.ts";
-import { draw, length, make, short, table } from "./dom.ts";
+import { column, draw, length, make, measure, short, table } from "./dom.ts";
 
 const THREE = ["ground truth", "Object File", "difference"];
 const ENLARGED = " × 4"; // differences of pictures
 const EQUAL = 150; // dB from which pictures are equal
 
-function strip({ title, score, source }: Strip, kind: string, ...more: Node[]): HTMLElement {
+const compared = ({ score }: Strip) => score !== undefined;
+const alone = (strip: Strip) => !compared(strip);
+
+function shown({ title, score, source }: Strip, kind: string, ...more: Node[]): HTMLElement {
   const compared = score !== undefined || kind === "compared";
   const names = THREE.map((name, n) => (n === 2 && score !== undefined ? name + ENLARGED : name));
   return make(
@@ -31,9 +34,10 @@ function sound(given: Detail["sounds"][number]): HTMLElement {
         ["Object File", given.answer],
       ]
     : [["Object File", given.answer]];
-  const shown = strip(
+  const figure = shown(
     given,
     given.truth ? "compared" : "alone",
+    make("p", { class: "axes" }, given.axes),
     make(
       "div",
       { class: given.truth ? "players" : "players single" },
@@ -47,22 +51,22 @@ function sound(given: Detail["sounds"][number]): HTMLElement {
       ),
     ),
   );
-  shown.classList.add("spectrogram");
-  return shown;
+  figure.classList.add("spectrogram");
+  return figure;
 }
 
 /** A score of the object among those of all. */
 function place(row: Row, [name, title, unit, more]: Data["scores"][number]): HTMLElement | null {
   const own = row.scores[name];
-  if (own === undefined) return null;
   const all = data.rows.map((other) => other.scores[name]).filter((value) => value !== undefined);
+  if (own === undefined || all.length < 2) return null;
   const [low, high] = [Math.min(...all), Math.max(...all)];
   const x = (value: number) => (high > low ? 4 + (192 * (value - low)) / (high - low) : 100);
   const better = all.filter((value) => (more ? value > own : value < own)).length;
   return make(
     "div",
     { class: "score" },
-    make("h3", {}, `${title}: ${short(own, unit)}`),
+    make("h3", {}, `${title}: ${measure(own, unit)}`),
     draw(
       "svg",
       {
@@ -77,9 +81,9 @@ function place(row: Row, [name, title, unit, more]: Data["scores"][number]): HTM
     make(
       "div",
       { class: "ends" },
-      make("span", {}, short(low)),
+      make("span", {}, measure(low, unit)),
       make("span", {}, `${better + 1} of ${all.length}`),
-      make("span", {}, short(high)),
+      make("span", {}, measure(high, unit)),
     ),
   );
 }
@@ -103,20 +107,38 @@ function section(title: string, ...content: (Node | null)[]): HTMLElement | null
   return found.length ? make("section", {}, make("h2", {}, title), ...found) : null;
 }
 
+/** Rows of a table whose columns of numbers are these. */
+const across = (...columns: string[][]) => columns[0].map((_, n) => columns.map((texts) => texts[n]));
+
+function modes(rows: Detail["modes"]): HTMLElement {
+  const [f, time, quality, error] = [0, 1, 2, 3].map((n) => rows.map((row) => row[n]));
+  const percent = error.map((value) => (value === null ? null : value * 100));
+  return table(
+    ["frequency, Hz", "decay by 60 dB, s", "quality", "estimated error, %"],
+    across(column(f, 4, 1), column(time, 2), column(quality, 2), column(percent, 2, 2)),
+    4,
+  );
+}
+
 /** What the stages took where the object was built. */
 function costs(rows: Detail["costs"]): HTMLElement {
   const total = rows.reduce((sum, [, cpu]) => sum + cpu, 0);
+  const [cpu, wall, memory] = [1, 2, 3].map((n) => rows.map((row) => row[n] as number));
   return table(
     ["stage", "processor, s", "wall, s", "peak memory, MB"],
-    [
-      ...rows.map(([stage, ...values]) => [stage, ...values.map((value) => short(value))]),
-      ["all", short(total), "", ""],
-    ],
+    across(
+      [...rows.map(([stage]) => stage), "all"],
+      column([...cpu, total], 1, 1),
+      [...column(wall, 1, 1), ""],
+      [...column(memory, 1, 0), ""],
+    ),
     3,
   );
 }
 
-const strips = (parts: Node[]) => (parts.length ? make("div", { class: "strips" }, ...parts) : null);
+/** Pictures beside each other; those without a truth need less room. */
+const strips = (given: Strip[], kind = "") =>
+  given.length ? make("div", { class: `strips ${kind}` }, ...given.map((strip) => shown(strip, ""))) : null;
 
 export function objectPage(row: Row, detail: Detail): Node[] {
   const stage = make("div", {}, make("button", { type: "button" }, "See, strike and touch it"));
@@ -130,9 +152,9 @@ export function objectPage(row: Row, detail: Detail): Node[] {
   const facts = [
     row.material,
     length(row.size),
-    short((row.bytes ?? 0) / 1000, "KB"),
+    measure(row.bytes ?? 0, "bytes"),
     `${row.modes ?? 0} modes`,
-    row.lowest ? `from ${short(row.lowest, "Hz")}` : "",
+    row.lowest ? `from ${measure(row.lowest, "Hz")}` : "",
   ];
   const parts = [
     make("h1", { tabindex: -1 }, row.key.replaceAll("_", " ")),
@@ -152,28 +174,17 @@ export function objectPage(row: Row, detail: Detail): Node[] {
         2,
       ),
     ),
-    section("Look", strips(detail.views.map((given) => strip(given, "")))),
-    section("Sound", strips(detail.sounds.map(sound))),
-    section("Touch", strips(detail.touches.map((given) => strip(given, "")))),
+    section("Look", strips(detail.views.filter(alone)), strips(detail.views.filter(compared))),
+    section(
+      "Sound",
+      detail.sounds.length ? make("div", { class: "strips" }, ...detail.sounds.map(sound)) : null,
+    ),
+    section("Touch", strips(detail.touches.filter(alone), "small"), strips(detail.touches.filter(compared))),
     section(
       "Among the other objects",
       scores.length ? make("div", { class: "statistics" }, ...scores) : null,
     ),
-    section(
-      "Modes",
-      detail.modes.length
-        ? table(
-            ["frequency, Hz", "decay by 60 dB, s", "quality", "estimated error, %"],
-            detail.modes.map(([f, t, q, error]) => [
-              short(f),
-              short(t),
-              short(q),
-              short(error === null ? null : error * 100),
-            ]),
-            4,
-          )
-        : null,
-    ),
+    section("Modes", detail.modes.length ? modes(detail.modes) : null),
     section(
       "Provenance",
       table(
@@ -181,8 +192,8 @@ export function objectPage(row: Row, detail: Detail): Node[] {
         Object.entries(detail.provenance).map(([name, text]) => [name, make("code", {}, text)]),
         0,
       ),
-      detail.costs.length ? costs(detail.costs) : null,
     ),
+    section("Cost of the build", detail.costs.length ? costs(detail.costs) : null),
   ];
   return parts.filter((part) => part !== null);
 }

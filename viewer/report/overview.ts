@@ -1,7 +1,7 @@
 /** The overview: statistics, filters and a card for each object. */
 
 import { data, type Row } from "./data.ts";
-import { byId, draw, length, make, short } from "./dom.ts";
+import { byId, draw, length, make, measure, short } from "./dom.ts";
 
 /** Failures first, then warnings, then by name. */
 const trouble = (row: Row) => (row.missing ? 0 : row.failed.length ? 1 : row.warnings.length ? 2 : 3);
@@ -36,9 +36,11 @@ function histogram(title: string, values: number[], unit: string, logarithmic: b
   if (!found.length) return null;
   const scale = logarithmic ? Math.log : (value: number) => value;
   const [low, high] = [Math.min(...found), Math.max(...found)];
+  if (low === high)
+    return make("div", {}, make("h3", {}, title), make("p", { class: "only" }, measure(low, unit)));
   const bins = new Array(16).fill(0);
   for (const value of found) {
-    const place = high > low ? (scale(value) - scale(low)) / (scale(high) - scale(low)) : 0.5;
+    const place = (scale(value) - scale(low)) / (scale(high) - scale(low));
     bins[Math.min(15, Math.floor(place * 16))]++;
   }
   const most = Math.max(...bins);
@@ -64,7 +66,12 @@ function histogram(title: string, values: number[], unit: string, logarithmic: b
         }),
       ),
     ),
-    make("div", { class: "ends" }, make("span", {}, short(low, unit)), make("span", {}, short(high, unit))),
+    make(
+      "div",
+      { class: "ends" },
+      make("span", {}, measure(low, unit)),
+      make("span", {}, measure(high, unit)),
+    ),
   );
 }
 
@@ -91,7 +98,7 @@ export class Overview {
     const missing = rows.filter(notBuilt).length;
     const bytes = built.reduce((sum, row) => sum + (row.bytes ?? 0), 0);
     byId("summary").textContent = [
-      `${built.length} objects, ${short(bytes / 1e6, "MB")} of Object Files`,
+      `${built.length} ${built.length === 1 ? "object" : "objects"}, ${short(bytes / 1e6, "MB")} of Object Files`,
       failed ? `${failed} with failed checks` : "all checks passed",
       missing ? `${missing} not built` : "",
     ]

@@ -48,6 +48,35 @@ async function filter(page) {
   await page.locator("#order").selectOption("");
 }
 
+/** Tables are shown whole, their numbers line up, and an object alone is not ranked. */
+async function tables(page) {
+  const hidden = await page
+    .locator(".scroll:not(.long)")
+    .evaluateAll((boxes) => boxes.map((box) => box.scrollHeight - box.clientHeight));
+  assert.ok(hidden.length >= 2);
+  assert.ok(Math.max(...hidden) <= 0, "no row of a short table is cut");
+  for (const table of await page.locator("section:has(h2:text-is('Modes')) table").all()) {
+    const rows = await table
+      .locator("tbody tr")
+      .evaluateAll((found) => found.map((row) => [...row.cells].map(({ textContent }) => textContent)));
+    for (const texts of rows[0].map((_, n) => rows.map((row) => row[n]))) {
+      const decimals = texts.filter((text) => text !== "–").map((text) => text.split(".")[1]?.length);
+      assert.equal(new Set(decimals).size <= 1, true, `decimals of ${texts}`);
+    }
+  }
+  const titles = await page.locator("#body h2").allTextContents();
+  const built = await page.evaluate(() =>
+    JSON.parse(document.getElementById("data").textContent).rows.filter((row) => !row.missing),
+  );
+  const modes = page.locator("#statistics > div:has(h3:text-is('Modes')) svg");
+  if (built.length === 1) assert.equal(await modes.count(), 0, "no histogram of one object");
+  const counted = `${built.length} ${built.length === 1 ? "object" : "objects"}, `;
+  assert.ok((await page.locator("#summary").textContent()).startsWith(counted));
+  assert.match(await page.locator("#body .quiet").first().textContent(), / from (\d+|\d{1,3}\.\d) Hz$/);
+  assert.equal(titles.includes("Among the other objects"), built.length > 1);
+  assert.ok(titles.includes("Cost of the build"));
+}
+
 async function live(page) {
   await page.locator("#body button").click();
   const frame = await (await page.locator("iframe").elementHandle()).contentFrame();
@@ -74,6 +103,7 @@ for (const [name, size] of Object.entries(SIZES))
     await page.locator("#body h1").waitFor(WAIT);
     assert.match(await page.locator("#body").textContent(), /Certificate: \d+ of \d+ checks passed/);
     await look(page, `object-${name}-${colorScheme}`);
+    if (used) await tables(page);
     if (used) await live(page);
     await page.locator("#back").click();
     await page.locator("#cards li").first().waitFor();
