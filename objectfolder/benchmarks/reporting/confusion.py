@@ -35,8 +35,8 @@ def draw_confusion(title: str, counts: Mapping[str, np.ndarray], names: Sequence
         if len(names) <= NAMED:
             axes.set_xticks(range(len(names)), names, rotation=90, fontsize=6)
             axes.set_yticks(range(len(names)), names, fontsize=6)
-        axes.set_xlabel("answer", fontsize=8)
-        axes.set_ylabel("truth", fontsize=8)
+        axes.set_xlabel("answer", fontsize=11)
+        axes.set_ylabel("truth", fontsize=11)
     for axes in list(panels):
         axes.set_axis_off()
     return save_page(figure, path)
