@@ -174,7 +174,7 @@ export function objectPage(row: Row, detail: Detail): Node[] {
         2,
       ),
     ),
-    section("Look", strips(detail.views.filter(alone)), strips(detail.views.filter(compared))),
+    section("Look", strips(detail.views.filter(alone), "three"), strips(detail.views.filter(compared))),
     section(
       "Sound",
       detail.sounds.length ? make("div", { class: "strips" }, ...detail.sounds.map(sound)) : null,
