@@ -28,7 +28,6 @@ SOUND_UNITS = {
     "velocity": "m kg^1/2/s",
     "acceleration": "m kg^1/2/s^2",
 }
-UNCERTAIN = 0.1  #: error of frequencies from which `info` says so
 TOUCH_ARRAYS = ("height", "displacement", "pressure", "normals")
 SHEAR_ARRAYS = ("sideways", "traction", "marker_flow")  #: of contacts that are sheared
 TOUCH_OUTPUTS = ("image", "mask", *TOUCH_ARRAYS, *SHEAR_ARRAYS)
@@ -346,6 +345,8 @@ def _contact_summary(rows: np.ndarray) -> str:
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:
     """Describe a part in a line, reading no tensors but the modes."""
+    from objectfolder.fem.modal import CERTAIN
+
     if part not in obj.header:
         return "none"
     kind = obj.header[part]["kind"]
@@ -364,7 +365,7 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     described = obj.header[part]
     error = described.get("frequency_uncertainty")
     certain = ""
-    if error is not None and error > UNCERTAIN:
+    if error is not None and error > CERTAIN:
         certain = f", uncertain: the lowest ten may be {error:.0%} wrong"
     elif error is not None:
         certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")
