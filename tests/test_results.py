@@ -226,7 +226,7 @@ def test_scores_and_benchmarks_are_collected(repository):
     assert commits == {key: row["commit"] for key, row in scores.items()}
     assert "Preset `quick`, seed 0." in page
     assert "1 objects of catalogs/procedural.yaml: blue_vase.\n1 scanned objects: scan." in page
-    took = "2 min of training with 2 thread(s), 3 CPU min in all"
+    took = "2 min wall-clock time with 2 thread(s), 3 CPU min in total"
     assert f"`objectfolder bench recognition --preset quick --seeds 2`: {took}" in page
     assert "| V | 50.0 ± 10.0 |  | 40.0 60.0 | 94.8 |" in page
     assert "`objectfolder bench recognition --label material --preset quick --split unseen --seeds 2`" in page

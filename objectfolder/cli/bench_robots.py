@@ -105,7 +105,7 @@ def reach(
     Success rates at the last step and at any time, on goals not used in training; next to a controller,
     random actions and no action. Training curves, policies and animations are written to OUT.
 
-    `objectfolder bench reach --preset quick build/mug build/bowl build/die`
+    `objectfolder bench reach --preset quick build/mug build/bell`
     """
     from objectfolder.benchmarks.reporting.tables import reach_table
     from objectfolder.benchmarks.run import BenchmarkOptions, run_on_objects

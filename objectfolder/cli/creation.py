@@ -51,7 +51,7 @@ def upgrade() -> None:
     First install the version, such as by `git pull` in a clone of objectfolder and
     `pip install --upgrade 'CLONE[build]'`. Scripts, graph and presets that you have not edited are replaced;
     of those that you have, a new text is written to NAME.new. Own settings are kept, new ones added.
-    `git diff` shows everything, `git checkout .` takes it back.
+    `git diff` shows all changes; `git checkout .` reverts them.
     """
     from objectfolder.cli.statusview import print_outlook
     from objectfolder.engine.status import status

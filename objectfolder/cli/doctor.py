@@ -69,7 +69,7 @@ def doctor() -> None:
     Queries need only Embree. `objectfolder build` needs the extra **build**. The other parts add a command or
     a setting, or make something faster.
 
-    What is installed changes no result by itself, with two exceptions: PARDISO, CHOLMOD and SuperLU give
+    Installed packages do not affect results, with two exceptions: PARDISO, CHOLMOD and SuperLU give
     vibration modes that agree to rounding, and the nets of the paper and of benchmarks are trained on a GPU
     if there is one.
 

@@ -164,7 +164,7 @@ def audio(
     striker: Annotated[
         str | None,
         typer.Option(
-            help="What strikes, by which the contact time follows: steel (default), wood, rubber, finger."
+            help="Striker, which determines the contact time: steel (default), wood, rubber or finger."
         ),
     ] = None,
     listener: Annotated[

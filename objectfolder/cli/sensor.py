@@ -59,24 +59,24 @@ def fit_sensor_profile(
     lights: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Fit so many lights' places and colours, too, and the coating; 6 suit most sensors."
+            min=1, help="Number of lights to fit, with position and colour, and the coating; 6 suits most."
         ),
     ] = None,
     residual: Annotated[
-        bool, typer.Option("--residual", help="Then fit a polynomial to what the lights leave over.")
+        bool, typer.Option("--residual", help="Also fit a polynomial to the remaining error.")
     ] = False,
 ) -> None:
     """Fit a sensor's lights and background to pictures of a ball pressed on it.
 
-    Press a steel ball of 3 to 10 mm radius about 1 mm deep in at least three places away from the border, and
-    take a picture of each, and one of the untouched sensor. The camera must be upright, without automatic
-    exposure or white balance; size, field of view, gel and positions of the lights must be those of the
-    profile `--sensor`. Then:
+    Press a steel ball (radius 2 to 10 mm) about 1 mm deep in three or more places away from the border.
+    Take a picture of each press and one of the untouched sensor. The camera must be upright, without
+    automatic exposure or white balance; size, field of view, gel and positions of the lights must be
+    those of the profile `--sensor`. Then:
 
     `objectfolder sensor fit a.png b.png c.png --untouched rest.png --radius 0.004 --out mine.yaml`
 
     Writes mine.yaml, mine_background.png and mine_report.json. Lights of the same colour are fitted together.
-    With `--lights`, nothing but geometry and gel is taken from the profile:
+    With `--lights`, only geometry and gel are taken from the profile:
 
     `objectfolder sensor fit dataPack.npz --radius 0.002 --lights 6 --residual --sensor my.yaml --out n.yaml`
 

@@ -114,8 +114,8 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any]):
             observation, *rest = self.env.step(action)
         if self._hearing and abs(unheard := self._data.time - self._hearing.time) > UNHEARD:
             raise ObjectFolderError(
-                f"{type(self.env.unwrapped).__name__} simulated {unheard:g} s that were not heard: call "
-                "mujoco.mj_step by this name, one step at a time or more, or wrap nothing and use Hearing"
+                f"{type(self.env.unwrapped).__name__} simulated {unheard:g} s that were not heard: step "
+                "with mujoco.mj_step, called by that name, or use Hearing without this wrapper"
             )
         return self._sensed(observation), *rest  # type: ignore[return-value]
 

@@ -179,7 +179,7 @@ class ModalSense:
         header, key = self._stored.header, self._stored.key
         if not self._described:
             raise ObjectFolderError(
-                f"{key}: the file does not say what its modes are of, as imported ones do not; it "
+                f"{key}: the file stores no material properties (imported files do not); it "
                 "answers in its own material and size only"
             )
         with report_damage(key, "description of the sound"):
@@ -299,9 +299,10 @@ class ModalSense:
         low, high = tuning.frequency_bounds  # of another Poisson ratio
         if len(ratio) and max(float(ratio.max()) * high - 1, 1 - float(ratio.min()) * low) > _ALIKE:
             raise ObjectFolderError(
-                f"{key}: in this material, its sound would have {float(1 / ratio.max()) / high:.2f} to "
-                f"{float(1 / ratio.min()) / low:.2f} times the wavelength, and "
-                "radiate otherwise than was solved; build the object in it to hear it at a listener"
+                f"{key}: the stored radiation does not apply to this material, which has "
+                f"{float(1 / ratio.max()) / high:.2f} to "
+                f"{float(1 / ratio.min()) / low:.2f} times the wavelength; "
+                "build the object in this material to use a listener"
             )
 
     def _strengths(

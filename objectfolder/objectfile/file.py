@@ -447,9 +447,7 @@ class ObjectFile:
         strikes = broadcast_rows("points", places, "forces", finite_rows("forces", forces, 3))
         late = _flag("delay", delay)
         if late and listener is None:
-            raise ObjectFolderError(
-                "delay is True, but without a listener no sound travels; give listener, or leave delay out"
-            )
+            raise ObjectFolderError("delay=True needs a listener; give listener, or leave delay out")
         ears = None
         if listener is not None:
             ears = finite_rows("listener", listener, 3)

@@ -120,7 +120,7 @@ def check_installed(root: str | Path = ".") -> None:
     if is_recorded(root) and (changed := changed_files(root)):
         differing = "1 file differs" if len(changed) == 1 else f"{len(changed)} files differ"
         raise ObjectFolderError(
-            f"this workspace is of another version of objectfolder than the one in {INSTALLED}: "
+            f"this workspace was made with another version of objectfolder than {INSTALLED}: "
             f"{differing} ({', '.join(changed[:3])}{', ...' * (len(changed) > 3)}); run "
             "`objectfolder upgrade`, or install the version that requirements.txt names"
         )

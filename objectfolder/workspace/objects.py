@@ -246,7 +246,7 @@ def _check_place(key: str, catalogue: Path, root: Path) -> None:
     if record.exists():
         raise ObjectFolderError(
             f"{catalogue}: procedural.{key} would be written to {record.with_suffix('')}, whose files "
-            f"{record} tracks, expected none; run `dvc remove --outs {record}` if you need them no more, or "
+            f"{record} tracks, expected none; run `dvc remove --outs {record}` if they are obsolete, or "
             "choose another name"
         )
     home, lock = record.with_suffix(""), root / "dvc.lock"

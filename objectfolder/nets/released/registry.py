@@ -38,8 +38,3 @@ def trained_box(described: dict[str, Any]) -> np.ndarray | None:
     if described["kind"] == "released_image":  # one pair for all axes
         return np.repeat(np.array(described["net"]["coordinates"], np.float64)[:, None], 3, 1)
     return None
-
-
-def released_kind(net: object) -> str:
-    """Return the kind of a net."""
-    return next(kind for kind, (_, name) in KINDS.items() if name == type(net).__name__)

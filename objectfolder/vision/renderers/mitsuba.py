@@ -70,7 +70,7 @@ class MitsubaRenderer:
         if self._variant.startswith("llvm") and drjit.detail.llvm_version() < OLDEST_LLVM:
             found = ".".join(map(str, drjit.detail.llvm_version()))
             raise ImportError(
-                f"LLVM {found} found, which ends the process: set DRJIT_LIBLLVM_PATH to a newer"
+                f"LLVM {found} found, which crashes Dr.Jit: set DRJIT_LIBLLVM_PATH to a newer version"
             )
         mi.set_log_level(mi.LogLevel.Error)
         drjit.set_thread_count(1)
