@@ -87,8 +87,12 @@ def ringdown(
         Range of frequencies, Hz; up to 0.45 of the rate by default.
     """
     limit = USABLE * rate if highest is None else min(highest, USABLE * rate)
-    found = [_band(taps, rate, centre) for centre in _bands(taps, rate, lowest, limit)]
-    rows = np.concatenate([np.zeros((0, 3)), *found])
+    bands = [(centre, _band(taps, rate, centre)) for centre in _bands(taps, rate, lowest, limit)]
+    bands = [(centre, found) for centre, found in bands if len(found)]
+    centres = np.array([centre for centre, _ in bands])
+    # Bands overlap: a mode is taken from the one whose centre is nearest.
+    parts = [found[np.abs(found[:, :1] - centres).argmin(1) == n] for n, (_, found) in enumerate(bands)]
+    rows = np.concatenate([np.zeros((0, 3)), *parts])
     rows = rows[np.argsort(rows[:, 0])]
     return Ringdown(*rows.T)
 

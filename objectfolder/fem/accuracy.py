@@ -121,9 +121,11 @@ def resolved_frequency(solid: Solid, material: Material, scale: float, wall: flo
     wall : float
         Wall thickness, unit frame.
     """
-    largest = solid.width[~solid.is_full].max(initial=1) if isinstance(solid, CutCells) else 1
-    length = NODES_PER_WAVE * scale * largest / solid.resolution / solid.order
+    length = NODES_PER_WAVE * scale / solid.resolution / solid.order
+    inside = at_walls = 1  # widths of the largest elements, cells
+    if isinstance(solid, CutCells):
+        inside, at_walls = solid.width.max(), solid.width[~solid.is_full].max(initial=1)
     e, rho, nu = material.youngs_modulus, material.density, material.poisson_ratio
-    shear = np.sqrt(e / (2 * (1 + nu)) / rho) / length
-    bending = np.pi / np.sqrt(3) * wall * scale * np.sqrt(e / (rho * (1 - nu**2))) / length**2
+    shear = np.sqrt(e / (2 * (1 + nu)) / rho) / (length * inside)
+    bending = np.pi / np.sqrt(3) * wall * scale * np.sqrt(e / (rho * (1 - nu**2))) / (length * at_walls) ** 2
     return float(min(shear, bending))

@@ -17,7 +17,8 @@ from objectfolder.fem.elasticity import FiniteElements
 from objectfolder.fem.factorisation import Factorisation, factorise, nested_dissection
 from objectfolder.fem.krylov import CONVERGED, lowest_modes
 
-SHIFT = -((2 * np.pi * 300.0) ** 2)  # rad^2/s^2
+SHIFT = -((2 * np.pi * 300.0) ** 2)  # rad^2/s^2; at most, see `FreeVibration`
+EXPANSION = 30  # shifts are at most this share of the Rayleigh quotient of a uniform expansion
 CLUSTER = 1e-6  # frequencies closer than this (relative) span one subspace
 SPARES = 4  # modes computed beyond the wanted ones, so that the cut splits no repeated eigenvalue
 LOOSE = 1e-12  # share of the energy of moving each unknown alone, below which a mode's is zero up to rounding
@@ -49,8 +50,16 @@ class FreeVibration:
         self._rigid = rigid_modes(fem)
 
     @cached_property
+    def _shift(self) -> float:
+        # Far beyond the modes of a soft or very large solid, all of them would look alike to the solver.
+        expansion = (self.fem.nodes - self.fem.nodes.mean(0)).ravel()
+        quotient = expansion @ (self.fem.stiffness @ expansion) / (expansion @ (self.fem.mass @ expansion))
+        return max(SHIFT, -quotient / EXPANSION)
+
+    @cached_property
     def _factor(self) -> Factorisation:
-        return factorise((self.fem.stiffness - SHIFT * self.fem.mass).tocsr(), self._order, definite=True)
+        shifted = self.fem.stiffness - self._shift * self.fem.mass
+        return factorise(shifted.tocsr(), self._order, definite=True)
 
     def count_below(self, eigenvalue: float) -> int | None:
         """Count the elastic modes below an eigenvalue by inertia; None if rounding spoiled the count."""
@@ -76,24 +85,25 @@ class FreeVibration:
         """
         fem = self.fem
         return lowest_modes(
-            fem.stiffness, fem.nodal_mass, self._factor.solve, SHIFT, self._rigid, wanted, tolerance
+            fem.stiffness, fem.nodal_mass, self._factor.solve, self._shift, self._rigid, wanted, tolerance
         )
 
-    def modes_below(self, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
+    def modes_below(
+        self, max_frequency: float, max_modes: int, name: str = "object", min_frequency: float = 0.0
+    ) -> Modes:
         """Find the elastic modes below a frequency; see `solve_modes`."""
         fem, limit = self.fem, (2 * np.pi * max_frequency) ** 2
         below = self.count_below(limit)
-        wanted = max_modes if below is None else min(below, max_modes)
 
-        def needed(found: np.ndarray) -> int:
-            """Modes counted by inertia or, without a count, those found below the limit; with spares."""
-            certain = wanted if below is not None else min(int((found < limit).sum()), max_modes)
-            return min(certain + SPARES, fem.stiffness.shape[0] - 6)
+        def wanted(found: np.ndarray) -> int:
+            """Modes counted by inertia or, without a count, those found below the limit."""
+            inaudible = int((found < (2 * np.pi * min_frequency) ** 2).sum())
+            return min(int((found < limit).sum()) if below is None else below, max_modes + inaudible)
 
-        values, vectors = self.lowest(needed)
-        if below is not None and int((values < limit).sum()) < wanted:
+        values, vectors = self.lowest(lambda found: min(wanted(found) + SPARES, fem.stiffness.shape[0] - 6))
+        if below is not None and int((values < limit).sum()) < wanted(values):
             raise ObjectFolderError(
-                f"{name}: inertia counts at least {wanted} modes below {max_frequency:g} Hz, the solver "
+                f"{name}: inertia counts at least {wanted(values)} modes below {max_frequency:g} Hz, the solver "
                 f"found {int((values < limit).sum())}; perturb the object's symmetry slightly, or report "
                 "this mesh"
             )
@@ -105,7 +115,7 @@ class FreeVibration:
                 "pieces on the grid: join the mesh's parts, or use a finer voxelize.resolutions with a "
                 "larger voxelize.max_degrees_of_freedom"
             )
-        keep = np.flatnonzero(values < limit)[:max_modes]
+        keep = np.flatnonzero(values < limit)[: wanted(values)]
         # Of the solver's own vectors: `canonical` mixes modes whose eigenvalues still differ a little.
         inertia = fem.mass @ (vectors[:, keep] * values[keep])
         residual = np.linalg.norm(fem.stiffness @ vectors[:, keep] - inertia, axis=0)
@@ -122,7 +132,13 @@ class FreeVibration:
         )
 
 
-def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
+def solve_modes(
+    fem: FiniteElements,
+    max_frequency: float,
+    max_modes: int,
+    name: str = "object",
+    min_frequency: float = 0.0,
+) -> Modes:
     """Find the elastic modes below a frequency.
 
     Parameters
@@ -134,6 +150,8 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
         Maximum number of modes to keep, lowest first.
     name : str
         Name of the object in errors.
+    min_frequency : float
+        Modes below it, Hz, are kept but do not count towards ``max_modes``.
 
     Raises
     ------
@@ -141,7 +159,7 @@ def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name:
         If the solid has more than six rigid modes (it is not one connected piece), or the solver misses
         modes.
     """
-    return FreeVibration(fem).modes_below(max_frequency, max_modes, name)
+    return FreeVibration(fem).modes_below(max_frequency, max_modes, name, min_frequency)
 
 
 def rigid_modes(fem: FiniteElements) -> np.ndarray:

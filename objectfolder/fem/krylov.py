@@ -1,8 +1,8 @@
 """Block Lanczos for the lowest modes, without restarts and with full orthogonalisation.
 
 For hundreds of modes ARPACK spends its time on single triangular solves and on matrix-vector products with
-its basis, both bound by memory bandwidth. Blocks turn them into matrix products: each of 16 right-hand sides
-costs a third of a single one. Blocks also find all copies of a repeated eigenvalue.
+its basis, both bound by memory bandwidth. Blocks turn them into matrix products: 16 right-hand sides at
+once cost a fraction of 16 single ones. Blocks also find all copies of a repeated eigenvalue.
 """
 
 from collections.abc import Callable
@@ -103,7 +103,7 @@ def lowest_modes(
         if known + count + block > size or count > _ENDLESS * (number + block):
             raise ObjectFolderError(
                 f"{number} modes of {size} unknowns do not converge in {count} vectors, as of solids far too "
-                "small or too stiff: check the object's scale and material"
+                "small, large, stiff or soft: check the object's scale and material"
             )
 
 

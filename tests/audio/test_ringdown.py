@@ -20,6 +20,12 @@ def test_frequencies_and_decay_times_are_those_of_the_recording():
     assert ((found.level > 0.005) & (found.level < 0.06)).all()
 
 
+@pytest.mark.parametrize("hertz", [(1000.0, 1030.0, 1076.0), (1000.0, 1060.0, 1080.0)])
+def test_a_mode_where_bands_overlap_is_found_once(hertz):
+    found = heard(taps([(f, 1.0) for f in hertz], 4))
+    np.testing.assert_allclose(found.frequency, hertz, rtol=1e-4)
+
+
 def test_one_recording_tells_a_single_mode():
     found = heard(taps([(1000.0, 1.0)], 1))
     assert found.frequency == pytest.approx([1000.0], rel=1e-5)

@@ -7,7 +7,7 @@ import pytest
 from solids import box
 
 from objectfolder.fem.accuracy import Discretisation, discretisation_error, resolved_frequency
-from objectfolder.fem.blocks import halved
+from objectfolder.fem.blocks import halved, merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.materials import Material
@@ -109,6 +109,10 @@ def test_the_resolved_frequency_is_that_of_waves_three_elements_long():
     length = 3 * 0.2 / 8
     stuff = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
     assert resolved_frequency(cells, stuff, 0.2, np.inf) == pytest.approx(np.sqrt(1e9 / 2.6 / 1000) / length)
+    merged = merge_full_blocks(cut_cells(*box((1, 1, 1)), 16, 4))  # full elements are the largest
+    assert merged.width[~merged.is_full].max() < merged.width.max()
+    expected = np.sqrt(1e9 / 2.6 / 1000) / (3 * merged.width.max() * 0.2 / 16)
+    assert resolved_frequency(merged, stuff, 0.2, np.inf) == pytest.approx(expected)
     wall = 0.004
     rigidity = 1e9 * (wall * 0.2) ** 3 / (12 * (1 - 0.3**2))
     bending = (2 * np.pi / length) ** 2 * np.sqrt(rigidity / (1000 * wall * 0.2)) / (2 * np.pi)

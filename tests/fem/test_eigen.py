@@ -71,6 +71,13 @@ def test_bending_of_a_free_beam_converges_to_timoshenko():
     assert errors[2] < 1.5e-3
 
 
+@pytest.mark.parametrize("scale", [1e-2, 1.0, 1e3, 1e5])
+def test_frequencies_follow_the_size_from_millimetres_to_kilometres(scale):
+    cells = cut_cells(*box((1, 0.31, 0.13)), 6, 4)
+    one, other = (solve_modes(cells.assemble(STUFF, size), 300 / size, 6) for size in (1.0, scale))
+    np.testing.assert_allclose(hertz(other) * scale, hertz(one), rtol=1e-9)
+
+
 def test_bending_comes_as_a_pair():
     f = hertz(solve_modes(beam(10), 150, 4))
     assert len(f) == 2
