@@ -69,7 +69,7 @@ class Material:
 
     @property
     def law(self) -> str:
-        """Law of damping, one of ``LAWS``."""
+        """Damping model, one of ``LAWS``."""
         return "loss_factor" if self.loss_factor else "rayleigh"
 
     def require_damping(self) -> None:

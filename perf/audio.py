@@ -33,8 +33,8 @@ IMPACTS = 200
 
 
 TARGETS = (
-    f"to {FEW_MODES} modes: energy 1 %, Frobenius 3 %, 85 dB, 30 above silence, 60 s, 70 KB and 0.8 a mode; "
-    f"to {MANY_MODES}: energy 2 %, Frobenius 6 %, 90 s, 350 KB"
+    f"to {FEW_MODES} modes: energy 1 %, Frobenius 3 %, 85 dB, 30 above silence, 60 s, 70 kB and 0.8 a mode; "
+    f"to {MANY_MODES}: energy 2 %, Frobenius 6 %, 90 s, 350 kB"
 )
 
 
@@ -119,7 +119,7 @@ def show(rows: list[dict], console: Console) -> None:
         "points": ("points", "d"),
         "steps": ("steps", "d"),
         "seconds": ("CPU s", ".0f"),
-        "file_kb": ("KB", ".0f"),
+        "file_kb": ("kB", ".0f"),
         "gain_error": ("energy", ".2%"),
         "gain_error_frobenius": ("Frobenius", ".2%"),
         "worst_mode_error": ("worst mode", ".1%"),

@@ -177,7 +177,7 @@ def main() -> None:
     if all("failed" in row for row in rows):
         sys.exit(f"{root}: no object has scores; run `objectfolder build` there")
     table = Table(title=f"{len(rows)} objects")
-    for name in ("object", "vision", "touch", "gain error", "modes", "KB", "CPU s", "slowest"):
+    for name in ("object", "vision", "touch", "gain error", "modes", "kB", "CPU s", "slowest"):
         table.add_column(name, justify="left" if name == "object" else "right", no_wrap=True)
     for row in rows:
         if "failed" in row:

@@ -137,7 +137,7 @@ def show(rows: list[dict], peer: dict | None, console: Console) -> None:
         "wall": "wall %",
         "grid": "grid",
         "grid_error": "grid vol. error %",
-        "grid_kb": "grid KB",
+        "grid_kb": "grid kB",
         "normalize_s": "normalize s",
         "voxelize_s": "voxelize s",
         "peak_mb": "peak MB",

@@ -31,7 +31,7 @@ FIGURES: dict[str, tuple[str, float, float | None, float | None]] = {
     "touch_ms": ("touch, ms", 7.0, 10.0, 14.0),
     "touch_batch_ms": ("in batches", 7.0, None, None),
     "peak_mb": ("peak MB", 1024.0, None, None),
-    "file_kb": ("file, KB", 1300.0, 15600.0, None),
+    "file_kb": ("file, kB", 1300.0, 15600.0, None),
 }
 MEDIAN_KB = 900.0  #: target for the median file size
 VIEWS, SINGLE, BATCH = 12, 40, 64
@@ -131,7 +131,7 @@ def misses(rows: list[dict]) -> list[str]:
     ]
     middle = median(row["file_kb"] for row in rows)
     if middle > MEDIAN_KB:
-        found.append(f"median file {middle:.0f} KB, expected at most {MEDIAN_KB:g}")
+        found.append(f"median file {middle:.0f} kB, expected at most {MEDIAN_KB:g}")
     return found + [
         f"{row['object']}: answers differ between threads" for row in rows if row.get("differing")
     ]
@@ -175,7 +175,7 @@ def main() -> None:
     console = Console(width=max(Console().width, 130))
     show(rows, console)
     missed = misses(rows)
-    write_record(arguments.json, {"objects": rows}, f"in the table; median file {MEDIAN_KB:g} KB", missed)
+    write_record(arguments.json, {"objects": rows}, f"in the table; median file {MEDIAN_KB:g} kB", missed)
     exit_with_verdict(missed, console)
 
 

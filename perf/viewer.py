@@ -247,10 +247,10 @@ def main() -> None:
         table.add_row(row["object"], *(f"{row[name]:.3g}" if name in row else "-" for name in TITLES))
     console = Console()
     console.print(table)
-    console.print(f"viewer.js {script:.1f} KB; page without objects {page:.1f} KB")
+    console.print(f"viewer.js {script:.1f} kB; page without objects {page:.1f} kB")
     failed = [text for row in rows for text in missed(row)]
-    failed += [f"viewer.js {script:.1f} > {SCRIPT_KB} KB"] * (script > SCRIPT_KB)
-    failed += [f"page {page:.1f} > {PAGE_KB} KB"] * (page > PAGE_KB)
+    failed += [f"viewer.js {script:.1f} > {SCRIPT_KB} kB"] * (script > SCRIPT_KB)
+    failed += [f"page {page:.1f} > {PAGE_KB} kB"] * (page > PAGE_KB)
     sizes = {"script_kb": script, "page_kb": page, "contacts": options.contacts}
     limits = {name: limit for name, limit in (MOST | LEAST).items() if name in rows[0]}
     targets = "; ".join(f"{TITLES[name]}: {limit:g}" for name, limit in limits.items())

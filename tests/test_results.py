@@ -15,7 +15,7 @@ from harness import encoded, rewrite, write_record
 from objectfolder.io import read_json, write_json
 
 #: Records that are shown on other pages, or as means alone.
-ELSEWHERE = ("faithful", "faithful_cpu", "catalogue", "light", "markers", "radiation", "photographs")
+ELSEWHERE = ("faithful", "faithful_cpu", "catalogue", "photographs")
 ELSEWHERE += ("real_photographs", "touch_curve")
 RECOGNITION = {
     "keys": ["blue_vase", "scan"],

@@ -1,4 +1,4 @@
-"""Fit of a material to recordings of taps: one factor of stiffness and a law of damping."""
+"""Fit of a material to recordings of taps: one factor of stiffness and a damping model."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -150,7 +150,7 @@ def fit_sound(
     rate : float
         Hz.
     law : {"loss_factor", "rayleigh"}
-        Law of damping to fit.
+        Damping model to fit.
 
     Raises
     ------

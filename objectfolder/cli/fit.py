@@ -28,7 +28,7 @@ def sound(
     recordings: Annotated[
         list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC or OGG files of taps.")
     ],
-    law: Annotated[str, typer.Option(help="Law of damping: loss_factor or rayleigh.")] = "loss_factor",
+    law: Annotated[str, typer.Option(help="Damping model: loss_factor or rayleigh.")] = "loss_factor",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the fit; change nothing.")] = False,
 ) -> None:
     """Fit stiffness and damping of an object to recordings of taps, and write them to params.yaml.

@@ -65,7 +65,7 @@ def info(file: FileArgument) -> None:
     from objectfolder.objectfile.file import ObjectFile
 
     obj = ObjectFile.load(file)
-    table = Table(title=f"{obj.key} ({file.stat().st_size / 1000:.0f} KB)", show_header=False)
+    table = Table(title=f"{obj.key} ({file.stat().st_size / 1000:.0f} kB)", show_header=False)
     rows = {"material": obj.material, "longest side": f"{obj.scale:g} m"}
     if {"solid", "material_properties"} <= obj.header.keys():
         volume = obj.header["solid"]["volume"] * obj.scale**3

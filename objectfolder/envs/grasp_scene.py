@@ -8,6 +8,7 @@ free. Each row is independent of the batch and of the number of threads.
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -34,7 +35,7 @@ DROPS = 64  #: random orientations that resting poses come from
 
 @dataclass(frozen=True)
 class Physics:
-    """Contact settings; docs/benchmarks.md derives them from a convergence study."""
+    """Contact settings; docs/protocols.md derives them from a convergence study."""
 
     timestep: float = 0.002  #: s
     cone: str = "elliptic"  #: friction cone: elliptic or pyramidal
@@ -153,6 +154,9 @@ class GraspScene:
         self._swept_data = mujoco.MjData(self._swept)
         of_object = self._swept.geom_bodyid == self._swept.body("object").id
         self._of_gripper = ~of_object & (np.arange(self._swept.ngeom) != self._swept.geom("table").id)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.body, self.physics, len(self._data))  # threads cannot be copied
 
     def rests(self, rng: np.random.Generator, count: int = DROPS) -> np.ndarray:
         """Drop the object in random orientations and return the poses in which it comes to rest.

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
+from objectfolder.checks import whole_number
 from objectfolder.envs.body import Hulls, RigidBody, add_body, as_rigid_body
 from objectfolder.envs.reach_scene import (
     GOAL_HIGH,
@@ -28,7 +29,7 @@ try:
 except ModuleNotFoundError as error:
     raise ObjectFolderError(
         f"{error.name} is not installed; this needs metaworld 3.1.1 in a separate Python environment, since "
-        "it pins another MuJoCo: see docs/benchmarks.md, Reach"
+        "it pins another MuJoCo: see docs/benchmarks.md, Reach with Meta-World's arm"
     ) from error
 
 #: Parameters that Meta-World writes into a weld; newer versions of MuJoCo have more.
@@ -100,7 +101,7 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
         hulls: Hulls = None,
         horizon: int = 500,
     ):
-        if not 1 <= horizon <= SawyerReachEnvV3.max_path_length:
+        if whole_number("horizon", horizon, 1) > SawyerReachEnvV3.max_path_length:
             raise ObjectFolderError(f"horizon is {horizon}, expected 1 to {SawyerReachEnvV3.max_path_length}")
         body = as_rigid_body(file, hulls)
         check_size(body)

@@ -103,8 +103,8 @@ class FreeVibration:
         values, vectors = self.lowest(lambda found: min(wanted(found) + SPARES, fem.stiffness.shape[0] - 6))
         if below is not None and int((values < limit).sum()) < wanted(values):
             raise ObjectFolderError(
-                f"{name}: inertia counts at least {wanted(values)} modes below {max_frequency:g} Hz, the solver "
-                f"found {int((values < limit).sum())}; perturb the object's symmetry slightly, or report "
+                f"{name}: inertia counts at least {wanted(values)} modes below {max_frequency:g} Hz, the "
+                f"solver found {int((values < limit).sum())}; perturb the object's symmetry slightly, or report "
                 "this mesh"
             )
         alone = np.einsum("i,ij,ij->j", fem.stiffness.diagonal(), vectors, vectors)

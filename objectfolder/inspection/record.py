@@ -46,7 +46,7 @@ def kilobytes(*paths: Path) -> str:
 
 def in_kilobytes(count: int) -> str:
     """Format a number of bytes, in thousands."""
-    return f"{count / 1000:,.1f} KB"
+    return f"{count / 1000:,.1f} kB"
 
 
 def span(values: np.ndarray, unit: str = "", form: str = ".4g") -> str:

@@ -313,5 +313,5 @@ def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
         "gain error / nearest": beside(a, "gain_error", "baseline_nearest", form=".1%", none="-"),
         "modes": f"{kept}" if found in (None, kept) else f"{kept} of {found}",
         "touch / mean": beside(t, "psnr", "baseline_mean_image"),
-        "KB": f"{metrics['file_bytes'] / 1024:.0f}",
+        "kB": f"{metrics['file_bytes'] / 1000:.0f}",
     }

@@ -25,7 +25,7 @@ def lost_energy(
     damped_frequency : (M,) array
         Ascending, rad/s.
     material : Material
-        Its law of damping applies to the lost modes.
+        Its damping model applies to the lost modes.
     found : int
         Number of modes below ``max_frequency``, Hz.
     """

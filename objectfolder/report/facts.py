@@ -29,7 +29,7 @@ VIEW_SIZE = 320
 VIEWS, STRIKES, TOUCHES = 3, 2, 6
 DEPTH = 0.001  # metres, of touches without a truth
 #: Scores that a report compares between objects: path in the metrics, title, unit, whether more is better.
-#: The page shows a share as per cent, and bytes as KB.
+#: The page shows a share as per cent, and bytes as kB.
 SCORES = (
     ("vision.psnr", "views", "dB", True),
     ("vision.psnr_lit_foreground", "views, lit object", "dB", True),

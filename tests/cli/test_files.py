@@ -98,7 +98,7 @@ def test_how_far_frequencies_may_be_off_is_shown(brick, tmp_path, capsys, error,
 def test_a_sample_is_shown_sampled_queried_and_seen(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     app(["info", "mug"], standalone_mode=False)
-    assert re.search(r"mug \(\d+ KB\)", capsys.readouterr().out)
+    assert re.search(r"mug \(\d+ kB\)", capsys.readouterr().out)
     app(["sample", "audio", "mug", "s.npy", "-n", "1"], standalone_mode=False)
     app(["query", "audio", "mug", "s.npy", "out", "--duration", "0.1"], standalone_mode=False)
     assert [path.name for path in Path("out").iterdir()] == ["1.wav"]

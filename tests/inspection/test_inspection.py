@@ -295,7 +295,7 @@ def test_modal_rows(root):
     assert hertz.max() > 10000
     assert rows["frequencies"] == f"{hertz.min():,.0f} to {hertz.max():,.0f} Hz"
     bytes_ = sum(path.stat().st_size for path in (build.modes, build.modal))
-    assert rows["files"] == f"{bytes_ / 1000:,.1f} KB"
+    assert rows["files"] == f"{bytes_ / 1000:,.1f} kB"
     grams = float(rows["material"].split()[1])
     assert grams == pytest.approx(VOLUME * 2.7, rel=2e-3)
 
@@ -439,13 +439,13 @@ def test_pack_rows(root):
     assert rows["geometry.resolution"] == "32"
     assert rows["touch.net.sensor"] == "digit"
     assert rows["made from sdf"] == "ab" * 6
-    assert rows["  touch.background"] == "uint8 160x120x3, 57.6 KB"
+    assert rows["  touch.background"] == "uint8 160x120x3, 57.6 kB"
     file = ObjectFile.load(Build("brick", root).object_file)
-    assert rows["file"] == f"{Build('brick', root).object_file.stat().st_size / 1000:,.1f} KB"
+    assert rows["file"] == f"{Build('brick', root).object_file.stat().st_size / 1000:,.1f} kB"
     lowest, highest = (f"{hertz:,.0f}" for hertz in (file.frequencies.min(), file.frequencies.max()))
     assert rows["modes"] == f"{len(file.frequencies)}, {lowest} to {highest} Hz"
     count = sum(tensor.nbytes for tensor in file.tensors.values())
-    assert rows["tensors"].endswith(f"numbers, {count / 1000:,.1f} KB")
+    assert rows["tensors"].endswith(f"numbers, {count / 1000:,.1f} kB")
 
 
 def test_the_picture_of_a_strike_has_its_quantity_and_unit(root, monkeypatch, tmp_path):

@@ -293,7 +293,7 @@ export class App {
     if (!this.wanted) tell("busy", null);
     element("name").textContent = header.key.replaceAll("_", " ");
     const size = header.scale < 1 ? `${short(header.scale * 1000)} mm` : `${short(header.scale)} m`;
-    tell("facts", `${header.material} · ${size} · ${(bytes / 1000).toFixed(0)} KB`);
+    tell("facts", `${header.material} · ${size} · ${(bytes / 1000).toFixed(0)} kB`);
     document.title = `${header.key} – objectfolder`;
     for (const sense of ["sound", "touch"] as const) {
       tell(`${sense}-gap`, gaps[sense]);

@@ -58,9 +58,9 @@ export const short = (value: number | null | undefined, unit = ""): string =>
 const hertz = (value: number): string => `${value.toFixed(value < 1000 ? 1 : 0)} Hz`;
 
 /** Units of stored values: factor and name of the shown one. */
-const SHOWN: Record<string, [number, string]> = { bytes: [1e-3, "KB"], share: [100, "%"] };
+const SHOWN: Record<string, [number, string]> = { bytes: [1e-3, "kB"], share: [100, "%"] };
 
-/** A value in its unit; bytes as KB, a share as per cent. */
+/** A value in its unit; bytes as kB, a share as per cent. */
 export function measure(value: number, unit: string): string {
   if (unit === "Hz") return hertz(value);
   const [factor, name] = SHOWN[unit] ?? [1, unit];
