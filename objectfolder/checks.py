@@ -10,6 +10,9 @@ import numpy as np
 
 from objectfolder.errors import ObjectFolderError, quoted
 
+#: Why a query of tensors that torch has wrapped is refused.
+TRANSFORMED = "torch.func and vmap are not supported; use torch.autograd.grad with ObjectFile.torch()"
+
 
 def finite_number(name: str, value: object) -> float:
     """Return a real, finite number; numpy's and torch's scalars are numbers, texts and truth values are not.
@@ -49,6 +52,8 @@ def real_array(name: str, values: Any) -> np.ndarray:
         raise ObjectFolderError(f"{name} holds masked values, expected numbers: leave them out or fill them")
     try:
         if hasattr(values, "detach"):  # a tensor, without importing torch
+            if _transformed(values):
+                raise ObjectFolderError(f"{name}: {TRANSFORMED}")
             values = values.detach().cpu()
             values = values.double() if values.is_floating_point() else values
         array = np.asarray(values)
@@ -59,7 +64,19 @@ def real_array(name: str, values: Any) -> np.ndarray:
     except ObjectFolderError:
         raise
     except (ValueError, TypeError, RuntimeError, OverflowError) as error:
+        if holds_tensors(values):
+            raise ObjectFolderError(
+                f"{name} is a list of tensors, expected one tensor or an array: torch.stack joins them. "
+                "Queries carry no gradients: detach tensors that require them, or use ObjectFile.torch()"
+            ) from error
         raise ObjectFolderError(f"{name} is not an array of numbers: {error}") from error
+
+
+def holds_tensors(values: object) -> bool:
+    """Return whether they are a list, also of lists, that holds a tensor."""
+    return isinstance(values, list | tuple) and any(
+        hasattr(value, "detach") or holds_tensors(value) for value in values
+    )
 
 
 def whole_number(name: str, value: object, least: int = 0) -> int:
@@ -109,6 +126,14 @@ def require_memory(what: str, needed: int, remedy: str) -> None:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > memory:
         raise ObjectFolderError(f"{what}: needs {needed:,} bytes, this machine has {memory:,}; {remedy}")
+
+
+def _transformed(tensor: Any) -> bool:
+    """Return whether torch.func or vmap has wrapped a tensor, whose values then cannot be read."""
+    import torch  # it is there, as there is a tensor
+
+    wrapped = getattr(torch._C._functorch, "is_functorch_wrapped_tensor", None)
+    return wrapped is not None and isinstance(tensor, torch.Tensor) and wrapped(tensor)
 
 
 def _scalar(value: object) -> object:

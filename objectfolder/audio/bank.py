@@ -71,7 +71,7 @@ class Bank:
         sounds = np.empty((len(gains), self.samples), np.float32)
         for first in range(0, len(gains), BLOCK):
             rows = gains[first : first + BLOCK]
-            block = torch.zeros(BLOCK, gains.shape[1], device=self.device)
+            block = torch.zeros(BLOCK, gains.shape[1], dtype=torch.float32, device=self.device)
             block[: len(rows)] = rows
             out = torch.from_numpy(sounds[first : first + BLOCK])
             for i, start in enumerate(range(0, self.samples, PIECE)):

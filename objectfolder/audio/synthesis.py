@@ -54,7 +54,7 @@ def sinusoid_bank(
     """
     samples = count_samples(sample_rate, duration)
     heard = audible(damped_frequency, sample_rate)
-    bank = torch.zeros(len(heard), samples, device=heard.device)
+    bank = torch.zeros(len(heard), samples, dtype=torch.float32, device=heard.device)
     modes = damped_frequency[heard], damping[heard]
     bank[heard] = responses(*modes, sample_rate, range(samples), response, contact_time)
     return bank
@@ -127,7 +127,7 @@ def responses(
     time = torch.arange(samples.start, samples.stop, dtype=torch.float64, device=s.device) / sample_rate
     contact = time[time < contact_time]
     turn = 1j if ahead else 1.0
-    bank = torch.empty(len(s), len(samples), device=s.device)
+    bank = torch.empty(len(s), len(samples), dtype=torch.float32, device=s.device)
     if len(contact):
         bank[:, : len(contact)] = half_sine_response(s, contact, contact_time, order, turn).float()
     state = (
@@ -151,7 +151,7 @@ def _ringing(state: torch.Tensor, s: torch.Tensor, start: float, step: float, co
     near = torch.arange(_STRIDE, dtype=torch.float64, device=s.device) * step
     far = start + torch.arange(-(-count // _STRIDE), dtype=torch.float64, device=s.device) * (_STRIDE * step)
     fast, slow = torch.exp(s * near)[:, None, :], (state * torch.exp(s * far))[:, :, None]
-    wave = torch.empty(len(s), far.shape[0], _STRIDE, device=s.device)
+    wave = torch.empty(len(s), far.shape[0], _STRIDE, dtype=torch.float32, device=s.device)
     for out, x, y in zip(wave, fast, slow):  # mode by mode, so that intermediates stay in the cache
         out.copy_(torch.addcmul(x.imag * y.real, x.real, y.imag))
     return wave.flatten(1)[:, :count]

@@ -22,7 +22,7 @@ from objectfolder.benchmarks.datasets.glances import Glances
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.sampling import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import label_order, named_split
-from objectfolder.benchmarks.models.encoders import make_encoder, read_weights, registered
+from objectfolder.benchmarks.models.encoders import check_encoder, read_weights
 from objectfolder.benchmarks.params import RobotParams, TaskParams, robot_params, splits_of, task_params
 from objectfolder.benchmarks.tasks.running import (
     Objects,
@@ -133,7 +133,7 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
     values, path = options.values()
     params = options.task_params(task, values, path)
     weights = None if options.weights is None else read_weights(options.weights)
-    make_encoder(registered(params.encode.encoder), "vision", weights)  # these two fail before any work
+    check_encoder(params.encode, task.encodes, weights)  # these two fail before any work
     device = training_device(options.device)
     sources, folder, cores = load_object_files(options.files), options.folder, options.cores
 
@@ -248,7 +248,7 @@ def run_on_contacts(options: BenchmarkOptions, report: Report, jobs: int = 1) ->
 
     values, path = options.values()
     params = options.task_params(LOCALIZE, values, path)
-    make_encoder(registered(params.encode.encoder), "touch")  # these three fail before any work
+    check_encoder(params.encode, LOCALIZE.encodes)  # these three fail before any work
     contact_split(params.settings.contacts)
     device = training_device(options.device)
     sources, folder = load_object_files(options.files), options.folder

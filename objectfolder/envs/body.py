@@ -168,9 +168,15 @@ def density(file: ObjectFile) -> float:
 
 
 def add_body(
-    spec: mujoco.MjSpec, body: RigidBody, name: str = "object", parent: "mujoco.MjsBody | None" = None
+    spec: mujoco.MjSpec,
+    body: RigidBody,
+    name: str = "object",
+    parent: "mujoco.MjsBody | None" = None,
+    free: bool | None = None,
 ) -> "mujoco.MjsBody":
     """Add an object to a MuJoCo model; the body frame is the object frame.
+
+    The object does not depend on the scene: the scene's default classes do not apply to it.
 
     Parameters
     ----------
@@ -179,17 +185,38 @@ def add_body(
     name : str
         Name of the body and its free joint; geoms and their meshes are ``<name>_hull0``, ...
     parent : mujoco.MjsBody, optional
-        Default: the world. Only children of the world may have a free joint.
+        Default: the world.
+    free : bool, optional
+        Whether the object moves freely, which only children of the world can; else it is fixed to its parent,
+        and moves as that does. Default: whether its parent is the world.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it shall be free, but has another parent, or if the compiler's settings would change its mass or
+        inertia.
     """
-    added = (parent or spec.worldbody).add_body(name=name)
-    added.add_freejoint(name=name)
+    parent = parent or spec.worldbody
+    on_world = parent == spec.worldbody
+    free = on_world if free is None else free
+    if free and not on_world:
+        raise ObjectFolderError(
+            f"{name}: only children of the world move freely, but its parent is {parent.name!r}; leave out "
+            "the parent, or fix it to that with free=False"
+        )
+    _check_compiler(spec, body, name)
+    added = parent.add_body(name=name)
+    if free:
+        added.add_freejoint(name=name).align = mujoco.mjtAlignFree.mjALIGNFREE_FALSE  # keeps the frame
     added.explicitinertial = True
     added.mass, added.ipos = body.mass, body.centre
     added.fullinertia = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    plain = mujoco.MjSpec().default  # MuJoCo's own, instead of the scene's
     for k, hull in enumerate(body.hulls):
         part = f"{name}_hull{k}"
-        spec.add_mesh(name=part, uservert=hull.vertices.ravel(), userface=hull.faces.ravel())
+        spec.add_mesh(plain, name=part, uservert=hull.vertices.ravel(), userface=hull.faces.ravel())
         added.add_geom(
+            plain,
             name=part,
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=part,
@@ -199,11 +226,39 @@ def add_body(
     return added
 
 
+def _check_compiler(spec: mujoco.MjSpec, body: RigidBody, name: str) -> None:
+    """Raise ObjectFolderError if the settings of a spec's compiler would change the body."""
+    settings, least = spec.compiler, float(body.principal()[0][0])
+    wrong = {
+        "inertiafromgeom": settings.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE,
+        "settotalmass": settings.settotalmass > 0,
+        "boundmass": settings.boundmass > body.mass,
+        "boundinertia": settings.boundinertia > least,
+    }
+    for setting, changes in wrong.items():
+        if changes:
+            raise ObjectFolderError(
+                f"{name}: the scene's compiler would change its mass, {body.mass:.4g} kg, or its inertia, "
+                f"{least:.4g} kg m^2 and more: {setting} is {getattr(settings, setting)}; leave it out"
+            )
+
+
 def _moments(file: ObjectFile, surface: trimesh.Trimesh) -> tuple[float, np.ndarray, np.ndarray]:
     """Return volume, centre and inertia (3, 3) at density 1, metres."""
-    if "solid" not in file.header:
-        found = surface.mass_properties
-        return float(found.volume), np.asarray(found.center_mass), np.asarray(found.inertia)
+    if "solid" in file.header:
+        return solid_moments(file)
+    found = surface.mass_properties
+    return float(found.volume), np.asarray(found.center_mass), np.asarray(found.inertia)
+
+
+def solid_moments(file: ObjectFile) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return volume, centre and inertia (3, 3), at density 1, of the solid that a file stores; metres.
+
+    Raises
+    ------
+    ObjectFolderError
+        If no body has the inertia.
+    """
     solid, size = file.header["solid"], file.scale
     xx, yy, zz, xy, xz, yz = solid["inertia"]
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

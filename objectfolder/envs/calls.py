@@ -1,13 +1,14 @@
 """Checks of what an environment gets: its objects, and calls, of which an agent may make any."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from objectfolder.checks import real_array
+from objectfolder.checks import one_of, real_array, whole_number
 from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.materials import material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import file_or_sample
 
@@ -20,12 +21,25 @@ def opened(objects: "ObjectFile | str | Path | Sequence[ObjectFile | str | Path]
     Raises
     ------
     ObjectFolderError
-        If there are none, or one cannot be read.
+        If there are none, one cannot be read, or two have one key.
     """
     given = [objects] if isinstance(objects, str | Path | ObjectFile) else [*objects]
-    if not given:
-        raise ObjectFolderError("expected at least one object")
-    return [object_file(one) for one in given]
+    files = [object_file(one) for one in given]
+    _require_different("object", [file.key for file in files], 1)
+    return files
+
+
+def material_names(materials: str | Sequence[str], least: int = 1) -> list[str]:
+    """Return the names of the materials of an environment. A single one may stand for itself.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are fewer than ``least``, one is unknown, or there is one twice.
+    """
+    names = [material(name).name for name in ([materials] if isinstance(materials, str) else materials)]
+    _require_different("material", names, least)
+    return names
 
 
 def object_file(given: ObjectFile | str | Path) -> ObjectFile:
@@ -33,6 +47,31 @@ def object_file(given: ObjectFile | str | Path) -> ObjectFile:
     if isinstance(given, ObjectFile):
         return given
     return ObjectFile.load(file_or_sample(Path(given)))
+
+
+def checked_render_mode(given: str | None) -> str | None:
+    """Return a render mode: pictures by ray casting, or none.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is another.
+    """
+    return None if given is None else one_of("render_mode", given, ("rgb_array",))
+
+
+def picture_size(given: Any) -> tuple[int, int]:
+    """Return the height and width of pictures.
+
+    Raises
+    ------
+    ObjectFolderError
+        If they are not two whole numbers of at least 1.
+    """
+    sides = [whole_number("resolution", side, 1) for side in (given if isinstance(given, Iterable) else [])]
+    if len(sides) != 2:
+        raise ObjectFolderError(f"resolution is {quoted(given)}, expected height and width, pixels")
+    return sides[0], sides[1]
 
 
 def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -82,3 +121,10 @@ def started(begun: bool) -> None:
     """Raise ObjectFolderError if an environment was not reset before its first step or picture."""
     if not begun:
         raise ObjectFolderError("the environment was not reset; call reset() first")
+
+
+def _require_different(what: str, names: list[str], least: int) -> None:
+    """Raise ObjectFolderError unless there are enough names, and none of them twice."""
+    if len({*names}) < max(least, len(names)):
+        wanted = f"at least {'one' if least == 1 else 'two different'} {what}{'s' * (least > 1)}"
+        raise ObjectFolderError(f"expected {wanted}, and none twice, got {quoted(names)}")

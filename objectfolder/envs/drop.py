@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from objectfolder.audio.synthesis import count_samples
 from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
-from objectfolder.envs.calls import KEPT, no_options, opened, started
+from objectfolder.envs.calls import KEPT, material_names, no_options, opened, started
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import Sounding, require_audible
@@ -42,8 +42,9 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Parameters
     ----------
     objects : sequence of str or ObjectFile
-        Names of samples of the package, or Object Files.
+        Names of samples of the package, or Object Files; of different keys. One may stand for itself.
     materials : sequence of str
+        Different ones, or a single one.
     seconds : float
         Of sound.
     sample_rate : float
@@ -59,16 +60,14 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def __init__(
         self,
-        objects: "Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
-        materials: Sequence[str] = MATERIALS,
+        objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
+        materials: str | Sequence[str] = MATERIALS,
         seconds: float = 0.5,
         sample_rate: float = 48000,
     ):
         self.files = opened(objects)
-        self.materials = [material(name).name for name in materials]
+        self.materials = material_names(materials)
         self._arguments = (self.files, self.materials, seconds, sample_rate)
-        if not self.materials:
-            raise ObjectFolderError("expected at least one material")
         self._rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
         require_audible(self.files, self.materials, SIZES[0], sample_rate)
         self._bodies = [rigid_body(file, [file.to_mesh().convex_hull]) for file in self.files]

@@ -48,9 +48,10 @@ class Episodes:
             return spaces.Box(-CONTRAST, CONTRAST, (size,), np.float32)
         return state
 
-    def begin(self, count: int, rng: np.random.Generator) -> Any:
-        """Start ``count`` new episodes and return their observations."""
-        self.objects, self.hands = self.task.start(count, rng)
+    def begin(self, count: int, *generators: np.random.Generator) -> Any:
+        """Start new episodes, ``count`` with each generator, and return their observations."""
+        begun = [self.task.start(count, rng) for rng in generators]
+        self.objects, self.hands = (np.concatenate(places) for places in zip(*begun))
         self.step = 0
         return self.observe()
 

@@ -51,7 +51,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
     Parameters
     ----------
     objects : sequence of str or ObjectFile
-        Names of samples of the package, or Object Files.
+        Names of samples of the package, or Object Files; of different keys. One may stand for itself.
     noise : float
         Of the hand's position along each axis, m.
     limit : int
@@ -71,7 +71,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
 
     def __init__(
         self,
-        objects: "Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
+        objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
         noise: float = 0.001,
         limit: int = 30,
         sensor: "str | SensorProfile" = "digit",

@@ -1,6 +1,6 @@
 """Touch in a running MuJoCo simulation: sites on fingers become tactile sensors."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -12,10 +12,10 @@ from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import (
     DIVERGED,
     Objects,
-    body_number,
     check_extent,
     check_poses,
-    named_objects,
+    placed_objects,
+    require_compiled,
 )
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
@@ -80,7 +80,7 @@ class Feeling:
     ------
     ObjectFolderError
         If the scene lacks a site or a body, an object has another size there, or the gel is rigid. `feel`
-        raises it if a pose is not finite.
+        raises it if a pose is not finite, or data are of another model.
 
     Examples
     --------
@@ -96,6 +96,7 @@ class Feeling:
         objects: Objects,
         sensor: "str | SensorProfile" = "digit",
     ):
+        require_compiled(model)
         self.profile = load_profile(sensor)
         if self.profile.gel == "rigid":
             raise ObjectFolderError(
@@ -103,12 +104,12 @@ class Feeling:
                 "with gel: soft"
             )
         self._model, self._optics = model, Optics(self.profile)
-        self._sites = [_site(model, name) for name in ([pads] if isinstance(pads, str) else pads)]
+        self._sites = [_site(model, name) for name in pad_names(pads)]
         if not self._sites:
             raise ObjectFolderError("pads is empty: expected the names of sites on fingers")
         self._files: dict[int, ObjectFile] = {}
         self._friction: dict[int, float] = {}
-        for name, one in named_objects(objects).items():
+        for body, name, one in placed_objects(model, objects):
             if one.scale not in (None, one.file.scale):
                 raise ObjectFolderError(
                     f"body {name!r}: touch needs the object's own size, {one.file.scale:g} m, but it has "
@@ -116,7 +117,6 @@ class Feeling:
                 )
             advice = "touch needs the object's own size: build the object with that of the scene"
             check_extent(model, name, one.file, one.file.scale, advice)
-            body = body_number(model, name)
             self._files[body], self._friction[body] = one.file, friction_of(one.made_of)
         profile = self.profile
         self._coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
@@ -261,6 +261,21 @@ class Feeling:
             sideways = shear_contacts(pressed.pressure, level * along, 0 * size, friction, self._coarse).force
             borne[:, k] = (sideways * along).sum(1)
         return np.where(size > 1e-6, _interpolated(size, borne, levels), 0.0)[:, None] * along
+
+
+def pad_names(pads: object) -> list[str]:
+    """Return the names of pads; a single one may stand for itself.
+
+    Raises
+    ------
+    ObjectFolderError
+        If they are no names.
+    """
+    given = [pads] if isinstance(pads, str) else [*pads] if isinstance(pads, Iterable) else [None]
+    names = [name for name in given if isinstance(name, str)]
+    if len(names) < len(given):
+        raise ObjectFolderError(f"pads is {quoted(pads)}, expected the names of sites on fingers")
+    return names
 
 
 def model_body(model: mujoco.MjModel, site: int) -> int:

@@ -5,6 +5,7 @@ again; the action moves the hand. After the second step the jaws close, and the 
 if the object is held. Where the open gripper would collide with the object, the grasp fails.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,18 @@ from gymnasium import spaces
 
 from objectfolder.checks import one_of, whole_number
 from objectfolder.envs.body import Hulls
-from objectfolder.envs.calls import KEPT, finite_actions, no_options, object_file, started
+from objectfolder.envs.calls import (
+    KEPT,
+    checked_render_mode,
+    finite_actions,
+    no_options,
+    object_file,
+    started,
+)
 from objectfolder.envs.episodes import OBSERVATIONS, Episodes
 from objectfolder.envs.features import FeatureFunction
 from objectfolder.envs.grasp_task import STEPS, GraspTask, make_task
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
 
 
@@ -64,11 +72,11 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         render_mode: str | None = None,
     ):
         self._arguments = (file, observation, hulls, render_mode)
+        self.render_mode = checked_render_mode(render_mode)
         one_of("observation", observation, OBSERVATIONS)  # before hulls are computed
         self._episodes = Episodes(make_task(object_file(file), hulls), observation)
         self.observation_space = self._episodes.space()
         self.action_space = spaces.Box(-1, 1, (4,), np.float32)
-        self.render_mode = render_mode
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -121,14 +129,19 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         Used instead of ``file`` and ``hulls``.
     features : callable, optional
         Replaces queries of the Object File; a `objectfolder.envs.features.TouchBank` is fast.
+    render_mode : {None, "rgb_array"}
 
     Raises
     ------
     ObjectFolderError
-        As `GraspEnv`, or if neither a file nor a task is given.
+        As `GraspEnv`, or if neither a file nor a task is given, or a reset has another number of seeds.
     """
 
-    metadata = {"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP}  # noqa: RUF012
+    metadata = {  # noqa: RUF012
+        "autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP,
+        "render_modes": ["rgb_array"],
+        "render_fps": 2,
+    }
 
     def __init__(
         self,
@@ -138,13 +151,16 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         hulls: Hulls = None,
         task: GraspTask | None = None,
         features: FeatureFunction | None = None,
+        render_mode: str | None = None,
     ):
+        self.render_mode = checked_render_mode(render_mode)
         one_of("observation", observation, OBSERVATIONS)
         if task is None:
             if file is None:
                 raise ObjectFolderError("Grasp-v0 needs an Object File: file=...")
             task = make_task(object_file(file), hulls)
         self.num_envs = whole_number("num_envs", num_envs, 1)
+        self._generators: list[np.random.Generator] = []  #: one for each environment, or none
         self._episodes = Episodes(task, observation, features)
         self.single_observation_space = self._episodes.space()
         self.single_action_space = spaces.Box(-1, 1, (4,), np.float32)
@@ -154,10 +170,23 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start all episodes anew; one seed serves all of them."""
+        """Start all episodes anew.
+
+        Parameters
+        ----------
+        seed : int or list of int or None, optional
+            One of all environments, whose generator serves them all; or one for each, which then draws what
+            `GraspEnv` draws with that seed. None leaves generators as they are.
+        options : dict, optional
+            There are none.
+        """
         no_options(options)
-        super().reset(seed=seed[0] if isinstance(seed, list) else seed)
-        return self._episodes.begin(self.num_envs, self.np_random), {}
+        if isinstance(seed, list | tuple | np.ndarray):
+            self._generators = self._seeded([*seed])
+        elif seed is not None:
+            super().reset(seed=whole_number("seed", seed))
+            self._generators = []
+        return self._begin(), {}
 
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Move all hands; after the last step grasp, and start anew."""
@@ -171,8 +200,31 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
             success = {"success": rewards > 0, "_success": ended}
             info = {"final_obs": last, "_final_obs": ended, "final_info": success, "_final_info": ended}
             info |= success
-            observed = self._episodes.begin(self.num_envs, self.np_random)
+            observed = self._begin()
         return observed, rewards, ended, np.zeros(self.num_envs, bool), info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Return the external camera's pictures, (256, 256, 3) uint8; None without ``render_mode``."""
+        if self.render_mode is None:
+            return None
+        started(len(self._episodes.hands) > 0)
+        return tuple(self._episodes.picture(row) for row in range(self.num_envs))
+
+    def _begin(self) -> Any:
+        if self._generators:
+            return self._episodes.begin(1, *self._generators)
+        return self._episodes.begin(self.num_envs, self.np_random)
+
+    def _seeded(self, seeds: Sequence[int | None]) -> list[np.random.Generator]:
+        """Return a generator for each environment; without a seed, it keeps the one that it has."""
+        if len(seeds) != self.num_envs:
+            raise ObjectFolderError(
+                f"seed is {quoted(seeds)}, expected one, or one for each of {self.num_envs} environments"
+            )
+        numbers = [None if seed is None else whole_number("seed", seed) for seed in seeds]
+        new = [gymnasium.utils.seeding.np_random(number)[0] for number in numbers]
+        kept = self._generators or new
+        return [new[k] if seeds[k] is not None else kept[k] for k in range(self.num_envs)]
 
 
 def _first(observation: Any) -> Any:

@@ -13,7 +13,7 @@ from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import real_array, whole_number
 from objectfolder.envs.impacts import ContactReader, Impact, Load
-from objectfolder.envs.sounding import Objects, body_number, check_body, check_poses, named_objects
+from objectfolder.envs.sounding import Objects, check_body, check_poses, placed_objects, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material, material
 from objectfolder.objectfile.voice import Voice
@@ -86,9 +86,10 @@ class Hearing:
     Raises
     ------
     ObjectFolderError
-        If the scene lacks an object, or has it in another size or material; if there is not one listener; if
-        the time step is longer than the contacts or `LONGEST_STEP`; if a body's modes are all above half the
-        sample rate. `hear` raises it if the simulation was reset or jumped, or its state is not finite.
+        If the scene lacks an object, or has it in another size or material, or one body for two; if the model
+        is not compiled; if there is not one listener; if the time step is longer than the contacts or
+        `LONGEST_STEP`; if a body's modes are all above half the sample rate. `hear` raises it if the
+        simulation was reset or jumped, its state is not finite, or the data are of another model.
 
     Examples
     --------
@@ -105,6 +106,7 @@ class Hearing:
         surroundings: str | Material = "wood",
         seed: int = 0,
     ):
+        require_compiled(model)
         self.sample_rate = checked_sample_rate(sample_rate)
         self._model, self._seed = model, whole_number("seed", seed)
         self._step = float(model.opt.timestep)
@@ -114,8 +116,7 @@ class Hearing:
         self._surroundings = stuff
         longest = math.ceil(self.sample_rate * self._step) + 1
         self._bodies: dict[int, _Body] = {}
-        for name, one in named_objects(objects).items():
-            number = body_number(model, name)
+        for number, name, one in placed_objects(model, objects):
             voice = one.file.voice(self.sample_rate, one.material, one.scale)
             check_body(model, name, one, voice)
             stream = ModalStream(voice.poles, self.sample_rate, longest, voice.accelerated)

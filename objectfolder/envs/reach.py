@@ -12,8 +12,16 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
+from objectfolder.checks import whole_number
 from objectfolder.envs.body import Hulls, RigidBody, as_rigid_body
-from objectfolder.envs.calls import KEPT, finite_actions, no_options, started
+from objectfolder.envs.calls import (
+    KEPT,
+    checked_render_mode,
+    finite_actions,
+    no_options,
+    picture_size,
+    started,
+)
 from objectfolder.envs.drawing import draw_model, view_frame, view_rays
 from objectfolder.envs.reach_scene import (
     GOAL_HIGH,
@@ -23,7 +31,6 @@ from objectfolder.envs.reach_scene import (
     lowest_point,
     reach_scene,
 )
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
 SUBSTEPS = 5  #: simulation steps per control step
@@ -103,15 +110,12 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         resolution: tuple[int, int] = (180, 240),
     ):
-        if horizon < 1:
-            raise ObjectFolderError(f"horizon is {horizon}, expected 1 or more control steps")
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ObjectFolderError(f"render_mode {render_mode!r} is unknown, expected rgb_array or None")
+        self.horizon, self.render_mode = whole_number("horizon", horizon, 1), checked_render_mode(render_mode)
+        self.resolution = picture_size(resolution)
         body = as_rigid_body(file, hulls)
         self._arguments = (file, hulls, horizon, render_mode, resolution)
         self.model = reach_scene(body)
         self.data = mujoco.MjData(self.model)
-        self.horizon, self.render_mode, self.resolution = horizon, render_mode, resolution
         self._height = -lowest_point(body)  # of the origin of the object on the table
         self._hand = [self.model.joint(f"hand_{axis}").qposadr[0] for axis in "xyz"]
         self._fingers = [self.model.joint(f"finger_{side}").qposadr[0] for side in ("right", "left")]

@@ -10,16 +10,17 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.checks import finite_number
-from objectfolder.envs.feeling import Feeling
+from objectfolder.envs.feeling import Feeling, pad_names
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.sounding import Objects, named_objects
 from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.profiles import SensorProfile
 
 UNHEARD = 1e-6  # s, by which simulation and hearing differ by rounding
 LOUDEST = 1000.0  #: greatest sound pressure that is observed, Pa
 
 
-class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any]):
+class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
     """Adds ``audio`` and ``touch`` to the observations of an environment.
 
     The observation is a dict: the environment's own entries, or its observation as ``observation``;
@@ -44,12 +45,14 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any]):
         Hz.
     sensor : str or SensorProfile
         Of the pads.
+    audio, touch : str
+        Names of the entries. Two ears are two wrappers, around each other, with a name each.
 
     Raises
     ------
     ObjectFolderError
-        If the environment has no model and data, there is neither a listener nor a pad, or an argument is
-        wrong.
+        If the environment has no model and data, or an entry of the same name, there is neither a listener
+        nor a pad, or an argument is wrong.
 
     Examples
     --------
@@ -67,8 +70,15 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any]):
         pads: Sequence[str] = (),
         seconds: float = 0.1,
         sample_rate: float = 48000,
-        sensor: str = "digit",
+        sensor: "str | SensorProfile" = "digit",
+        audio: str = "audio",
+        touch: str = "touch",
     ):
+        objects, pads = named_objects(objects), pad_names(pads)
+        gymnasium.utils.RecordConstructorArgs.__init__(
+            self, objects=objects, listener=listener, pads=pads, seconds=seconds, sample_rate=sample_rate,
+            sensor=sensor, audio=audio, touch=touch, _disable_deepcopy=True,
+        )  # fmt: skip
         super().__init__(env)
         inner = env.unwrapped
         if not isinstance(getattr(inner, "model", None), mujoco.MjModel) or not hasattr(inner, "data"):
@@ -76,27 +86,33 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any]):
                 f"{type(inner).__name__} has no model and data of MuJoCo; expected an environment that has, "
                 "as those of gymnasium's MuJoCo and of objectfolder.envs"
             )
-        if listener is None and not len(pads):
+        if listener is None and not pads:
             raise ObjectFolderError(
                 "there is neither a listener nor a pad: give the name of a site to either"
             )
-        model, objects = inner.model, named_objects(objects)  # type: ignore[attr-defined]
-        pads = [pads] if isinstance(pads, str) else [*pads]
+        model = inner.model  # type: ignore[attr-defined]
         self._hearing = None if listener is None else Hearing(model, objects, listener, sample_rate)
-        self._feeling = Feeling(model, pads, objects, sensor) if len(pads) else None
+        self._feeling = Feeling(model, pads, objects, sensor) if pads else None
+        self._audio, self._touch = audio, touch
         samples = round(finite_number("seconds", seconds) * sample_rate)
         if samples < 1:
             raise ObjectFolderError(f"seconds is {seconds!r}, expected at least one sample of sound")
         self._sound = np.zeros(samples, np.float32)
-        added: dict[str, spaces.Space[Any]] = {}
+        added: list[tuple[str, spaces.Space[Any]]] = []
         if self._hearing:
-            added["audio"] = spaces.Box(-LOUDEST, LOUDEST, (samples,), np.float32)
+            added.append((audio, spaces.Box(-LOUDEST, LOUDEST, (samples,), np.float32)))
         if self._feeling:
-            profile = self._feeling.profile
-            added["touch"] = spaces.Box(0, 255, (len(pads), profile.height, profile.width, 3), np.uint8)
+            shape = (len(pads), self._feeling.profile.height, self._feeling.profile.width, 3)
+            added.append((touch, spaces.Box(0, 255, shape, np.uint8)))
         own = env.observation_space
-        known = own.spaces if isinstance(own, spaces.Dict) else {"observation": own}
-        self.observation_space = spaces.Dict({**known, **added})
+        entries = {**own.spaces} if isinstance(own, spaces.Dict) else {"observation": own}
+        for name, space in added:
+            if name in entries:
+                raise ObjectFolderError(
+                    f"the observation has an entry {name!r} already; give another name by audio= or touch="
+                )
+            entries[name] = space
+        self.observation_space = spaces.Dict(entries)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -126,9 +142,9 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any]):
     def _sensed(self, observation: Any) -> dict[str, Any]:
         seen = dict(observation) if isinstance(observation, dict) else {"observation": observation}
         if self._hearing:
-            seen["audio"] = self._sound.clip(-LOUDEST, LOUDEST)
+            seen[self._audio] = self._sound.clip(-LOUDEST, LOUDEST)
         if self._feeling:
-            seen["touch"] = self._feeling.feel(self._data).images
+            seen[self._touch] = self._feeling.feel(self._data).images
         return seen
 
     @contextmanager

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import scipy.linalg
 
 from objectfolder.audio.tuning import HEARING_HZ
+from objectfolder.envs.body import solid_moments
 from objectfolder.envs.poses import rotation
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material
@@ -16,7 +18,8 @@ from objectfolder.objectfile.voice import Voice
 
 #: Why a pose is not finite, and what to do.
 DIVERGED = "the simulation has diverged; use a shorter time step or softer contacts"
-_MASS, _SIZE = 0.1, 0.15  # relative differences of mass and size at which a body is another one
+#: Relative differences of mass, size and moments of inertia at which a body is another one.
+_MASS, _SIZE, _INERTIA = 0.1, 0.15, 0.3
 
 
 @dataclass(frozen=True)
@@ -43,10 +46,15 @@ def named_objects(objects: Objects) -> dict[str, Sounding]:
     Raises
     ------
     ObjectFolderError
-        If there are none, or one is neither an ObjectFile nor a Sounding, or two have one key.
+        If there are none, or one is neither an ObjectFile nor a Sounding, or two have one key, or a name is
+        no text.
     """
     if isinstance(objects, ObjectFile):
         objects = [objects]
+    if isinstance(objects, str) or not isinstance(objects, Iterable):
+        raise ObjectFolderError(
+            f"objects is {quoted(objects)}, expected Object Files, or a mapping from names of bodies to them"
+        )
     items = [*objects.items()] if isinstance(objects, Mapping) else [
         (getattr(one, "key", str(one)), one) for one in objects
     ]  # fmt: skip
@@ -58,6 +66,8 @@ def named_objects(objects: Objects) -> dict[str, Sounding]:
             raise ObjectFolderError(
                 f"objects: two have the key {name!r}; give a mapping from the names of their bodies"
             )
+        if not isinstance(name, str):
+            raise ObjectFolderError(f"objects: {quoted(name)} is no name of a body, expected a text")
         if not isinstance(one, ObjectFile | Sounding):
             raise ObjectFolderError(
                 f"objects: {quoted(name)} is of type {type(one).__name__}, expected an ObjectFile or "
@@ -65,6 +75,35 @@ def named_objects(objects: Objects) -> dict[str, Sounding]:
             )
         found[name] = one if isinstance(one, Sounding) else Sounding(one)
     return found
+
+
+def placed_objects(model: mujoco.MjModel, objects: Objects) -> list[tuple[int, str, Sounding]]:
+    """Return the numbers of the bodies of objects, their names, and the objects.
+
+    Raises
+    ------
+    ObjectFolderError
+        As `named_objects` and `body_number`, or if two objects have one body.
+    """
+    found: dict[int, tuple[int, str, Sounding]] = {}
+    for name, one in named_objects(objects).items():
+        number = body_number(model, name)
+        if number in found:
+            raise ObjectFolderError(
+                f"objects: {found[number][1]!r} and {name!r} are both body {model.body(number).name!r}; give "
+                "one object for each body"
+            )
+        found[number] = number, name, one
+    return [*found.values()]
+
+
+def require_compiled(model: object) -> None:
+    """Raise ObjectFolderError unless a model is compiled."""
+    if not isinstance(model, mujoco.MjModel):
+        raise ObjectFolderError(
+            f"model is of type {type(model).__name__}, expected a mujoco.MjModel; of an MjSpec, that is what "
+            "spec.compile() returns"
+        )
 
 
 def body_number(model: mujoco.MjModel, name: str) -> int:
@@ -117,7 +156,7 @@ def require_audible(
 
 
 def check_body(model: mujoco.MjModel, name: str, one: Sounding, voice: Voice) -> None:
-    """Raise ObjectFolderError if a body is not of the mass and size that its object says."""
+    """Raise ObjectFolderError if a body is not of the mass, inertia and size that its object says."""
     body = body_number(model, name)
     advice = (
         "give Sounding(file, material=..., scale=...) with what the body is, or add the object again with "
@@ -129,6 +168,19 @@ def check_body(model: mujoco.MjModel, name: str, one: Sounding, voice: Voice) ->
             f"body {name!r} weighs {mass:.4g} kg in the scene, but {one.file.key} of {voice.material.name} "
             f"and {voice.scale:.4g} m weighs {voice.mass:.4g} kg; {advice}"
         )
+    if "solid" in one.file.header:  # since format 1.1
+        ratio = voice.scale / one.file.scale
+        expected = voice.material.density * ratio**5 * solid_moments(one.file)[2]
+        axes = rotation(model.body_iquat[body])
+        found = axes * model.body_inertia[body] @ axes.T
+        times = scipy.linalg.eigvalsh(found, expected)  # of the object's own, about the axes that differ most
+        if times[-1] > 1 + _INERTIA or times[0] < 1 / (1 + _INERTIA):
+            raise ObjectFolderError(
+                f"body {name!r} has {times[0]:.3g} to {times[-1]:.3g} times the moments of inertia of "
+                f"{one.file.key} of {voice.material.name} and {voice.scale:.4g} m in the scene; do without "
+                "settings of the compiler that change them, such as boundinertia, inertiafromgeom or "
+                f"alignfree, or {advice}"
+            )
     check_extent(model, name, one.file, voice.scale, advice)
 
 
@@ -147,7 +199,12 @@ def check_extent(model: mujoco.MjModel, name: str, file: ObjectFile, scale: floa
 
 
 def check_poses(model: mujoco.MjModel, data: mujoco.MjData, bodies: Iterable[int]) -> None:
-    """Raise ObjectFolderError if the pose of a body is not finite."""
+    """Raise ObjectFolderError if data are of another model, or the pose of a body is not finite."""
+    if len(data.qpos) != model.nq or len(data.xpos) != model.nbody:
+        raise ObjectFolderError(
+            f"the data are of another model: they have {len(data.xpos)} bodies and {len(data.qpos)} "
+            f"positions, and the model {model.nbody} and {model.nq}; give those of mujoco.MjData(model)"
+        )
     for body in bodies:
         if not (np.isfinite(data.xpos[body]).all() and np.isfinite(data.xquat[body]).all()):
             raise ObjectFolderError(

@@ -11,11 +11,10 @@ from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.audio.stream import ModalStream, Pulse
 from objectfolder.audio.synthesis import count_samples
 from objectfolder.checks import whole_number
-from objectfolder.envs.calls import KEPT, discrete_action, no_options, opened, started
+from objectfolder.envs.calls import KEPT, discrete_action, material_names, no_options, opened, started
 from objectfolder.envs.drop import LOUDEST, MATERIALS, SIZES
 from objectfolder.envs.sounding import require_audible
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.voice import Voice
 
@@ -43,9 +42,9 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
     Parameters
     ----------
     objects : sequence of str or ObjectFile
-        Names of samples of the package, or Object Files.
+        Names of samples of the package, or Object Files; of different keys. One may stand for itself.
     materials : sequence of str
-        At least two.
+        At least two different ones.
     count : int
         Objects in the row, at least 3.
     seconds : float
@@ -70,7 +69,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
 
     def __init__(
         self,
-        objects: "Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
+        objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
         materials: Sequence[str] = MATERIALS,
         count: int = 4,
         seconds: float = 0.2,
@@ -78,9 +77,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         limit: int = 20,
     ):
         self.files = opened(objects)
-        self.materials = [material(name).name for name in materials]
-        if len(set(self.materials)) < max(2, len(self.materials)):
-            raise ObjectFolderError(f"expected at least two different materials, got {self.materials}")
+        self.materials = material_names(materials, 2)
         self.count, self.limit = whole_number("count", count), whole_number("limit", limit)
         if self.count < 3 or self.limit < 1:
             raise ObjectFolderError(

@@ -5,27 +5,30 @@ body reach past it, and how fast they slide. It knows no gel; `ObjectFile.touch`
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import trimesh
 
 from objectfolder.checks import whole_number
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.touch.camera import gel_depth
-from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.profiles import SensorProfile, load_profile
 
 ROWS, COLUMNS = 16, 12  #: default taxels of a pad: 192
 CHANNELS = 3  #: depth, and speed of sliding along the two tangents of the gel
-_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+_MESH, _TACTILE = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtSensor.mjSENS_TACTILE)
 
 
-def taxel_mesh(profile: SensorProfile, rows: int = ROWS, columns: int = COLUMNS) -> trimesh.Trimesh:
+def taxel_mesh(
+    profile: str | Path | SensorProfile, rows: int = ROWS, columns: int = COLUMNS
+) -> trimesh.Trimesh:
     """Return the undeformed gel of a sensor with a vertex at the centre of each taxel.
 
     Parameters
     ----------
-    profile : SensorProfile
+    profile : str, Path or SensorProfile
     rows, columns : int
         Taxels along the height and the width of the sensor's image; at least 2.
 
@@ -38,8 +41,9 @@ def taxel_mesh(profile: SensorProfile, rows: int = ROWS, columns: int = COLUMNS)
     Raises
     ------
     ObjectFolderError
-        If a number of taxels is less than 2.
+        If a number of taxels is less than 2, or there is no such sensor.
     """
+    profile = load_profile(profile)
     rows, columns = whole_number("taxels: rows", rows, 2), whole_number("taxels: columns", columns, 2)
     vertical, horizontal = profile.half_extent
     z = (1 - (np.arange(rows) + 0.5) * 2 / rows) * vertical
@@ -59,7 +63,7 @@ def taxel_mesh(profile: SensorProfile, rows: int = ROWS, columns: int = COLUMNS)
 def add_taxels(
     spec: mujoco.MjSpec,
     body: str,
-    profile: SensorProfile,
+    profile: str | Path | SensorProfile,
     rows: int = ROWS,
     columns: int = COLUMNS,
     pos: Sequence[float] = (0.0, 0.0, 0.0),
@@ -78,7 +82,7 @@ def add_taxels(
         With all objects that the taxels may touch, such as those of `objectfolder.envs.body.add_body`.
     body : str
         Of the finger.
-    profile : SensorProfile
+    profile : str, Path or SensorProfile
         Gives the shape of the gel.
     rows, columns : int
         As in `taxel_mesh`.
@@ -92,7 +96,7 @@ def add_taxels(
     Raises
     ------
     ObjectFolderError
-        If there is no such body, or the name is taken.
+        If there is no such body or sensor, or the name is taken.
     """
     found = spec.body(body)
     if found is None:
@@ -106,7 +110,9 @@ def add_taxels(
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     # Without two tangents after each normal, the sensor reads no speeds.
     frames = np.stack([outward, right, np.cross(right, outward)], axis=1)
+    plain = mujoco.MjSpec().default  # MuJoCo's own, instead of the scene's
     spec.add_mesh(
+        plain,
         name=name,
         uservert=mesh.vertices.ravel(),
         userface=mesh.faces.ravel(),
@@ -115,7 +121,7 @@ def add_taxels(
     )
     alone = {"contype": 0, "conaffinity": 0, "density": 0}
     found.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=pos, quat=quat, group=3, **alone
+        plain, name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=pos, quat=quat, group=3, **alone
     )
     spec.add_sensor(
         name=name,
@@ -133,12 +139,35 @@ def add_taxels(
 
 
 def read_taxels(
-    model: mujoco.MjModel, data: mujoco.MjData, columns: int = COLUMNS, name: str = "taxels"
+    model: mujoco.MjModel, data: mujoco.MjData, columns: int | None = None, name: str = "taxels"
 ) -> np.ndarray:
     """Return what the taxels of `add_taxels` read; (3, rows, columns) float64.
 
     Depth past each taxel, metres, zero without a contact; and the speeds of sliding along the gel, towards
     image right and up, without sign, m/s.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+    data : mujoco.MjData
+    columns : int, optional
+        Of the taxels, which the model knows: another number is an error.
+    name : str
+        Of the sensor.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the model has no such taxels, or another number of columns.
     """
-    values: np.ndarray = data.sensor(name).data
-    return values.reshape(CHANNELS, -1, columns).copy()
+    sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
+    if sensor < 0 or model.sensor_type[sensor] != _TACTILE:
+        known = [model.sensor(i).name for i in np.flatnonzero(model.sensor_type == _TACTILE)]
+        raise ObjectFolderError(f"the model has no taxels {name!r}, but {quoted(known)}")
+    # The first triangle of `taxel_mesh` is of taxels 0 and 1, and the first one of the second row.
+    found = int(model.mesh_face[model.mesh_faceadr[model.sensor_objid[sensor]]].max())
+    if columns not in (None, found):
+        raise ObjectFolderError(f"columns is {quoted(columns)}, but the taxels {name!r} have {found}")
+    start = model.sensor_adr[sensor]
+    values: np.ndarray = data.sensordata[start : start + model.sensor_dim[sensor]]
+    return values.reshape(CHANNELS, -1, found).copy()

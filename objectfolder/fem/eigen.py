@@ -104,8 +104,8 @@ class FreeVibration:
         if below is not None and int((values < limit).sum()) < wanted(values):
             raise ObjectFolderError(
                 f"{name}: inertia counts at least {wanted(values)} modes below {max_frequency:g} Hz, the "
-                f"solver found {int((values < limit).sum())}; perturb the object's symmetry slightly, or report "
-                "this mesh"
+                f"solver found {int((values < limit).sum())}; perturb the object's symmetry slightly, or "
+                "report this mesh"
             )
         alone = np.einsum("i,ij,ij->j", fem.stiffness.diagonal(), vectors, vectors)
         loose = int((values < LOOSE * alone).sum())

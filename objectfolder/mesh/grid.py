@@ -10,7 +10,8 @@ import torch.nn.functional as F
 from objectfolder.mesh.featurecodec import Features
 from objectfolder.mesh.gridcodec import BOUND
 
-_TETRAHEDRON = torch.tensor([[1.0, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]])  # its corners
+#: Corners of a tetrahedron; not of `torch.tensor`, which obeys torch's defaults at the time of import.
+_TETRAHEDRON = torch.from_numpy(np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]], np.float32))
 
 
 class DistanceGrid:

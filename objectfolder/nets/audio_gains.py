@@ -16,6 +16,7 @@ import torch
 from torch import nn
 
 from objectfolder.nets import int8
+from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.nets.siren import Siren
 from objectfolder.nets.spline import SplineGrid
 
@@ -134,9 +135,9 @@ class GainsNet(nn.Module):
             raise ValueError(f"modes of shapes {', '.join(str(tuple(x.shape)) for x in modes)}")
         if (modes[0] <= 0).any() or (modes[1] < 0).any():
             raise ValueError("modes have frequencies that are not positive, or negative damping")
-        net = cls(state["damped_frequency"], state["damping"], state["amplitude"], used, **config)
-        net.load_state_dict(state)
-        return net.eval()
+        with UNFILLED:
+            net = cls(state["damped_frequency"], state["damping"], state["amplitude"], used, **config)
+        return filled(net, state)
 
 
 def energy_weights(damped_frequency: np.ndarray, damping: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 from scipy.sparse import csc_array
 from torch import nn
+from torch.autograd.function import once_differentiable
 
 from objectfolder.nets import int8
 from objectfolder.nets.audio_config import GainsConfig
@@ -38,6 +39,7 @@ class WeightedRows(torch.autograd.Function):
         return F.embedding_bag(rows, table, per_sample_weights=weights, mode="sum")
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None]:
         """Return the gradient of the table, (T, C)."""
         rows, weights = ctx.saved_tensors

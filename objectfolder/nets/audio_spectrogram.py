@@ -12,6 +12,7 @@ import torch
 from torch import nn
 
 from objectfolder.audio.spectrogram import SHAPE
+from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
 
 
@@ -93,12 +94,12 @@ class SpectrogramNet(nn.Module):
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SpectrogramNet":
         """Invert `to_tensors`."""
         state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
-        net = cls(state["damped_frequency"], state["range"], **config)
-        net.load_state_dict(state)
-        return net.eval()
+        with UNFILLED:
+            net = cls(state["damped_frequency"], state["range"], **config)
+        return filled(net, state)
 
 
 def _coordinates(device: torch.device) -> torch.Tensor:
     """Return the frequency and time of every bin, each from -1 to 1; (bins, 2)."""
-    axes = [torch.linspace(-1, 1, size, device=device) for size in SHAPE]
+    axes = [torch.linspace(-1, 1, size, dtype=torch.float32, device=device) for size in SHAPE]
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).flatten(0, 1)

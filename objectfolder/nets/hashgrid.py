@@ -13,6 +13,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import nn
+from torch.autograd.function import once_differentiable
 
 _PRIMES = (1, 2654435761 - 2**32, 805459861)  # as int32: only the lower 32 bits of a product are used
 
@@ -108,8 +109,8 @@ class HashGrid(nn.Module):
         if len(raw) != size:
             raise ValueError(f"{len(raw)} values in the table of a hash grid, expected {size}")
         whole = torch.from_numpy(np.frombuffer(raw, np.int8).astype(np.float32)).view(self.table.shape)
-        per_row = torch.from_numpy(np.array(factors)).repeat_interleave(torch.tensor(np.diff(self.offsets)))
-        return whole * per_row[:, None]
+        rows = torch.from_numpy(np.diff(self.offsets))
+        return whole * torch.from_numpy(np.array(factors)).repeat_interleave(rows)[:, None]
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Evaluate features at (N, 3) points; (N, levels * features)."""
@@ -124,6 +125,7 @@ class _SparseLookup(torch.autograd.Function):
         return F.embedding_bag(rows.view(-1, 8), table, mode="sum", per_sample_weights=weights.view(-1, 8))
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None]:
         rows, weights = ctx.saved_tensors
         product = transposed_product if rows.is_cpu else scattered_product

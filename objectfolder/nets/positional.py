@@ -14,7 +14,8 @@ SKIP = 4  # the input is concatenated to the output of this layer (Mildenhall et
 
 def octave_angles(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> torch.Tensor:
     """Compute 2^k lowest x, k = 0 ... octaves - 1; (N, D) to (N, D octaves), with k running fastest."""
-    return (x[:, :, None] * (lowest * 2.0 ** torch.arange(octaves, device=x.device))).flatten(1)
+    powers = 2.0 ** torch.arange(octaves, dtype=x.dtype, device=x.device)
+    return (x[:, :, None] * (lowest * powers)).flatten(1)
 
 
 def encoded(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> torch.Tensor:

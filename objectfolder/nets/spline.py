@@ -4,7 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-_OFFSETS = torch.arange(3)
+_OFFSETS = torch.arange(3, device="cpu")
 
 
 class SplineGrid(nn.Module):

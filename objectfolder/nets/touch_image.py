@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
 
 
@@ -79,12 +80,13 @@ class ImageTouch(nn.Module):
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ImageTouch":
         """Invert `to_tensors`."""
-        net = cls(**config)
-        net.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in tensors.items()})
-        return net.eval()
+        state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
+        with UNFILLED:
+            net = cls(**config)
+        return filled(net, state)
 
 
 def _places(image_size: tuple[int, int], device: torch.device) -> torch.Tensor:
     """Return the column and row of every pixel, each from -1 to 1; (H W, 2)."""
-    rows, columns = (torch.linspace(-1, 1, size, device=device) for size in image_size)
+    rows, columns = (torch.linspace(-1, 1, size, dtype=torch.float32, device=device) for size in image_size)
     return torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1).flatten(0, 1)

@@ -13,6 +13,7 @@ from torch import nn
 
 from objectfolder.mesh.grid import ascent
 from objectfolder.mesh.gridcodec import BOUND
+from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.nets.positional import HiddenLinear, SkipNetwork, encoded, with_half_weights
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture
@@ -227,7 +228,8 @@ class OsfNet(nn.Module):
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "OsfNet":
         """Invert `to_tensors`."""
-        net = cls(**config)
+        with UNFILLED:
+            net = cls(**config)
         state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
         if net.hull is not None:
             cells = net.hull.numel()
@@ -235,8 +237,7 @@ class OsfNet(nn.Module):
                 raise ValueError(f"hull has shape {tensors['hull'].shape}, expected bits of {cells} cells")
             bits = np.unpackbits(tensors["hull"], count=cells).astype(bool)
             state["hull"] = torch.from_numpy(bits).view_as(net.hull)
-        net.load_state_dict(state)
-        return net.eval()
+        return filled(net, state)
 
 
 def _radiance(

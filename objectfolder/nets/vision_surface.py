@@ -20,6 +20,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.hashgrid import HashGrid
+from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.vision.bsdf import fresnel, principled
 from objectfolder.vision.lighting import toward
 from objectfolder.vision.radiosity import Radiosity
@@ -197,7 +198,9 @@ class SurfaceNet(nn.Module):
         """Evaluate the net of indirect light, (S, 12); parameters are those of `indirect`."""
         return column_major(self.bounced(concatenate([inputs.features, transport], 1)))
 
-    def shader(self, surface: Isosurface, device: torch.device | str = "cpu") -> Shader:
+    def shader(
+        self, surface: Isosurface, device: torch.device | str = "cpu", baked: "Baked | None" = None
+    ) -> Shader:
         """Return a function that shades samples of one surface.
 
         Indirect light is smooth: samples of one pixel share it, and those of a square of pixels share the
@@ -208,9 +211,11 @@ class SurfaceNet(nn.Module):
         surface : Isosurface
         device : torch.device or str
             Device for shading. Rays are cast and the surface is baked on the CPU.
+        baked : Baked, optional
+            What `bake` has returned, if it is there already.
         """
         net = copy.deepcopy(self).cpu()
-        baked = net.bake(surface).to(device)
+        baked = (net.bake(surface) if baked is None else baked).to(device)
         net.to(device)
 
         @torch.inference_mode()
@@ -292,14 +297,14 @@ class SurfaceNet(nn.Module):
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SurfaceNet":
         """Invert `to_tensors`, up to quantisation."""
-        net = cls(**config)
+        with UNFILLED:
+            net = cls(**config)
         packed = {f"{grid}.{name}" for grid in GRIDS for name in ("table", "factors")}
         state = {k: torch.from_numpy(np.array(v)).float() for k, v in tensors.items() if k not in packed}
         for grid in GRIDS:
             stored = tensors[f"{grid}.table"], tensors[f"{grid}.factors"]
             state[f"{grid}.table"] = getattr(net, grid).unpacked(*stored)
-        net.load_state_dict(state)
-        return net.eval()
+        return filled(net, state)
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,16 @@
 
 import csv
 import math
+import operator
+import sys
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import NoneType
 from typing import Any, get_args
+
+import numpy as np
+import torch
 
 from objectfolder.errors import ObjectFolderError, quoted, shortened
 from objectfolder.io import file_digest
@@ -74,6 +79,7 @@ class Dataset(Sequence[ObjectFile]):
     >>> dataset = Dataset("release")
     >>> steel = dataset.filter(material="steel", split="train")
     >>> bell = dataset["bell"]
+    >>> small = dataset[[entry.size < 0.1 for entry in dataset.entries]]
     """
 
     def __init__(self, folder: str | Path, device: Device = "cpu"):
@@ -89,9 +95,23 @@ class Dataset(Sequence[ObjectFile]):
         return len(self.entries)
 
     def __getitem__(self, which: Any) -> Any:
-        """Read an object by number or key; a slice gives a dataset."""
+        """Read an object by number or key; return a dataset of a slice, a list or array of these, or a mask.
+
+        Raises
+        ------
+        IndexError
+            If there is no object of a number, or a mask is of another length.
+        TypeError
+            If it is none of these.
+        ObjectFolderError
+            If there is no object of a key, or its file is missing or damaged.
+        """
         if isinstance(which, slice):
             return self._with(self.entries[which])
+        if isinstance(which, np.ndarray | torch.Tensor):
+            which = which.tolist()
+        if isinstance(which, list):
+            return self._with(self._several(which))
         path = self.path(which)
         if not path.is_file():
             raise ObjectFolderError(f"{path} is missing, though the index names it; download it again")
@@ -100,8 +120,26 @@ class Dataset(Sequence[ObjectFile]):
     def __iter__(self) -> Iterator[ObjectFile]:
         return (self[number] for number in range(len(self)))
 
-    def __contains__(self, key: object) -> bool:
-        return key in self.keys
+    def __contains__(self, item: object) -> bool:
+        return _key(item) in self.keys
+
+    def index(self, value: ObjectFile | str, start: int = 0, stop: int | None = None) -> int:
+        """Return the number of an object, given by itself or its key; no file is read.
+
+        Raises
+        ------
+        ObjectFolderError
+            A ValueError, if it is not in the dataset, or not from ``start`` to ``stop``.
+        """
+        key = _key(value)
+        try:
+            return self.keys.index(key, start, sys.maxsize if stop is None else stop)
+        except ValueError:
+            raise self._unknown(key) from None
+
+    def count(self, value: ObjectFile | str) -> int:
+        """Return how often the dataset holds an object, given by itself or its key; no file is read."""
+        return self.keys.count(_key(value))
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.folder)!r}): {len(self)} objects"
@@ -111,11 +149,18 @@ class Dataset(Sequence[ObjectFile]):
         if isinstance(which, str):
             found = [entry for entry in self.entries if entry.key == which]
             if not found:
-                raise ObjectFolderError(
-                    f"{self.folder}: no object {quoted(which)}; it has {shortened(', '.join(self.keys), 200)}"
-                )
+                raise self._unknown(which)
             return found[0]
-        return self.entries[which]
+        try:
+            number = operator.index(which)
+        except TypeError:
+            raise TypeError(
+                f"{self.folder}: a dataset is not indexed by {quoted(which)}; expected a number, a key, a "
+                "slice, or a list or array of numbers, keys or truth values"
+            ) from None
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"{self.folder}: no object {number}; the dataset has {len(self)}, from 0 on")
+        return self.entries[number]
 
     def path(self, which: int | str) -> Path:
         """Return the path of an Object File, by number or key."""
@@ -133,12 +178,22 @@ class Dataset(Sequence[ObjectFile]):
         ------
         ObjectFolderError
             If no object of the release has one of the values: it is probably misspelt.
+
+        Notes
+        -----
+        A mask chooses by anything else: ``dataset[[entry.size < 0.1 for entry in dataset.entries]]``.
         """
         kept = self.entries
         for name, values in (("category", category), ("material", material), ("split", split)):
             if values is None:
                 continue
-            wanted = {values} if isinstance(values, str) else set(values)
+            listed = values if isinstance(values, Collection) and not isinstance(values, str) else [values]
+            if not all(isinstance(value, str) for value in listed):
+                raise ObjectFolderError(
+                    f"{name} is {quoted(values)}, expected a text or several; by anything else choose with a "
+                    "mask, such as dataset[[entry.size < 0.1 for entry in dataset.entries]]"
+                )
+            wanted = set(listed)
             known = {getattr(entry, name) for entry in self._released}
             if unknown := sorted(wanted - known):
                 raise ObjectFolderError(
@@ -166,6 +221,19 @@ class Dataset(Sequence[ObjectFile]):
                 f"{self.folder}: missing, or not as released: {', '.join(wrong)}; download them again"
             )
 
+    def _several(self, which: list[Any]) -> tuple[IndexEntry, ...]:
+        if which and all(isinstance(held, bool | np.bool_) for held in which):
+            if len(which) != len(self):
+                raise IndexError(
+                    f"{self.folder}: a mask of {len(which)} objects; the dataset has {len(self)}"
+                )
+            return tuple(entry for entry, held in zip(self.entries, which) if held)
+        return tuple(self.entry(each) for each in which)
+
+    def _unknown(self, key: object) -> ObjectFolderError:
+        held = shortened(", ".join(self.keys), 200)
+        return ObjectFolderError(f"{self.folder}: no object {quoted(key)}; it has {held}")
+
     def _with(self, entries: tuple[IndexEntry, ...]) -> "Dataset":
         part = object.__new__(type(self))
         part.folder, part.device, part.entries, part._released = (
@@ -175,6 +243,11 @@ class Dataset(Sequence[ObjectFile]):
             self._released,
         )
         return part
+
+
+def _key(item: object) -> Any:
+    """Return the key of an Object File; anything else as it is."""
+    return item.key if isinstance(item, ObjectFile) else item
 
 
 def read_index(path: Path) -> tuple[IndexEntry, ...]:

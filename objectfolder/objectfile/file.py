@@ -3,6 +3,7 @@
 docs/objectfile.md describes the format. Reading it needs no mesh, no pickle and no network.
 """
 
+import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
@@ -34,6 +35,7 @@ from objectfolder.objectfile.radiation import Listening
 from objectfolder.objectfile.samples import available_samples, sample_path
 from objectfolder.objectfile.sound_settings import SoundSettings, struck_object
 from objectfolder.objectfile.surface import TOLERANCE
+from objectfolder.objectfile.torch_modes import each_in_usual_modes, usual_modes
 from objectfolder.objectfile.touch import (
     UNMOVED,
     ContactPoses,
@@ -126,11 +128,12 @@ class ObjectFile:
         path: str | Path = "Object File",
         device: Device = "cpu",
     ):
-        self.header = checked_header(header, path)
+        self._header = checked_header(header, path)
         self.tensors = tensors
         self.device = _usable(device)
         self._path = path
-        self._parts = StoredParts(self.header, tensors, self.device)
+        self._parts = StoredParts(self._header, tensors, self.device)
+        self._answers: dict[torch.dtype, Answers] = {}
 
     @classmethod
     def load(cls, path: str | Path, device: Device = "cpu") -> "ObjectFile":
@@ -166,8 +169,9 @@ class ObjectFile:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Locks and ray casters cannot be pickled; every part can be read again.
-        return type(self), (self.header, self.tensors, self._path, self.device)
+        return type(self), (self._header, self.tensors, self._path, self.device)
 
+    @usual_modes()
     def check(self) -> None:
         """Read all parts of the file, which queries otherwise do on demand.
 
@@ -191,7 +195,7 @@ class ObjectFile:
 
     def save(self, path: str | Path) -> None:
         """Write the Object File; the same object gives the same bytes."""
-        write_safetensors(path, dict(self.tensors), self.header)
+        write_safetensors(path, dict(self.tensors), self._header)
 
     def __repr__(self) -> str:
         parts = ", ".join(self._parts.held()) or "nothing"
@@ -201,34 +205,45 @@ class ObjectFile:
         """Return the page of `objectfolder view`, which notebooks show."""
         from objectfolder.viewer.page import viewer_frame
 
-        return viewer_frame({self.key: safetensors_bytes(self.tensors, self.header)})
+        return viewer_frame({self.key: safetensors_bytes(self.tensors, self._header)})
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """A copy of the header, which docs/objectfile.md describes."""
+        return copy.deepcopy(self._header)
 
     @property
     def key(self) -> str:
         """Object key."""
-        return self.header["key"]
+        return self._header["key"]
 
     @property
     def material(self) -> str:
         """Material name."""
-        return self.header["material"]
+        return self._header["material"]
 
     @property
     def scale(self) -> float:
         """Longest side, metres."""
-        return float(self.header["scale"])
+        return float(self._header["scale"])
 
     @property
+    @usual_modes()
     def bounds(self) -> np.ndarray:
         """Lowest and highest coordinates of the surface; (2, 3), object frame, metres."""
         return self._parts.surface.bounds()
 
     @property
+    @usual_modes()
     def surface(self) -> Isosurface:
-        """The stored surface, unit frame; extracted at first use."""
-        return self._parts.geometry
+        """The stored surface, unit frame; extracted at first use. Its triangles are read-only."""
+        surface = self._parts.geometry
+        for array in (surface.vertices, surface.faces):  # queries share them
+            array.flags.writeable = False
+        return surface
 
     @property
+    @usual_modes()
     def base_colors(self) -> BaseColors | None:
         """Function from points near the surface, (N, 3), unit frame, to base colours, (N, 3) sRGB uint8.
 
@@ -251,6 +266,7 @@ class ObjectFile:
         return SensorProfile.from_dict(stored, stored=True)
 
     @property
+    @usual_modes()
     def sensor_background(self) -> np.ndarray:
         """Image of the stored tactile sensor while nothing touches it; (H, W, 3) uint8.
 
@@ -270,10 +286,12 @@ class ObjectFile:
         return FixedContact.of(self._touch_config)
 
     @property
+    @usual_modes()
     def touch_sense(self) -> TouchSense:
         """What answers `touch` and `press`, for sensors in any direction, also away from the surface."""
         return self._parts.touch
 
+    @usual_modes()
     def press_range(self, sensor: Sensor = None) -> tuple[float, float]:
         """Return the least and the greatest press depth of usual contacts, metres.
 
@@ -287,15 +305,18 @@ class ObjectFile:
         return self._parts.touch.press_range(_profile(sensor) or self.sensor_profile)
 
     @property
+    @usual_modes()
     def has_modes(self) -> bool:
         """Whether the audio net knows mode shapes, which `mode_shapes`, `tuning` and other sizes need."""
         return self._parts.audio.has_modes
 
     @property
+    @usual_modes()
     def frequencies(self) -> np.ndarray:
         """Frequencies of the modes, Hz; (M,), empty if the file does not know them."""
         return self._parts.audio.damped_frequency.numpy() / (2 * math.pi)
 
+    @usual_modes()
     def tuning(self, material: str | Material | None = None, scale: float | None = None) -> Tuning:
         """Return the modes of this shape in another material or size; see `objectfolder.audio.tuning.retune`.
 
@@ -308,6 +329,7 @@ class ObjectFile:
         """
         return self._parts.audio.tuning(material, scale)
 
+    @usual_modes()
     def view(
         self,
         camera: Answer | Sequence[Any],
@@ -357,6 +379,7 @@ class ObjectFile:
         images = view_images(lambda: self._parts.vision.drawer(smooth), camera, light, seen_by, lamps)
         return like_first(images, camera)
 
+    @usual_modes()
     def render(
         self,
         camera: Rows,
@@ -380,6 +403,7 @@ class ObjectFile:
             lambda: self._parts.vision.drawer(smooth), self.scale, camera, light, seen_by, lamps
         )
 
+    @usual_modes()
     def impact(
         self,
         points: Answer | Sequence[Any],
@@ -497,6 +521,7 @@ class ObjectFile:
         players: list[Any] = import_module("objectfolder.audio.notebook").players(sounds, rate)
         return players
 
+    @usual_modes()
     def contact_time(
         self,
         striker: str | Striker = "steel",
@@ -518,6 +543,7 @@ class ObjectFile:
         tip, struck = as_striker(striker), struck_object(material, scale)
         return self._parts.audio.contact_time(tip, *struck) or 0.0
 
+    @usual_modes()
     def voice(
         self, sample_rate: float = 48000, material: str | Material | None = None, scale: float | None = None
     ) -> "Voice":
@@ -542,6 +568,7 @@ class ObjectFile:
         voice = import_module("objectfolder.objectfile.voice")  # as in `torch`
         return voice.Voice(self._parts, rate, stuff, size)
 
+    @usual_modes()
     def mode_shapes(self, points: Rows, tolerance: float = TOLERANCE) -> np.ndarray:
         """Return mass-normalised mode shapes: the modal gains of unit impulses along x, y and z.
 
@@ -558,6 +585,7 @@ class ObjectFile:
         """
         return self._parts.audio.mode_shapes(finite_rows("points", points, 3), tolerance)
 
+    @usual_modes()
     def touch(
         self,
         points: Answer | Sequence[Any],
@@ -605,6 +633,7 @@ class ObjectFile:
         contacts = ContactPoses.checked(points, depth, angle, tilt, azimuth)
         return like_first(self._parts.touch.images(contacts, tolerance, profile), points)
 
+    @usual_modes()
     def press(
         self,
         points: Rows,
@@ -672,6 +701,7 @@ class ObjectFile:
             lambda displacement: self._parts.touch.shown(displacement, found.profile),
         )
 
+    @usual_modes()
     def touches(
         self,
         points: Rows,
@@ -685,8 +715,9 @@ class ObjectFile:
         """Answer as `press`, a few contacts at a time: for more of them than fit into memory."""
         profile = _profile(sensor)
         contacts = ContactPoses.checked(points, depth, angle, tilt, azimuth)
-        return self._parts.touch.touches(contacts, tolerance, profile)
+        return each_in_usual_modes(self._parts.touch.touches(contacts, tolerance, profile))
 
+    @usual_modes()
     def depth_maps(
         self,
         points: Rows,
@@ -710,19 +741,28 @@ class ObjectFile:
         contacts = ContactPoses.checked(points, depth, 0.0, tilt, azimuth)
         return self._parts.touch.depth_maps(contacts, tolerance)
 
-    def sample_surface(self, count: int, seed: int = 0) -> np.ndarray:
+    @usual_modes()
+    def sample_surface(self, count: int, seed: int | np.random.Generator | None = 0) -> np.ndarray:
         """Draw random surface points, uniform by area; (count, 3), object frame, metres.
+
+        Parameters
+        ----------
+        count : int
+        seed : int, numpy Generator or None
+            The same number draws the same points each time; a generator goes on to others, and None draws
+            others in every call.
 
         Raises
         ------
         ObjectFolderError
-            If the count or the seed is not a whole number of at least 0, or the points do not fit into
-            memory.
+            If the count is not a whole number of at least 0, the seed is none of these, or the points do not
+            fit into memory.
         """
-        drawn, rng = whole_number("count", count), np.random.default_rng(whole_number("seed", seed))
+        drawn, rng = whole_number("count", count), _generator(seed)
         require_memory(f"{drawn} points on the surface", _BYTES_PER_POINT * drawn, "draw fewer at a time")
         return self._parts.surface.sample(drawn, rng)
 
+    @usual_modes()
     def nearest(self, points: Rows) -> tuple[np.ndarray, np.ndarray]:
         """Return the nearest surface points.
 
@@ -744,6 +784,7 @@ class ObjectFile:
         """
         return self._parts.surface.nearest(finite_rows("points", points, 3))
 
+    @usual_modes()
     def contact_normals(self, points: Rows, tolerance: float = TOLERANCE) -> np.ndarray:
         """Return the directions against which `touch` and `press` move a sensor that is not tilted.
 
@@ -770,6 +811,7 @@ class ObjectFile:
         normals: np.ndarray = contact_normals(self.surface.grid.smooth_distance, places, NORMAL_RADIUS)
         return normals
 
+    @usual_modes()
     def to_mesh(self) -> "trimesh.Trimesh":
         """Return the stored surface as a triangle mesh with normals, object frame, metres."""
         import trimesh
@@ -783,7 +825,7 @@ class ObjectFile:
         )
 
     def torch(self, dtype: "torch.dtype | None" = None) -> "Answers":
-        """Return modules whose answers carry gradients; see docs/gradients.md.
+        """Return modules whose answers carry gradients, the same at each call; see docs/gradients.md.
 
         Parameters
         ----------
@@ -797,11 +839,21 @@ class ObjectFile:
         """
         # Not an import statement: stages use ObjectFile, none asks for gradients, so none depends on them.
         answers = import_module("objectfolder.objectfile.gradients.answers")
-        return answers.Answers(self._parts, dtype)
+        made: Answers = answers.Answers(self._parts, dtype)
+        return self._answers.setdefault(made.dtype, made)
 
     @property
     def _touch_config(self) -> dict[str, Any]:
         return self._parts.described("touch")["net"]
+
+
+def _generator(seed: int | np.random.Generator | None) -> np.random.Generator:
+    if seed is None or isinstance(seed, np.random.Generator):
+        return np.random.default_rng(seed)
+    try:
+        return np.random.default_rng(whole_number("seed", seed))
+    except ObjectFolderError as error:
+        raise ObjectFolderError(f"{error}, a numpy Generator or None") from None
 
 
 def _profile(sensor: Sensor) -> SensorProfile | None:

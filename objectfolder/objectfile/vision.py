@@ -1,10 +1,12 @@
 """Vision of an Object File: cameras and lights in, pictures out."""
 
+import copy
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Protocol
+from itertools import repeat
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import torch
@@ -14,11 +16,15 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
 from objectfolder.objectfile.reading import StoredNet, damaged_net, once, report_damage
+from objectfolder.objectfile.torch_modes import usual_modes
 from objectfolder.vision.cameras import FARTHEST, Intrinsics, look_at, require_rigid
 from objectfolder.vision.color import on_white
 from objectfolder.vision.lighting import Lamp, PointLight
 from objectfolder.vision.picture import Drawer, Picture, Views
 from objectfolder.vision.view import Shader, draw
+
+if TYPE_CHECKING:
+    from objectfolder.nets.vision_surface import Baked
 
 _CHUNK = 2**17  # points whose base colours are evaluated at once
 _BYTES_DRAWING = 64  # per pixel of the image that is being drawn
@@ -69,16 +75,22 @@ class SurfaceSense:
         return self._stored.surface.read()
 
     @once
-    def _shader(self) -> Shader:
+    def baked(self) -> "Baked":
+        """What the net knows of the surface alone, on the CPU."""
         surface = self.surface
         with report_damage(self._stored.key, "vision net"):
-            return self.net.shader(surface, self._stored.device)
+            return copy.deepcopy(self.net).cpu().bake(surface)
+
+    @once
+    def _shader(self) -> Shader:
+        return self.net.shader(self.surface, self._stored.device, self.baked)
 
     def drawer(self, supersample: bool) -> Drawer:
         """Return the function that draws views."""
         picture = partial(draw, self.surface, self._shader, supersample=supersample)
         return _checked(picture, self._stored.key)
 
+    @usual_modes()
     @torch.no_grad()
     def base_colors(self, points: np.ndarray) -> np.ndarray:
         """Return base colours (N, 3), sRGB uint8, at (N, 3) points near the surface, unit frame."""
@@ -170,8 +182,8 @@ def view_images(
     ObjectFolderError
         If shapes do not fit, values are not finite, there is no light, or the images do not fit into memory.
     """
-    poses, lights = poses_and_lights(camera, light, lamps)
-    require_image_room(len(poses), intrinsics, bytes_per_pixel=12)
+    room = partial(require_image_room, intrinsics=intrinsics, bytes_per_pixel=12)
+    poses, lights = poses_and_lights(camera, light, lamps, room)
     drawer = load_drawer()
     images = np.empty((len(poses), intrinsics.height, intrinsics.width, 3), np.float32)
     for image, pose, lit_by in zip(images, poses, lights):
@@ -197,8 +209,8 @@ def render_views(
     scale : float
         Longest side, metres.
     """
-    poses, lights = poses_and_lights(camera, light, lamps)
-    require_image_room(len(poses), intrinsics, bytes_per_pixel=44)
+    room = partial(require_image_room, intrinsics=intrinsics, bytes_per_pixel=44)
+    poses, lights = poses_and_lights(camera, light, lamps, room)
     drawer = load_drawer()
     size = len(poses), intrinsics.height, intrinsics.width
     views = Views(*(np.empty((*size, *last), np.float32) for last in ((3,), (4,), (), (3,))))
@@ -221,34 +233,51 @@ def require_image_room(count: int, intrinsics: Intrinsics, bytes_per_pixel: int)
 
 
 def poses_and_lights(
-    camera: Rows, light: Rows | None, lamps: Sequence[Lamp]
-) -> tuple[np.ndarray, list[list[Lamp]]]:
-    """Check cameras and lights; parameters and errors are those of `view_images`.
+    camera: Rows,
+    light: Rows | None,
+    lamps: Sequence[Lamp],
+    require_room: Callable[[int], None] = lambda count: None,
+) -> tuple[np.ndarray, Iterator[list[Lamp]]]:
+    """Check cameras and lights; other parameters and errors are those of `view_images`.
+
+    Parameters
+    ----------
+    require_room : callable
+        Called with N before anything is computed of N rows.
 
     Returns
     -------
     poses : (N, 4, 4) float64 array, camera to world
-    lamps : list of lists of Lamp
+    lamps : iterator over lists of Lamp
         Of each camera.
     """
     places = real_array("camera", camera)
     if places.ndim in (2, 3) and places.shape[-2:] == (4, 4):
-        poses = places.reshape(-1, 4, 4)
-        _require_near("camera", poses[:, :3, 3])
-        require_rigid(poses)
+        places = places.reshape(-1, 4, 4)
     elif places.ndim in (1, 2) and places.shape[-1] == 3:
-        _require_near("camera", places.reshape(-1, 3))
-        poses = look_at(places)
+        places = places.reshape(-1, 3)
     else:
         raise ObjectFolderError(f"camera has shape {places.shape}, expected (N, 3) or (N, 4, 4)")
-    if light is None:
-        if not lamps:
-            raise ObjectFolderError("there is no light; give light, lights or environment")
-        return poses, [list(lamps)] * len(poses)
-    points = finite_rows("light", light, 3)
+    if light is None and not lamps:
+        raise ObjectFolderError("there is no light; give light, lights or environment")
+    points = None if light is None else finite_rows("light", light, 3)
+    require_room(len(places) if points is None else max(len(places), len(points)))
+    poses = _poses(places)
+    if points is None:
+        return poses, repeat(list(lamps), len(poses))
     _require_near("light", points)
     poses, points = broadcast_rows("camera", poses, "light", points)
-    return poses, [[PointLight(point), *lamps] for point in points]
+    return poses, ([PointLight(point), *lamps] for point in points)
+
+
+def _poses(places: np.ndarray) -> np.ndarray:
+    """Check positions (N, 3) or camera-to-world matrices (N, 4, 4), and return matrices."""
+    if places.ndim == 2:
+        _require_near("camera", places)
+        return look_at(places)
+    _require_near("camera", places[:, :3, 3])
+    require_rigid(places)
+    return places
 
 
 def _require_near(name: str, positions: np.ndarray) -> None:

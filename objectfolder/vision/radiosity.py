@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from torch.autograd.function import once_differentiable
 
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
@@ -131,10 +132,15 @@ class Radiosity:
         if light.requires_grad or light.dtype == torch.float64:
             return self._solve(light)
         lamp = tuple(light.tolist())
-        return self._solved.of(lamp, lambda: self._solve(lamp))
+        return self._solved.of(lamp, lambda: self._solve_to_keep(lamp))
+
+    @torch.inference_mode(False)  # what is kept may serve a gradient later
+    @torch.no_grad()
+    def _solve_to_keep(self, lamp: tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+        return self._solve(lamp)
 
     def _solve(self, light: torch.Tensor | tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor]:
-        where = light if isinstance(light, torch.Tensor) else torch.tensor(light)
+        where = light if isinstance(light, torch.Tensor) else torch.tensor(light, dtype=torch.float32)
         lit = is_lit(self._surface, self._points, self._normals, where.detach().float()).nonzero()[:, 0]
         to_light = toward(where, take_rows(self._points, lit))
         cosine = (to_light * take_rows(self._normals, lit)).sum(1).clamp(min=0)
@@ -194,6 +200,7 @@ class Bounced(torch.autograd.Function):
         return torch.from_numpy(gathered.T.copy()), torch.from_numpy(given_off.T.copy())
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Any) -> tuple[torch.Tensor, None, None]:
         """Return the gradient of the received light, by the transposed bounces in reverse order."""
         seen, reflectance = ctx.patches

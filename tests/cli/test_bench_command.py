@@ -229,6 +229,11 @@ def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
         "recognition", files, "--split", "unseen"
     )
     assert "nowhere.py does not exist" in refused("recognition", files, "--encoder", "nowhere.py:net")
+    Path("wide.py").write_text(ENCODER.replace("features = 4", "features = 8"))
+    for command in ("recognition", "retrieval", "reconstruction", "localization"):
+        message = refused(command, files, "--encoder", "wide.py:tiny", "--out", "new")
+        assert message.startswith("encoder wide.py:tiny, ")
+        assert message.endswith("gives (2, 4), expected (2, 8): (B, features)")
     assert "--device gpu" in refused("recognition", files, "--device", "gpu", "--out", "new")
     assert "--device gpu" in refused("localization", files, "--device", "gpu", "--out", "new")
     assert not Path("new").exists()

@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 import soundfile
-from brick import SCALE, SIDES
+from brick import SCALE, SIDES, with_images
 from scipy import stats
 from typer.testing import CliRunner
 
@@ -193,9 +193,8 @@ def test_counts_and_seeds_are_natural_numbers(tmp_path, option):
     assert not list(tmp_path.iterdir())
 
 
-def test_an_object_that_knows_one_press_says_which(brick, monkeypatch):
-    image = {"kind": "image", "net": {"press_depth": 0.0012, "angle": 0.0, "sensor": "digit"}}
-    monkeypatch.setitem(brick.header, "touch", image)
+def test_an_object_that_knows_one_press_says_which(brick):
+    image = with_images(brick, 0.0012, 0.0)
     for sensor in (None, load_profile("digit")):
         with pytest.raises(ObjectFolderError, match=r"brick: .* query with that depth \(--depth 0\.0012\)"):
-            sample_presses(brick, 3, sensor=sensor)
+            sample_presses(image, 3, sensor=sensor)

@@ -226,3 +226,63 @@ def test_object_comes_to_rest_on_a_table(bracket):
     assert np.abs(data.qvel).max() < 1e-3
     assert data.qpos[2] == pytest.approx(0.5 * SCALE, abs=0.01 * SCALE)
     assert abs(data.qpos[3]) > 0.9999  # it has not tipped over
+
+
+#: Default classes that robots' scenes have, and that would shrink, hide, move or harden what is added.
+SCENE = """<mujoco><compiler {}/><default>
+  <mesh scale="0.001 0.001 0.001"/><joint damping="5" armature="1" frictionloss="2"/>
+  <geom type="box" contype="0" conaffinity="0" pos="0 0 1" euler="0 90 0" margin="0.1" gap="0.1" mass="3"
+        solref="0.004 2" solimp="0.99 0.999 0.1" solmix="3" priority="2" group="4" rgba="1 0 0 0"/>
+</default></mujoco>"""
+
+
+def test_the_defaults_of_a_scene_do_not_change_a_body():
+    models = []
+    for spec in (mujoco.MjSpec(), mujoco.MjSpec.from_string(SCENE.format('alignfree="true"'))):
+        add_body(spec, skew_body(), "thing")
+        models.append(spec.compile())
+    own, other = models
+    arrays = [name for name in dir(own) if name.startswith(("geom_", "body_", "mesh_", "jnt_", "dof_"))]
+    assert len(arrays) > 100
+    for name in arrays:
+        np.testing.assert_array_equal(getattr(other, name), getattr(own, name), err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("inertiafromgeom", "true"),
+        ("settotalmass", "2"),
+        ("boundmass", "0.31"),
+        ("boundinertia", "1e-3"),
+    ],
+)
+def test_settings_that_change_a_body_are_refused(setting, told):
+    spec = mujoco.MjSpec.from_string(SCENE.format(f'{setting}="{told}"'))
+    with pytest.raises(ObjectFolderError, match=rf"thing: the scene's compiler .* 0\.3 kg, .*: {setting} is"):
+        add_body(spec, skew_body(), "thing")
+
+
+def test_settings_that_leave_a_body_as_it_is_are_not():
+    spec = mujoco.MjSpec.from_string(SCENE.format('boundmass="0.29" boundinertia="1e-6"'))
+    add_body(spec, skew_body(), "thing")
+    assert spec.compile().body("thing").mass[0] == 0.3
+
+
+def test_only_a_child_of_the_world_is_free():
+    spec = mujoco.MjSpec()
+    tray = spec.worldbody.add_body(name="tray", pos=[0, 0, 1])
+    tray.add_freejoint()
+    tray.add_geom(size=[0.01, 0, 0])
+    add_body(spec, skew_body(), "on_tray", tray).pos = [0, 0, 0.1]
+    add_body(spec, skew_body(), "on_world", spec.worldbody)
+    add_body(spec, skew_body(), "fixed", free=False)
+    with pytest.raises(ObjectFolderError, match=r"more: only children of the world .* parent is 'tray'"):
+        add_body(spec, skew_body(), "more", tray, free=True)
+    model = spec.compile()
+    joints = {name: int(model.body(name).jntnum[0]) for name in ("on_tray", "on_world", "fixed")}
+    assert joints == {"on_tray": 0, "on_world": 1, "fixed": 0}
+    data = mujoco.MjData(model)
+    data.qpos[:7] = [1, 2, 3, np.sqrt(0.5), np.sqrt(0.5), 0, 0]
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.body("on_tray").xpos, [1, 2 - 0.1, 3], atol=1e-12)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import objectfolder.envs  # noqa: F401, registers
-from objectfolder.envs.calls import object_file, opened
+from objectfolder.envs.calls import material_names, object_file, opened
 from objectfolder.envs.grasp import GraspEnv, GraspVectorEnv
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.reach import ReachEnv
@@ -138,9 +138,24 @@ def test_environments_run_in_spawned_processes(make, name):
 def test_objects_are_given_as_files_paths_or_names_of_samples(brick, brick_path):
     assert opened(brick) == [brick]
     assert [file.key for file in opened(str(brick_path))] == ["brick"]
-    assert [file.key for file in opened(["mug", brick_path, brick])] == ["mug", "brick", "brick"]
+    assert [file.key for file in opened(["mug", brick_path])] == ["mug", "brick"]
+    with pytest.raises(ObjectFolderError, match=r"one object, and none twice, got \['brick', 'brick'\]"):
+        opened([brick_path, brick])
     assert object_file("bell").key == "bell"
     with pytest.raises(ObjectFolderError, match="expected at least one object"):
         opened([])
     with pytest.raises(ObjectFolderError, match=r"nothing\.safetensors does not exist"):
         opened("nothing.safetensors")
+
+
+def test_a_single_material_stands_for_itself():
+    assert material_names("Steel") == ["steel"]
+    assert material_names(("wood", "glass"), 2) == ["wood", "glass"]
+    for given, least, message in (
+        ([], 1, r"at least one material, and none twice, got \[\]"),
+        ("steel", 2, r"at least two different materials, and none twice, got \['steel'\]"),
+        (["wood", "steel", "Wood"], 1, "none twice, got"),
+        (["brass"], 1, "unknown material 'brass'"),
+    ):
+        with pytest.raises(ObjectFolderError, match=message):
+            material_names(given, least)

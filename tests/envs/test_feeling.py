@@ -14,13 +14,21 @@ PADS = ["left_pad", "right_pad"]
 FORCE = 2.0  #: N of each finger
 
 
-def fingers(file, yaw=0.0):
-    """Two fingers that slide onto an object without weight, all turned about the vertical."""
+def fingers(file, yaw=0.0, on_cart=False):
+    """Two fingers that slide onto an object without weight, all turned about the vertical.
+
+    The object moves freely, or is fixed to a cart that does.
+    """
     spec = mujoco.MjSpec()
     spec.option.gravity = [0, 0, 0]
     cos, sin = np.cos(yaw), np.sin(yaw)
-    body = add_body(spec, rigid_body(file, [file.to_mesh().convex_hull]), file.key)
-    body.quat = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+    turn, cart = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)], None
+    if on_cart:
+        cart = spec.worldbody.add_body(name="cart", quat=turn)
+        cart.add_freejoint()
+        cart.add_geom(size=[0.01, 0, 0], contype=0, conaffinity=0)
+    body = add_body(spec, rigid_body(file, [file.to_mesh().convex_hull]), file.key, cart)
+    body.quat = [1, 0, 0, 0] if on_cart else turn
     for name, side in (("left", 1), ("right", -1)):
         towards = yaw - side * np.pi / 2
         finger = spec.worldbody.add_body(name=name, pos=[-sin * side * 0.06, cos * side * 0.06, 0])
@@ -104,9 +112,21 @@ def test_the_frame_of_the_world_does_not_matter(brick, model, feeling):
     assert abs(there.images.astype(int) - here.images).mean() < 0.5
 
 
+def test_an_object_that_is_fixed_to_a_cart_feels_as_a_free_one(brick, model, feeling):
+    carted = fingers(brick, yaw=0.7, on_cart=True)
+    free, fixed = feeling.feel(squeezed(model)), Feeling(carted, PADS, [brick]).feel(squeezed(carted))
+    assert (fixed.touched == carted.body("brick").id).all()
+    assert carted.body("brick").jntnum[0] == 0
+    assert fixed.force == pytest.approx(free.force, abs=0.02)
+    assert fixed.depth == pytest.approx(free.depth, rel=0.05)
+
+
 def test_wrong_arguments_are_refused(model, brick, feeling):
     with pytest.raises(ObjectFolderError, match=r"no site 'thumb', but \['left_pad', 'right_pad'\]"):
         Feeling(model, ["thumb"], [brick])
+    for wrong in (3, None, ["left_pad", 3]):
+        with pytest.raises(ObjectFolderError, match=r"pads is .*, expected the names of sites on fingers"):
+            Feeling(model, wrong, [brick])
     with pytest.raises(ObjectFolderError, match="pads is empty"):
         Feeling(model, [], [brick])
     with pytest.raises(ObjectFolderError, match="gel of sensor 'tacto_digit' is rigid"):

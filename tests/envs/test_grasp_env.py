@@ -1,3 +1,6 @@
+import copy
+import pickle
+
 import gymnasium
 import numpy as np
 import pytest
@@ -180,6 +183,68 @@ def test_pictures_show_the_episode(brick, hulls):
     assert before.shape == (256, 256, 3)
     assert 0.005 < (before != after).any(2).mean() < 0.5
     assert GraspEnv(brick, "blind", hulls).render() is None
+
+
+def test_vector_environments_show_each_episode(task):
+    env = GraspVectorEnv(2, task=task, observation="blind", render_mode="rgb_array")
+    with pytest.raises(ObjectFolderError, match="was not reset"):
+        env.render()
+    env.reset(seed=1)
+    first, second = env.render()
+    assert first.shape == second.shape == (256, 256, 3)
+    assert first.dtype == np.uint8
+    assert (first != second).any()
+    assert GraspVectorEnv(2, task=task, observation="blind").render() is None
+    with pytest.raises(ObjectFolderError, match="render_mode 'human' is not one of rgb_array"):
+        GraspVectorEnv(2, task=task, render_mode="human")
+
+
+def test_a_vector_environment_that_draws_is_made_by_name(brick_path, hulls):
+    env = gymnasium.make_vec(
+        "ObjectFolder/Grasp-v0", 2, "vector_entry_point", file=brick_path, hulls=hulls, observation="blind",
+        render_mode="rgb_array",
+    )  # fmt: skip
+    env.reset(seed=0)
+    assert len(env.render()) == 2
+
+
+@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("seed", [3, [3, 4]])
+def test_a_copy_of_a_vector_environment_goes_on_as_the_original_does(task, how, seed):
+    env = GraspVectorEnv(2, task=task, observation="width")
+    env.reset(seed=seed)
+    actions = np.random.default_rng(0).uniform(-1, 1, (4, 2, 4))
+    env.step(actions[0])
+    twin = how(env)
+    for action in actions[1:]:  # to the end of the episode, and into the next one
+        for own, other in zip(env.step(action)[:4], twin.step(action)[:4]):
+            assert own.tobytes() == other.tobytes()
+    assert env.reset()[0].tobytes() == twin.reset()[0].tobytes()
+
+
+def test_each_of_a_list_of_seeds_counts(task, brick, hulls):
+    env, alone = GraspVectorEnv(2, task=task, observation="width"), GraspEnv(brick, "width", hulls)
+    places = {}
+    for seeds in ([1, 2], (1, 3), np.array([2, 1])):
+        seen = [env.reset(seed=seeds)[0]]
+        seen += [env.step(np.zeros((2, 4)))[0] for _ in range(STEPS)]
+        for row, seed in enumerate(seeds):
+            one = [alone.reset(seed=int(seed))[0], alone.step(np.zeros(4))[0]]
+            alone.step(np.zeros(4))
+            one.append(alone.reset()[0])  # the vector environment begins anew by itself
+            assert [all_[row].tobytes() for all_ in seen] == [of.tobytes() for of in one]
+            assert places.setdefault(int(seed), one[0].tobytes()) == one[0].tobytes()
+    assert len({*places.values()}) == 3
+    kept = env.reset(seed=[5, None])[0]
+    assert kept[0].tobytes() == env.reset(seed=[5, 6])[0][0].tobytes() != kept[1].tobytes()
+    shared = env.reset(seed=7)[0]
+    assert shared.tobytes() == GraspVectorEnv(2, task=task, observation="width").reset(seed=7)[0].tobytes()
+    for wrong in ([1], [1, 2, 3], []):
+        with pytest.raises(ObjectFolderError, match=r"expected one, or one for each of 2 environments"):
+            env.reset(seed=wrong)
+    for wrong in ("one", 1.5, [1, -2], ["1", 2]):
+        with pytest.raises(ObjectFolderError, match="expected a whole number of at least 0"):
+            env.reset(seed=wrong)
 
 
 def test_files_that_cannot_be_grasped(brick, hulls):

@@ -203,7 +203,16 @@ def test_too_large_an_object_is_refused(body, scale, axis):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"horizon": 0}, "horizon is 0"), ({"render_mode": "human"}, "'human' is unknown")],
+    [
+        ({"horizon": 0}, "horizon is 0"),
+        ({"horizon": 2.5}, "horizon is 2.5, expected a whole number"),
+        ({"horizon": "5"}, "horizon is '5', expected a whole number"),
+        ({"render_mode": "human"}, "render_mode 'human' is not one of rgb_array"),
+        ({"resolution": 5}, "resolution is 5, expected height and width"),
+        ({"resolution": (5, 5, 3)}, r"resolution is \(5, 5, 3\), expected height and width"),
+        ({"resolution": (0, 5)}, "resolution is 0, expected a whole number"),
+        ({"resolution": (10.5, 3)}, "resolution is 10.5, expected a whole number"),
+    ],
 )
 def test_wrong_arguments_are_named(body, arguments, message):
     with pytest.raises(ObjectFolderError, match=message):

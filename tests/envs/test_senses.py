@@ -35,6 +35,34 @@ def test_the_checker_passes(body, brick):
     assert observation["audio"].shape == (2400,)
 
 
+def test_the_checker_passes_with_an_environment_made_by_name(body, brick):
+    made = gymnasium.make("objectfolder.envs:ObjectFolder/Reach-v0", file=body, horizon=5)
+    env = Senses(made, {"object": brick}, EAR, seconds=0.05)
+    with pytest.warns(UserWarning, match="different from the unwrapped version"):
+        check_env(env, skip_render_check=True)
+    again = gymnasium.make(env.spec)
+    assert again.reset(seed=3)[0]["observation"].tobytes() == env.reset(seed=3)[0]["observation"].tobytes()
+
+
+def test_two_ears_have_two_names(body, brick):
+    objects, right = {"object": brick}, [0.3, 0.5, 0.2]
+    env = Senses(ReachEnv(body), objects, EAR, seconds=0.5)
+    with pytest.raises(ObjectFolderError, match="an entry 'audio' already; give another name by audio="):
+        Senses(env, objects, right)
+    with pytest.raises(ObjectFolderError, match="an entry 'x' already"):
+        Senses(still(brick), [brick], EAR, audio="x")
+    with pytest.raises(ObjectFolderError, match="an entry 'both' already"):
+        Senses(still(brick), [brick], EAR, ["left_pad"], audio="both", touch="both")
+    env = Senses(env, objects, right, seconds=0.5, audio="right")
+    assert {*env.reset(seed=1)[0]} == {*env.observation_space.spaces} == {"observation", "audio", "right"}
+    lifted(env)
+    for _ in range(40):
+        observation, *_ = env.step(np.zeros(4, np.float32))
+    assert observation["audio"].any()
+    assert observation["right"].any()
+    assert observation["audio"].tobytes() != observation["right"].tobytes()
+
+
 def test_every_step_of_the_simulation_is_heard(body, brick):
     env = Senses(ReachEnv(body), {"object": brick}, EAR, seconds=0.5)
     env.reset(seed=1)
@@ -115,6 +143,8 @@ def test_what_has_no_senses_is_refused(body, brick):
         Senses(gymnasium.make("CartPole-v1"), [brick], EAR)
     with pytest.raises(ObjectFolderError, match="neither a listener nor a pad"):
         Senses(ReachEnv(body), {"object": brick})
+    with pytest.raises(ObjectFolderError, match="pads is 3, expected the names of sites"):
+        Senses(ReachEnv(body), {"object": brick}, pads=3)
     with pytest.raises(ObjectFolderError, match="seconds is 0"):
         Senses(ReachEnv(body), {"object": brick}, EAR, seconds=0)
 
@@ -136,5 +166,5 @@ def test_steps_that_are_not_heard_are_refused(body, brick):
 
     env = Senses(Deaf(body), {"object": brick}, EAR)
     env.reset(seed=0)
-    with pytest.raises(ObjectFolderError, match=r"Deaf simulated 0\.\d+ s that were not heard: call mujoco"):
+    with pytest.raises(ObjectFolderError, match=r"Deaf simulated 0\.\d+ s that were not heard: step with mu"):
         env.step(np.zeros(4, np.float32))

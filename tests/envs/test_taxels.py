@@ -93,3 +93,37 @@ def test_errors_name_what_is_wrong():
         add_taxels(spec, "finger", DIGIT)
     with pytest.raises(ObjectFolderError, match="taxels: rows"):
         taxel_mesh(DIGIT, 1, 9)
+    with pytest.raises(ObjectFolderError, match="unknown sensor profile 'finger'"):
+        add_taxels(spec, "finger", "finger", name="more")
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(12, 16), (16, 12), (2, 2), (7, 5)])
+def test_the_model_knows_the_number_of_columns(rows, columns):
+    spec = mujoco.MjSpec()
+    pad(spec, rows=rows, columns=columns)
+    spec.add_sensor(name="clock", type=mujoco.mjtSensor.mjSENS_CLOCK)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.sensordata[: 3 * rows * columns] = np.arange(3 * rows * columns)
+    read = read_taxels(model, data)
+    assert read.shape == (3, rows, columns)
+    assert read.tobytes() == read_taxels(model, data, columns).tobytes()
+    np.testing.assert_array_equal(read[0, 1, :2], [columns, columns + 1])
+    with pytest.raises(ObjectFolderError, match=f"columns is 3, but the taxels 'taxels' have {columns}"):
+        read_taxels(model, data, 3)
+    for name in ("skin", "clock"):
+        with pytest.raises(ObjectFolderError, match=rf"no taxels '{name}', but \['taxels'\]"):
+            read_taxels(model, data, name=name)
+
+
+def test_the_defaults_of_a_scene_do_not_change_the_taxels():
+    scene = """<mujoco><default><mesh scale="0.001 0.001 0.001"/>
+      <geom type="sphere" size="0.01" mass="3" margin="0.1" rgba="1 0 0 1"/></default></mujoco>"""
+    models = []
+    for spec in (mujoco.MjSpec(), mujoco.MjSpec.from_string(scene)):
+        pad(spec)
+        models.append(spec.compile())
+    own, other = models
+    for name in [name for name in dir(own) if name.startswith(("geom_", "mesh_"))]:
+        rows = own.geom("taxels").id if name.startswith("geom_") else ...
+        np.testing.assert_array_equal(getattr(other, name)[rows], getattr(own, name)[rows], err_msg=name)

@@ -11,7 +11,7 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material, material
-from objectfolder.objectfile import query_files
+from objectfolder.objectfile import query_files, vision
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, look_at
 
@@ -163,3 +163,14 @@ def test_any_query_that_is_drawn_is_one(brick, draw, name):
     given = DRAWS[draw] if draw == "sample_views" else {"obj": brick, **DRAWS[draw]}
     for value in (*NUMBERS, *OTHERS):
         refused_or_numbers(getattr(query_files, draw), given, name, value)
+
+
+@pytest.mark.parametrize("draw", ["view", "render", "torch"])
+@pytest.mark.parametrize("cameras", [np.tile(CAMERA, (10**6, 1)), np.tile(np.eye(4), (10**6, 1, 1))])
+def test_more_views_than_fit_are_refused_by_their_number(brick, monkeypatch, draw, cameras):
+    for of_each_row in ("look_at", "require_rigid", "PointLight", "broadcast_rows"):
+        monkeypatch.delattr(vision, of_each_row)
+    ask = brick.torch().view if draw == "torch" else getattr(brick, draw)
+    for camera, light in ((cameras, LIGHT), (cameras[:1], np.tile(LIGHT, (10**6, 1)))):
+        with pytest.raises(ObjectFolderError, match="1000000 images of 4096 x 4096 pixels: needs"):
+            ask(camera, light, resolution=4096)

@@ -198,10 +198,10 @@ def _without_damping(brick):
         ({"listener": [[0, 0]]}, "listener has shape"),
         ({"listener": np.ones((2, 3))}, "points has 3 rows, listener 2"),
         ({"response": "velocity"}, "leave response out"),
-        ({"material": "steel"}, "build the object in it"),
+        ({"material": "steel"}, "build the object in this material"),
         (
             {"material": dataclasses.replace(material("plastic"), poisson_ratio=0.1)},  # as fast a bar
-            r"0\.90 to 1\.6\d times the wavelength.*build the object in it",
+            r"0\.90 to 1\.6\d times the wavelength.*build the object in this material",
         ),
         ({"delay": 1}, "delay is of type int"),
     ],

@@ -437,7 +437,7 @@ UNDAMPED = Material("brass", 8500.0, 1.0e11, 0.34)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"delay": True}, "delay is True, but without a listener .*; give listener, or leave delay out"),
+        ({"delay": True}, "delay=True needs a listener; give listener, or leave delay out"),
         ({"contact_time": 1e-3, "striker": "steel"}, "striker is 'steel', but contact_time says .*leave one"),
         ({"contact_time": 0.0, "striker": STRIKERS["wood"]}, r"striker is Striker\(.*, but contact_time"),
         ({"material": UNDAMPED}, "material 'brass': an undamped object rings for ever; give alpha, beta or"),

@@ -1,8 +1,12 @@
 """Registered encoders, pretrained weights, and encoder inputs of each modality."""
 
-from collections.abc import Callable, Mapping
+import sys
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from runpy import run_path
 from typing import Annotated
@@ -15,7 +19,7 @@ from torch import nn
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import torch_problem
+from objectfolder.io import file_digest, torch_problem
 from objectfolder.settings import Precision
 
 CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of `encoder_inputs`
@@ -26,6 +30,8 @@ MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 Factory = Callable[[int], nn.Module]
 _FACTORIES: dict[str, Factory] = {}
+_IMPORTED: dict[Path, dict[str, Path]] = {}  # own modules that an encoder's file imported, and their files
+_PACKAGE = Path(__file__).parents[2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +46,11 @@ class EncodeConfig:
     shift: Annotated[int, Ge(0)]  #: pixels by which these touches are moved at most in training
     flip: bool  #: half of the views in training, left to right, before recognition and retrieval
     precision: Precision  #: of training on a CPU; `objectfolder.benchmarks.models.training.train`
+
+    @property
+    def sizes(self) -> "InputSizes":
+        """Sizes of encoder inputs."""
+        return InputSizes(self.image, self.spectrogram, self.touch)
 
 
 def register_encoder(name: str) -> Callable[[Factory], Factory]:
@@ -81,21 +92,64 @@ def registered(name: str) -> str:
     Parameters
     ----------
     name : str
-        Registered name, or ``FILE.py:NAME``: that Python file is run to register it.
+        Registered name, or ``FILE.py:NAME``: that Python file is run to register it. It may import modules
+        beside it, which are run again, too, whenever it is.
 
     Raises
     ------
     ObjectFolderError
-        If there is no such encoder.
+        If there is no such encoder, or its file fails.
     """
     file = own_file(name)
     if file is not None:
         if not file.is_file():
             raise ObjectFolderError(f"encoder {name}: {file} does not exist; expected FILE.py:NAME")
-        run_path(str(file))
+        _run(name, file)
     bare = name.rpartition(":")[2]
     _factory(bare)
     return bare
+
+
+def own_code(name: str) -> list[str]:
+    """Return the digests of an encoder's file and of the modules that it imports, unless they are installed.
+
+    There are none for an encoder of this package. The file is run, unless it was in this process.
+    """
+    file = own_file(name)
+    if file is None:
+        return []
+    if file.resolve() not in _IMPORTED:
+        registered(name)
+    return [file_digest(path) for path in (file, *sorted(set(_IMPORTED[file.resolve()].values())))]
+
+
+def _run(name: str, file: Path) -> None:
+    place = file.resolve()
+    for each in chain.from_iterable(_IMPORTED.values()):  # changed since, or of another file's folder
+        sys.modules.pop(each, None)
+    before = set(sys.modules)
+    sys.path.insert(0, str(place.parent))  # as `python FILE.py` does
+    try:
+        run_path(str(file))
+    except (Exception, SystemExit) as error:  # it is anybody's
+        raise ObjectFolderError(f"encoder {name}: {file} failed: {_problem(error, file)}") from error
+    finally:
+        sys.path.remove(str(place.parent))
+    files = {each: getattr(sys.modules[each], "__file__", None) for each in sys.modules.keys() - before}
+    _IMPORTED[place] = {each: Path(found) for each, found in files.items() if found and _is_own(found)}
+
+
+def _is_own(path: str) -> bool:
+    """Return whether a module's file is neither installed nor of Python or this package."""
+    file, others = Path(path), [_PACKAGE, *(Path(sysconfig.get_path(of)) for of in ("stdlib", "platstdlib"))]
+    installed = {"site-packages", "dist-packages"}.intersection(file.parts)
+    return file.is_file() and not installed and not any(file.is_relative_to(other) for other in others)
+
+
+def _problem(error: BaseException, file: Path | None) -> str:
+    """Return an exception's type and text, and where in an encoder's file it was raised, if it was."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(file)]
+    return f"{type(error).__name__}: {error}" + (f" (line {frames[-1].lineno})" if frames else "")
 
 
 def _factory(name: str) -> Factory:
@@ -130,6 +184,39 @@ def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn
     if weights is not None:
         encoder.load_state_dict(_matched(weights, encoder.state_dict(), name))
     return encoder
+
+
+def check_encoder(encode: EncodeConfig, modalities: Iterable[str], weights: Weights | None = None) -> None:
+    """Make an encoder for some modalities, and let it answer two blank inputs of each: before any work.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such encoder, it fails, lacks the attribute ``features``, answers in another shape than
+        (B, features), or the weights do not fit it.
+    """
+    name = registered(encode.encoder)
+    for modality in modalities:
+        shape = 2, CHANNELS[modality], *encode.sizes.of(modality)
+        given = f"encoder {encode.encoder}, {modality} of shape {shape}"
+        try:
+            with torch.random.fork_rng(devices=[]), torch.no_grad():
+                encoder = make_encoder(name, modality, weights).eval()
+                answer = encoder(torch.zeros(shape))
+        except ObjectFolderError:
+            raise
+        except Exception as error:  # it is anybody's
+            problem = _problem(error, own_file(encode.encoder))
+            raise ObjectFolderError(f"{given}: failed: {problem}") from error
+        features = getattr(encoder, "features", None)
+        if not isinstance(features, int) or isinstance(features, bool) or features < 1:
+            raise ObjectFolderError(
+                f"{given}: its attribute features is {features!r}, expected how many numbers it gives for an "
+                "input, a whole number of at least 1"
+            )
+        found = tuple(answer.shape) if isinstance(answer, torch.Tensor) else type(answer).__name__
+        if found != (2, features):
+            raise ObjectFolderError(f"{given}: gives {found}, expected {(2, features)}: (B, features)")
 
 
 def read_weights(path: str | Path) -> Weights:
@@ -204,6 +291,10 @@ class InputSizes:
     image: int  #: side of the crop of a view
     spectrogram: tuple[int, int]  #: frequencies, times
     touch: tuple[int, int]  #: height, width
+
+    def of(self, modality: str) -> tuple[int, int]:
+        """Return height and width of the inputs of a modality."""
+        return {"vision": (self.image, self.image), "audio": self.spectrogram, "touch": self.touch}[modality]
 
 
 def encoder_inputs(

@@ -327,4 +327,7 @@ def _logits(
     return torch.cat([net(_inputs(job, arrays, part)) for part in parts]).float().cpu().numpy()
 
 
-GRASP_STABILITY = Task("grasp_stability", GraspStabilityConfig, grasp_stability, CURVE_COLUMNS, Grasps)
+GRASP_STABILITY = Task(
+    *("grasp_stability", GraspStabilityConfig, grasp_stability, CURVE_COLUMNS, Grasps),
+    encodes=tuple(MODALITIES.values()),
+)

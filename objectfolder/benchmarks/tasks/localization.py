@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, sample_contacts
 from objectfolder.benchmarks.datasets.samples import object_digest
-from objectfolder.benchmarks.models.encoders import InputSizes, own_file, registered, shifted
+from objectfolder.benchmarks.models.encoders import own_code, registered, shifted
 from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, belief_together, likeliest
 from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
 from objectfolder.benchmarks.params import TaskParams
@@ -25,7 +25,7 @@ from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
 from objectfolder.benchmarks.tasks.running import Report, Task, code_digest, training_device
-from objectfolder.io import file_digest, read_npz, write_npz
+from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.workspace.layout import Benchmarks
@@ -258,7 +258,7 @@ def _belief(setting: _Setting, net: Localizer, letter: str, rows: np.ndarray) ->
     return torch.cat(found).double().cpu().numpy()
 
 
-LOCALIZE = Task("localize", LocalizeConfig, localize, CURVE_COLUMNS)
+LOCALIZE = Task("localize", LocalizeConfig, localize, CURVE_COLUMNS, encodes=tuple(LETTERS.values()))
 
 
 @dataclass(frozen=True)
@@ -278,8 +278,7 @@ class ContactRun:
 
     def identity(self) -> tuple[Any, ...]:
         """Return everything that the result of each seed depends on."""
-        own = own_file(self.params.encode.encoder)
-        given = None if own is None else file_digest(own)
+        given = own_code(self.params.encode.encoder)
         device = torch.device(training_device(self.device)).type  # a GPU trains in bfloat16
         return object_digest(self.file), self.params.one_seed(), code_digest(self.task.run), given, device
 
@@ -297,7 +296,7 @@ class ContactRun:
             contact_split(settings.contacts),
             settings,
             registered(encode.encoder),
-            InputSizes(encode.image, encode.spectrogram, encode.touch),
+            encode.sizes,
             seed,
             progress,
             None,

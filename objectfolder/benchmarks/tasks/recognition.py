@@ -343,7 +343,11 @@ def _logits(job: Job[RecognizeConfig], net: Classifier, name: str, rows: np.ndar
     return torch.cat([net(_inputs(job, name, part)) for part in parts]).cpu()
 
 
-RECOGNIZE = Task("recognize", RecognizeConfig, recognize, CURVE_COLUMNS, Observations, check_learnt)
+RECOGNIZE = Task(
+    *("recognize", RecognizeConfig, recognize, CURVE_COLUMNS, Observations, check_learnt),
+    encodes=tuple(LETTERS.values()),
+)
 MATERIALS = Task(
-    "materials", RecognizeConfig, classify_materials, CURVE_COLUMNS, Observations, check_materials
+    *("materials", RecognizeConfig, classify_materials, CURVE_COLUMNS, Observations, check_materials),
+    encodes=tuple(LETTERS.values()),
 )

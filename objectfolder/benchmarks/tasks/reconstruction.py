@@ -227,4 +227,6 @@ def _sheet(job: Job[ReconstructConfig], truth: Truth) -> np.ndarray:
     return sheet(views, [list(meshes) for meshes in zip(*shapes)])
 
 
-RECONSTRUCT = Task("reconstruct", ReconstructConfig, reconstruct, CURVE_COLUMNS, Observations)
+RECONSTRUCT = Task(
+    "reconstruct", ReconstructConfig, reconstruct, CURVE_COLUMNS, Observations, encodes=MODALITIES
+)

@@ -344,4 +344,4 @@ def _correlated(
     return scores, dict(zip(("dimensions", "components"), chosen))
 
 
-RETRIEVE = Task("retrieve", RetrieveConfig, retrieve, CURVE_COLUMNS, Observations, check_objects)
+RETRIEVE = Task("retrieve", RetrieveConfig, retrieve, CURVE_COLUMNS, Observations, check_objects, MODALITIES)

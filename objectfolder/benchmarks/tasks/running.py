@@ -14,7 +14,7 @@ import torch
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, named_split
-from objectfolder.benchmarks.models.encoders import InputSizes, Weights, own_file, registered
+from objectfolder.benchmarks.models.encoders import Weights, own_code, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.errors import ObjectFolderError
@@ -59,6 +59,7 @@ class Task:
     samples: Callable[[dict[str, Path]], Samples] | None = None  #: opens samples by key; None for robots
     #: Raises ObjectFolderError if the task cannot be trained on a split of these objects.
     check: Callable[[Split, Objects], None] = any_objects
+    encodes: tuple[str, ...] = ()  #: modalities that it makes encoders for
 
 
 class Run(Protocol):
@@ -100,8 +101,8 @@ class SplitRun:
 
     def identity(self) -> tuple[Any, ...]:
         """Return everything that the result of each seed depends on."""
-        files = [None if self.weights is None else self.weights.path, own_file(self.params.encode.encoder)]
-        given = [file_digest(path) for path in files if path is not None]
+        weights = [] if self.weights is None else [file_digest(self.weights.path)]
+        given = weights, own_code(self.params.encode.encoder)
         # The frozen list of objects is data, which is part of no code.
         rows = self.split.digest
         device = torch.device(training_device(self.device)).type  # a GPU trains in bfloat16
@@ -120,7 +121,7 @@ class SplitRun:
             self.split,
             self.params.settings,
             registered(encode.encoder),
-            InputSizes(encode.image, encode.spectrogram, encode.touch),
+            encode.sizes,
             self.params.seed,
             progress,
             self.weights,

@@ -58,11 +58,12 @@ class ReleasedKilo(ReleasedVision):
         self.box = [list(map(float, corner)) for corner in box]
         self.weights, self.cells, self.voxel_mask = weights, cells, occupied
         self._check()
-        self._low, self._high = torch.tensor(self.box)
-        self._cell = (self._high - self._low) / torch.tensor(self.grid)
-        self._voxel = (self._high - self._low) / torch.tensor(self.voxels)
-        self._row = torch.full((math.prod(self.grid),), -1, dtype=torch.long)
-        self._row[cells] = torch.arange(len(cells))
+        self._low, self._high = torch.from_numpy(np.array(self.box, np.float32))
+        self._cell, self._voxel = (
+            (self._high - self._low) / torch.from_numpy(np.array(parts)) for parts in (self.grid, self.voxels)
+        )
+        self._row = cells.new_full((math.prod(self.grid),), -1)
+        self._row[cells] = torch.arange(len(cells), device=cells.device)
         self._depth = sum(name.startswith("points.") and name.endswith(".weight") for name in weights)
         self.coarse = self.fine = self
 

@@ -4,17 +4,15 @@ Weights stay 32-bit, to reproduce the original's answers.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 
+from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.nets.positional import SKIP, SkipNetwork, encoded
-
-_Net = TypeVar("_Net", bound=nn.Module)
 
 
 class ReleasedNetwork(SkipNetwork):
@@ -51,15 +49,9 @@ def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") 
     if rest or channels % inputs or octaves < 0:
         raise ValueError(f"{channels} channels of {inputs} inputs")
     shape = inputs, width, _depth(state), octaves, len(state["output.weight"])
-    return filled(lambda: ReleasedNetwork(*shape), state)
-
-
-def filled(make: Callable[[], _Net], state: dict[str, torch.Tensor]) -> _Net:
-    """Make a module that uses these tensors, without allocating its own."""
-    with torch.device("meta"):  # a wrong size allocates nothing before it is compared with the tensors
-        net = make()
-    net.load_state_dict(state, assign=True)
-    return net.eval().requires_grad_(False)
+    with UNFILLED:
+        net = ReleasedNetwork(*shape)
+    return filled(net, state).requires_grad_(False)
 
 
 def float_tensors(tensors: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:

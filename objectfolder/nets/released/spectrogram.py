@@ -44,7 +44,7 @@ class ReleasedSpectrogram:
     points of the query; here ``coordinates`` is fixed.
     """
 
-    damped_frequency = torch.zeros(0, dtype=torch.float64)  #: no modes are known
+    damped_frequency = torch.zeros(0, dtype=torch.float64, device="cpu")  #: no modes are known
 
     def __init__(self, branches: list[ReleasedNetwork], vertices: np.ndarray, config: dict[str, Any]):
         from scipy.spatial import KDTree  # imported here: takes half a second, and other kinds do not need it
@@ -56,7 +56,7 @@ class ReleasedSpectrogram:
         self._translation = np.array(config["translation"], np.float64).reshape(3)
         self._scale = float(config["scale"])
         self._low, self._high = map(float, config["coordinates"])
-        self._values = torch.tensor(config["values"], dtype=torch.float64).reshape(3, 2)
+        self._values = torch.from_numpy(np.array(config["values"], np.float64).reshape(3, 2))
         finite = np.isfinite([*self._translation, self._scale, *self._values.flatten().tolist()]).all()
         if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(self.vertices) < NEIGHBOURS:
             raise ValueError(

@@ -13,7 +13,8 @@ import torch
 
 from objectfolder.mesh import srgb
 from objectfolder.mesh.grid import ascent
-from objectfolder.nets.released.network import filled, float_tensors, stored_tensors
+from objectfolder.nets.loading import UNFILLED, filled
+from objectfolder.nets.released.network import float_tensors, stored_tensors
 from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.picture import Picture
@@ -50,7 +51,7 @@ class March:
 
     def distances(self) -> torch.Tensor:
         """Return the distances of the first pass; (samples,)."""
-        t = torch.linspace(0.0, 1.0, self.samples)
+        t = _even(self.samples)
         if self.inverse:
             return 1 / (1 / self.near * (1 - t) + 1 / self.far * t)
         return self.near * (1 - t) + self.far * t
@@ -65,7 +66,7 @@ class March:
         share = weights[:, 1:-1] + 1e-5
         share = share / share.sum(1, keepdim=True)
         cumulative = torch.cat([torch.zeros_like(share[:, :1]), share.cumsum(1)], 1)
-        target = torch.linspace(0.0, 1.0, self.more).to(share).expand(len(share), -1).contiguous()
+        target = _even(self.more).to(share).expand(len(share), -1).contiguous()
         above = torch.searchsorted(cumulative, target, right=True)
         below, above = (above - 1).clamp(min=0), above.clamp(max=cumulative.shape[1] - 1)
         (c0, c1), (t0, t1) = ([x.gather(1, i) for i in (below, above)] for x in (cumulative, ends))
@@ -280,7 +281,9 @@ def scattering_of(
         "point_octaves": point_octaves,
         "direction_octaves": direction_octaves,
     }
-    return filled(lambda: ScatteringFunction(**shape), state)
+    with UNFILLED:
+        net = ScatteringFunction(**shape)
+    return filled(net, state).requires_grad_(False)
 
 
 def _rays(
@@ -292,6 +295,11 @@ def _rays(
     local = np.stack([x, y, -np.ones_like(x)], -1).reshape(-1, 3)
     directions = (local @ np.asarray(camera_to_world)[:3, :3].T).astype(np.float32)
     return torch.from_numpy(camera_to_world[:3, 3].astype(np.float32)), torch.from_numpy(directions)
+
+
+def _even(count: int) -> torch.Tensor:
+    """Return evenly spaced numbers from 0 to 1; (count,) float32, on the CPU."""
+    return torch.linspace(0.0, 1.0, count, dtype=torch.float32, device="cpu")
 
 
 def _points(origin: torch.Tensor, ways: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:

@@ -11,6 +11,7 @@ from objectfolder.objectfile.gradients.sound import Sound
 from objectfolder.objectfile.gradients.touch import Touch
 from objectfolder.objectfile.gradients.view import View
 from objectfolder.objectfile.parts import StoredParts
+from objectfolder.objectfile.torch_modes import usual_modes
 
 DTYPES = (torch.float32, torch.float64)
 _Made = TypeVar("_Made", bound=AnswerModule)
@@ -19,7 +20,8 @@ _Made = TypeVar("_Made", bound=AnswerModule)
 class Answers:
     """How an object looks, sounds and feels, as torch modules whose answers carry gradients.
 
-    They compute on the CPU; their weights are copies, and need no gradients.
+    They compute on the CPU; their weights are copies, and need no gradients. A module is made when it is
+    first asked for.
 
     Parameters
     ----------
@@ -37,28 +39,31 @@ class Answers:
         dtype = torch.float32 if dtype is None else dtype
         if dtype not in DTYPES:
             raise ObjectFolderError(f"dtype is {dtype}, expected torch.float32 or torch.float64")
-        self._parts, self._dtype = parts, dtype
+        self._parts, self.dtype = parts, dtype
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._parts, self._dtype)  # modules are made again
+        return type(self), (self._parts, self.dtype)  # modules are made again
 
     @cached_property
+    @usual_modes()
     def sound(self) -> Sound:
         """Strikes in, sounds out."""
-        return self._made(Sound(self._parts.audio, self._parts.surface, self._dtype), "sound")
+        return self._made(Sound(self._parts.audio, self._parts.surface, self.dtype), "sound")
 
     @cached_property
+    @usual_modes()
     def touch(self) -> Touch:
         """Poses of a tactile sensor in, images and contacts out."""
-        return self._made(Touch(self._parts.touch, self._dtype), "touch")
+        return self._made(Touch(self._parts.touch, self.dtype), "touch")
 
     @cached_property
+    @usual_modes()
     def view(self) -> View:
         """Cameras and lights in, images out."""
-        return self._made(View(self._parts.vision, self._dtype), "view")
+        return self._made(View(self._parts.vision, self.dtype), "view")
 
     def _made(self, module: _Made, name: str) -> _Made:
-        module.source = _again, (self._parts, self._dtype, name)
+        module.source = _again, (self._parts, self.dtype, name)
         return module
 
 

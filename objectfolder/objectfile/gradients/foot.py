@@ -4,6 +4,7 @@ import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.objectfile.gradients.first_order import first_order
 
 
 def on_surface(points: torch.Tensor, feet: np.ndarray, surface: Isosurface) -> torch.Tensor:
@@ -31,6 +32,7 @@ def on_surface(points: torch.Tensor, feet: np.ndarray, surface: Isosurface) -> t
     foot = torch.from_numpy(feet).to(points)
     if not points.requires_grad:
         return foot
+    points = first_order(points)
     place = torch.tensor(feet, dtype=torch.float32, requires_grad=True)
     with torch.enable_grad():
         (slope,) = torch.autograd.grad(surface.grid.distance(place).sum(), place)

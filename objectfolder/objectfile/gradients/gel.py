@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch.autograd.function import once_differentiable
 
 from objectfolder.touch.active_set import ACCURACY, settle, supporting_pressure
 from objectfolder.touch.gel import deform, layer_of, respond
@@ -45,6 +46,7 @@ class SoftGel(torch.autograd.Function):
         return torch.from_numpy(displacement), torch.from_numpy(pressure)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Any) -> tuple[torch.Tensor, None]:
         """Return the gradients of heights (N, H, W)."""
         of_moved, of_pressure = (g.numpy().astype(np.float64) for g in gradients)

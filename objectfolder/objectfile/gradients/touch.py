@@ -10,6 +10,7 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.touch_geometric import GeometricTouch
+from objectfolder.objectfile.gradients.first_order import first_order
 from objectfolder.objectfile.gradients.foot import on_surface
 from objectfolder.objectfile.gradients.gel import SoftGel
 from objectfolder.objectfile.gradients.module import AnswerModule
@@ -97,7 +98,8 @@ class Touch(AnswerModule):
         count, scale = len(feet), net.scale
         given = torch.as_tensor(points).double().expand(feet.shape) / scale
         turned, leaning, towards, pressed = (
-            torch.as_tensor(v, dtype=torch.float64).expand(count) for v in (angle, tilt, azimuth, depth)
+            first_order(torch.as_tensor(v, dtype=torch.float64)).expand(count)
+            for v in (angle, tilt, azimuth, depth)
         )
         places = on_surface(given, feet / scale, net.surface)
         outward = contact_normals(net.surface.grid.smooth_distance, places, NORMAL_RADIUS)

@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.objectfile.gradients.first_order import first_order
 from objectfolder.objectfile.gradients.module import AnswerModule
 from objectfolder.objectfile.vision import SurfaceSense, poses_and_lights, require_image_room
 from objectfolder.vision.cameras import Intrinsics, PixelRays, covered_rectangle, up_directions
@@ -55,10 +57,9 @@ class View(AnswerModule):
         if not isinstance(sense, SurfaceSense):
             raise ObjectFolderError("gradients of views need a vision net of kind surface")
         self._surface, self._dtype = sense.surface, dtype
-        self.net = copy.deepcopy(sense.net).cpu().requires_grad_(False)
-        baked = self.net.bake(self._surface)
+        self.net = copy.deepcopy(sense.net).cpu().to(dtype).requires_grad_(False)
+        baked = sense.baked
         self._baked = replace(baked, look=baked.look.to(dtype), transport=baked.transport.to(dtype))
-        self.net.to(dtype)
 
     def forward(
         self,
@@ -76,17 +77,17 @@ class View(AnswerModule):
         resolution : int, optional
         intrinsics : Intrinsics, optional
         """
-        poses, lamps = poses_and_lights(camera, light, ())
         seen_by = Intrinsics.given(intrinsics, resolution)
-        require_image_room(len(poses), seen_by, _BYTES_PER_PIXEL)
-        places = torch.as_tensor(camera).double()
+        room = partial(require_image_room, intrinsics=seen_by, bytes_per_pixel=_BYTES_PER_PIXEL)
+        poses, _ = poses_and_lights(camera, light, (), room)
+        places = first_order(torch.as_tensor(camera).double())
         frames = (
             places.reshape(-1, 4, 4) if places.shape[-2:] == (4, 4) else looking_at(places.reshape(-1, 3))
         )
         frames = frames.expand(len(poses), 4, 4)
-        lights = torch.as_tensor(light).to(self._dtype).reshape(-1, 3).expand(len(lamps), 3)
+        lights = first_order(torch.as_tensor(light).to(self._dtype)).reshape(-1, 3).expand(len(poses), 3)
         pictures = [self._picture(frame, of, seen_by) for frame, of in zip(frames, lights)]
-        radiance, inside = (torch.stack(of) for of in zip(*pictures)) if pictures else _nothing(seen_by)
+        radiance, inside = (torch.stack(of) for of in zip(*pictures)) if pictures else self._nothing(seen_by)
         shown = srgb.encode(radiance.clamp(0, 1))
         return Seen(torch.where(inside[..., None], shown, 1), radiance, inside)
 
@@ -114,6 +115,10 @@ class View(AnswerModule):
         place = torch.from_numpy(row * seen_by.width + column)
         radiance = radiance.index_copy(0, place, color)
         return radiance.view(*shape, 3), inside.index_fill(0, place, True).view(shape)
+
+    def _nothing(self, seen_by: Intrinsics) -> tuple[torch.Tensor, torch.Tensor]:
+        empty = torch.zeros(0, seen_by.height, seen_by.width, 3, dtype=self._dtype)
+        return empty, empty[..., 0].bool()
 
 
 def hits(
@@ -180,8 +185,3 @@ def looking_at(positions: torch.Tensor) -> torch.Tensor:
     rows = torch.stack([right, torch.linalg.cross(backward, right), backward, positions], 2)
     last = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(rows).expand(len(rows), 1, 4)
     return torch.cat([rows, last], 1)
-
-
-def _nothing(seen_by: Intrinsics) -> tuple[torch.Tensor, torch.Tensor]:
-    empty = torch.zeros(0, seen_by.height, seen_by.width)
-    return empty[..., None].expand(0, seen_by.height, seen_by.width, 3), empty.bool()

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from brick import with_images
 from PIL import Image
 
 from objectfolder.benchmarks.datasets import lerobot as module
@@ -144,9 +145,9 @@ def test_each_object_has_a_task_of_its_own(brick, tmp_path):
         write_lerobot([brick, brick], tmp_path / "out")
 
 
-def test_nets_that_need_a_press_are_refused_before_anything_is_written(brick, tmp_path, monkeypatch):
-    other = ObjectFile(brick.header | {"key": "other"}, brick.tensors, "other")
-    monkeypatch.setitem(other.header, "touch", other.header["touch"] | {"kind": "image"})
+def test_nets_that_need_a_press_are_refused_before_anything_is_written(brick, tmp_path):
+    image = with_images(brick, 0.001, 0.0)
+    other = ObjectFile(image.header | {"key": "other"}, image.tensors, "other")
     with pytest.raises(ObjectFolderError, match="other: its touch net is of kind 'image', expected 'geom"):
         write_lerobot([brick, other], tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -9,9 +11,12 @@ from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encoders import (
     DEVIATION,
     MEAN,
+    EncodeConfig,
     InputSizes,
+    check_encoder,
     encoder_inputs,
     make_encoder,
+    own_code,
     read_weights,
     register_encoder,
     registered,
@@ -249,6 +254,96 @@ def test_a_file_registers_its_encoder_and_is_run_by_nobody_else(tmp_path, monkey
         registered(f"{path}:nothing")
     with pytest.raises(ObjectFolderError, match=r"mine2\.py does not exist"):
         registered(f"{tmp_path / 'mine2.py'}:of_a_file")
+
+
+OWN = """
+from torch import nn
+from objectfolder.benchmarks.models.encoders import register_encoder
+
+@register_encoder("own")
+class Own(nn.Sequential):
+    features = 4
+
+    def __init__(self, channels):
+        super().__init__(nn.Conv2d(channels, 4, 5, 3), nn.AdaptiveAvgPool2d(1), nn.Flatten())
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """Writes an encoder's file, and returns the section that names it."""
+    monkeypatch.setattr(encoders, "_FACTORIES", dict(encoders._FACTORIES))
+
+    def write(text):
+        path = tmp_path / "mine.py"
+        path.write_text(text)
+        return EncodeConfig(
+            encoder=f"{path}:own",
+            **{"image": 56, "spectrogram": (64, 50), "touch": (64, 48)},
+            **{"subtract": False, "shift": 0, "flip": False, "precision": "float32"},
+        )
+
+    yield write
+    for module in ("beside", "package", "package.inner"):
+        sys.modules.pop(module, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "instead", "message"),
+    [
+        ("from torch import nn", "def (", r"mine.py failed: SyntaxError: .*\(mine.py, line 2\)$"),
+        ("from torch import nn", "import nowhere", r"mine.py failed: ModuleNotFoundError: .* \(line 2\)$"),
+        ("from torch import nn", "raise SystemExit(2)", r"mine.py failed: SystemExit: 2 \(line 2\)$"),
+        ("(self, channels)", "(self)", r"vision of shape \(2, 3, 56, 56\): failed: TypeError: .*__init__"),
+        ("channels, 4, 5", "3, 4, 5", r"audio of shape \(2, 1, 64, 50\): failed: RuntimeError: "),
+        ("super()", "super(", "failed: SyntaxError"),
+        ("super()", "1 / 0; super()", r"failed: ZeroDivisionError: division by zero \(line 10\)$"),
+        ("features = 4", "pass", r"vision .*: its attribute features is None, expected .* at least 1"),
+        ("features = 4", "features = 4.0", "its attribute features is 4.0"),
+        ("features = 4", "features = True", "its attribute features is True"),
+        ("features = 4", "features = 8", r"vision .*: gives \(2, 4\), expected \(2, 8\)"),
+        (", nn.Flatten()", "", r"vision .*: gives \(2, 4, 1, 1\), expected \(2, 4\)"),
+        ("nn.Flatten()", "nn.Flatten(), nn.LSTM(4, 4)", r"gives tuple, expected \(2, 4\)"),
+    ],
+)
+def test_an_own_encoder_that_fails_is_named_before_any_work(own, text, instead, message):
+    encode = own(OWN.replace(text, instead))
+    assert text in OWN
+    with pytest.raises(ObjectFolderError, match=rf"(?s)^encoder .*mine\.py:own.*{message}"):
+        check_encoder(encode, ("vision", "audio", "touch"))
+
+
+def test_an_encoder_is_checked_without_a_trace(own, imagenet):
+    encode = own(OWN.replace("nn.Conv2d", "nn.BatchNorm2d(channels), nn.Conv2d"))
+    state, path = torch.get_rng_state(), list(sys.path)
+    check_encoder(encode, ("vision", "audio", "touch"))
+    assert torch.equal(torch.get_rng_state(), state)
+    assert sys.path == path
+    check_encoder(encode, ())
+    with pytest.raises(ObjectFolderError, match="is not one of"):
+        check_encoder(EncodeConfig(**vars(encode) | {"encoder": "vgg"}), ())
+    with pytest.raises(ObjectFolderError, match=r"expected the .* tensors of own"):
+        check_encoder(encode, ("vision",), read_weights(imagenet))
+
+
+def test_the_code_of_an_encoder_is_its_file_and_the_modules_beside_it(own, tmp_path):
+    imports = "import poplib, scipy.datasets\nfrom beside import WIDTH\nfrom package.inner import DEPTH\n"
+    encode = own(imports + OWN.replace("features = 4", "features = WIDTH").replace("4, 5, 3", "WIDTH, 5, 3"))
+    (tmp_path / "package").mkdir()
+    (tmp_path / "package/inner.py").write_text("DEPTH = 1")
+    (tmp_path / "beside.py").write_text("WIDTH = 4")
+    assert own_code("resnet18") == []
+    before = own_code(encode.encoder)
+    assert len(before) == 3
+    assert own_code(encode.encoder) == before
+    assert registered(encode.encoder) == "own"
+    assert own_code(encode.encoder) == before
+    (tmp_path / "beside.py").write_text("WIDTH = 16")
+    assert own_code(encode.encoder) != before
+    check_encoder(encode, ("vision",))
+    assert make_encoder("own", "vision").features == 16
+    (tmp_path / "beside.py").write_text("WIDTH = 4")
+    assert own_code(encode.encoder) == before
 
 
 @pytest.mark.parametrize("modality", ["vision", "audio", "touch"])

@@ -4,6 +4,7 @@ import shutil
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -12,9 +13,10 @@ from threadpoolctl import threadpool_info
 
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets import splits
+from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encoders import EncodeConfig
 from objectfolder.benchmarks.params import TaskParams
-from objectfolder.benchmarks.tasks import running
+from objectfolder.benchmarks.tasks import localization, running
 from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
 from objectfolder.errors import ObjectFolderError
@@ -179,6 +181,30 @@ def test_a_run_on_another_device_is_another_run(monkeypatch):
     runs = [SplitRun(RETRIEVE, "seen", samples, PARAMS, Benchmarks("out"), device=name) for name in devices]
     cpu, gpu, same = (spec.identity() for spec in runs)
     assert cpu != gpu == same
+
+
+def test_a_run_with_another_module_of_its_own_encoder_is_another_run(monkeypatch, tmp_path):
+    monkeypatch.setattr(running, "code_digest", lambda function: "code")  # takes seconds
+    monkeypatch.setattr(localization, "code_digest", lambda function: "code")
+    monkeypatch.setattr(localization, "object_digest", lambda file: "object")
+    monkeypatch.setattr(encoders, "_FACTORIES", dict(encoders._FACTORIES))
+    (tmp_path / "mine.py").write_text(
+        "import beside_an_encoder\n"
+        "from objectfolder.benchmarks.models.encoders import register_encoder\n"
+        'register_encoder("own")(None)\n'
+    )
+    params = replace(PARAMS, encode=replace(ENCODE, encoder=f"{tmp_path / 'mine.py'}:own"))
+    samples = SimpleNamespace(digest="x", keys=("espresso_mug", "tea_beaker"), count=10)
+    runs = [
+        SplitRun(RETRIEVE, "seen", samples, params, Benchmarks("out")),
+        localization.ContactRun(None, params, Benchmarks("out")),
+    ]
+    found = []
+    for width in ("WIDTH = 4", "WIDTH = 16", "WIDTH = 4"):
+        (tmp_path / "beside_an_encoder.py").write_text(width)
+        found.append([spec.identity() for spec in runs])
+    assert found[0] == found[2]
+    assert all(one != other for one, other in zip(*found[:2]))
 
 
 def test_the_cost_of_a_finished_run_stays_as_it_was(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from scipy.ndimage import binary_erosion
 from objectfolder import ObjectFile
 from objectfolder.errors import ObjectFolderError
 from objectfolder.metrics import psnr
+from objectfolder.objectfile.gradients.touch import Touch
 from objectfolder.touch.profiles import load_profile
 
 RIGID, SOFT = load_profile("tacto_digit"), load_profile("digit")
@@ -110,6 +111,6 @@ def test_other_nets_are_refused(mug):
     try:
         tacto.net = type(net)(mug.surface, mug.scale, replace(RIGID, name="t"), renderer="tacto")
         with pytest.raises(ObjectFolderError, match="renderer gel"):
-            _ = mug.torch().touch
+            Touch(tacto, torch.float32)
     finally:
         tacto.net = net

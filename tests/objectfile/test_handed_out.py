@@ -1,0 +1,44 @@
+"""What an Object File hands out cannot change its answers."""
+
+import numpy as np
+import pytest
+
+from objectfolder import ObjectFile
+from objectfolder.errors import ObjectFolderError
+
+CAMERA, LIGHT = [2.0, 1.0, 1.0], [0.5, 0.5, 0.9]
+
+
+def test_the_header_is_a_copy(brick):
+    header, scale = brick.header, brick.scale
+    header["scale"] = 5
+    header["audio"]["kind"] = "none"
+    assert brick.scale == scale
+    assert brick.header["audio"]["kind"] == "gains"
+    assert ObjectFile(brick.header, brick.tensors).scale == scale
+
+
+def test_the_surface_is_read_only_and_still_answers(brick_path):
+    brick, other = ObjectFile.load(brick_path), ObjectFile.load(brick_path)
+    for array in (brick.surface.vertices, brick.surface.faces):
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0
+    points = other.sample_surface(3)
+    np.testing.assert_array_equal(brick.sample_surface(3), points)
+    np.testing.assert_array_equal(brick.view(CAMERA, LIGHT, 16), other.view(CAMERA, LIGHT, 16))
+    np.testing.assert_array_equal(brick.touch(points), other.touch(points))
+    np.testing.assert_array_equal(brick.nearest(2 * points)[0], other.nearest(2 * points)[0])
+    mesh = brick.to_mesh()
+    mesh.vertices[:] = 0  # a copy
+    np.testing.assert_array_equal(brick.bounds, other.bounds)
+
+
+def test_points_are_drawn_with_a_seed_a_generator_or_fresh_entropy(brick):
+    drawn = brick.sample_surface(4, seed=7)
+    rng = np.random.default_rng(7)
+    np.testing.assert_array_equal(brick.sample_surface(4, rng), drawn)
+    assert (brick.sample_surface(4, rng) != drawn).any(), "the generator goes on"
+    assert (brick.sample_surface(4, None) != brick.sample_surface(4, None)).any()
+    for seed in (-1, 0.5, "7", True, [7], np.random.RandomState(7)):
+        with pytest.raises(ObjectFolderError, match=r"^seed is .*, a numpy Generator or None$"):
+            brick.sample_surface(4, seed=seed)
