@@ -3,20 +3,28 @@
 Contacts of MuJoCo are soft: an impact lasts several steps, many times as long as that of the real bodies. So
 an impact is not the course of the simulated force. When bodies come to touch at a place where they did not
 touch before, the impulses that stop their approach are computed from the bodies' inertia (as for rigid
-bodies, all new contacts together), with the restitution that the contact's spring and damper have.
+bodies, all contacts together, with Coulomb friction), with the restitution that the contact's spring and
+damper have.
+
+The simulation applies such an impulse little by little. Until it has, what is left of it is pending: whether
+the bodies still approach at another place, where their soft contact has moved to, is asked of the velocity
+that they will have when it has acted. So one landing is one impact, however long and at however many points
+the simulation makes it last, and a second edge that hits is another one.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
-_SHARE = (
-    0.01  # stiffness that shares an impulse among more contacts than it determines, of the contacts' mean
-)
+_SHARE = 1e-3  # softness that shares an impulse among more contacts than it determines, of each contact's own
 _APART = 0.02  # m; contacts further apart are different ones, but for their motion in three steps
+_LASTING = 3.0  # time constants of a contact after which an impact has acted; then the velocity is as it is
+_FAINT = 0.05  # approach that goes unheard while an impact acts, of that impact's
+_PASSES = 5  # at most, in which friction finds the direction of the sliding that it leaves
+_JUMP = 20.0  # m/s; mocap bodies that seem to be faster have been put elsewhere
 
 
 @dataclass(frozen=True)
@@ -60,17 +68,22 @@ class ContactReader:
         self._model = model
         self._counts = np.zeros(model.nbody, bool)
         self._counts[bodies] = True
+        self._mocap = model.body_mocapid[model.body_rootid]  # number of what carries each body, or -1
         #: approach that gravity alone makes in a step: slower ones are not resolved, m/s
         self.slowest = max(float(np.linalg.norm(model.opt.gravity)) * model.opt.timestep, 1e-3)
         self.reset()
 
     def reset(self) -> None:
-        """Forget which bodies touch."""
+        """Forget which bodies touch, and where mocap bodies were."""
         self._before: tuple[np.ndarray, np.ndarray] | None = None  # pairs of geoms, and points
+        self._pending: dict[tuple[int, int], _Pending] = {}  # by bodies
+        self._outside = np.zeros(self._model.nv)  # that all but pending impacts added to the velocity
+        self._poses: tuple[np.ndarray, np.ndarray] | None = None  # places and turns of mocap bodies
 
     def read(self, data: mujoco.MjData) -> tuple[list[Impact], list[Load]]:
         """Return the impacts and loads of the step that ``mj_step`` made last."""
         contact, model = data.contact, self._model
+        moving = self._moving(data) if model.nmocap else None
         geoms = contact.geom
         bodies = model.geom_bodyid[geoms]
         rows = np.flatnonzero(
@@ -79,8 +92,11 @@ class ContactReader:
         )  # fmt: skip
         before, self._before = self._before, None
         if not len(rows):
+            self._pending = {}
             return [], []
         found = _Rows.of(model, data, rows)
+        if moving is not None:
+            found = self._carried(data, found, *moving)
         self._before = found.pairs, found.point
         new = np.ones(len(rows), bool)
         if before is not None:
@@ -88,50 +104,108 @@ class ContactReader:
             away = np.square(found.point[:, None] - before[1]).sum(2)
             same = (found.pairs[:, None] == before[0]).all(2)
             new = ~(same & (away < near[:, None] ** 2)).any(1)
-        struck = np.flatnonzero(new & (found.velocity[:, 0] < -self.slowest))
-        return self._impacts(data, found, struck), self._loads(data, found, np.flatnonzero(~new))
+        live = new & (found.velocity[:, 0] < -self.slowest)
+        if self._pending:
+            touching = set(found.bodies)
+            self._pending = {k: one for k, one in self._pending.items() if one.steps > 0 and k in touching}
+            live |= np.array([pair in self._pending for pair in found.bodies])
+        impacts = self._impacts(data, found, np.flatnonzero(live), new) if live.any() else []
+        return impacts, self._loads(data, found, np.flatnonzero(~new))
 
-    def _impacts(self, data: mujoco.MjData, found: "_Rows", struck: np.ndarray) -> list[Impact]:
-        """Solve for the impulses that stop the approach of new contacts."""
-        if not len(struck):
-            return []
-        count, model = len(struck), self._model
-        motion = np.concatenate([self._jacobian(data, found, k) for k in struck])  # (3 K, nv)
-        moved = np.empty_like(motion)
-        mujoco.mj_solveM(model, data, moved, motion)
-        mobility = motion @ moved.T
-        normal = mobility[::3, ::3]
-        approach, bounce = (
-            -found.velocity[struck, 0],
-            np.array([restitution(*ref) for ref in found.solref[struck].tolist()]),
-        )
-        wanted = (1 + bounce) * approach
-        extra = _SHARE * np.trace(normal) / count * np.eye(count)
-        impulses, _ = nnls(np.concatenate([normal, extra]), np.concatenate([wanted, np.zeros(count)]))
-        out = []
-        for k, row in enumerate(struck):
-            if impulses[k] <= 0:
-                continue
-            frame, sliding = found.frame[row], found.velocity[row, 1:]
-            speed = float(np.linalg.norm(sliding))
-            side = np.zeros(2)
-            if speed > 0:
-                yields = np.diag(mobility)[3 * k + 1 : 3 * k + 3].mean()
-                side = -sliding / speed * min(found.friction[row] * impulses[k], speed / max(yields, 1e-12))
-            depth = max(-float(found.distance[row]), 0.0)
-            out.append(
-                Impact(
-                    bodies=found.bodies[row],
-                    point=found.point[row],
-                    impulse=np.array([impulses[k], *side]) @ frame,
-                    normal=float(impulses[k]),
-                    speed=float(approach[k]),
-                    mass=float(impulses[k] / wanted[k]),
-                    lost=float(impulses[k] * approach[k] * (1 - bounce[k]) / 2),
-                    late=min(depth / float(approach[k]), model.opt.timestep),
+    def _impacts(
+        self, data: mujoco.MjData, found: "_Rows", live: np.ndarray, new: np.ndarray
+    ) -> list[Impact]:
+        """Solve for the impulses that stop what approach the pending ones leave."""
+        model, count, step = self._model, len(live), self._model.opt.timestep
+        pairs = [found.bodies[row] for row in live]
+        motion = np.concatenate([self._jacobian(data, found, k) for k in live])  # (3 K, nv)
+        momentum = sum((one.momentum for one in self._pending.values()), np.zeros(model.nv))
+        moved = np.empty((3 * count + 1, model.nv))
+        mujoco.mj_solveM(model, data, moved, np.concatenate([motion, momentum[None]]))
+        after, moved = moved[-1], moved[:-1]
+        velocity = found.velocity[live] + (motion @ after).reshape(-1, 3)
+        # Weight and motors that press bodies together while they touch are borne, and make no impact.
+        held = np.array([pair in self._pending for pair in pairs])
+        pressed = np.where(held, -(motion[::3] @ self._outside), 0.0).clip(0)
+        approach = -velocity[:, 0] - pressed
+        faint = [_FAINT * self._pending[pair].speed if pair in self._pending else 0.0 for pair in pairs]
+        slowest = np.maximum(self.slowest, faint)
+        met = new[live] & (approach > slowest)
+        impulses, out = np.zeros((count, 3)), []
+        if (velocity[:, 0] < 0).any():
+            # MuJoCo's damper acts on the velocity that it knows, which is not that of mocap bodies.
+            own = approach + found.carried[live].clip(max=0)
+            bounce = np.array([restitution(*ref) for ref in found.solref[live].tolist()])
+            rebound = np.where(met, bounce * own.clip(0), 0.0)
+            mobility = motion @ moved.T
+            impulses = _stopping(mobility, velocity, rebound, found.friction[live])
+            then = velocity + (mobility @ impulses.ravel()).reshape(-1, 3)
+            work = -impulses * (velocity + then) / 2
+            lost = (work[:, 0] + work[:, 1:].sum(1).clip(max=0)).clip(0)
+            hit = {pair for pair, one in zip(pairs, met) if one}
+            alone = impulses[:, 0] * mobility.diagonal()[::3]  # change of the speed by each alone
+            for k in np.flatnonzero(alone > slowest).tolist():
+                if pairs[k] not in hit:
+                    continue
+                row, normal = live[k], float(impulses[k, 0])
+                speed = float(approach[k] if met[k] else alone[k] / (1 + bounce[k]))
+                change = speed + float(rebound[k]) if met[k] else float(alone[k])
+                out.append(
+                    Impact(
+                        bodies=pairs[k],
+                        point=found.point[row],
+                        impulse=impulses[k] @ found.frame[row],
+                        normal=normal,
+                        speed=speed,
+                        mass=normal / change,
+                        lost=float(lost[k]),
+                        late=min(max(-float(found.distance[row]), 0.0) / speed, step),
+                    )
                 )
-            )
+            for pair in hit - self._pending.keys():
+                mine = np.array([one == pair for one in pairs])
+                lasting = max(_time_constant(*ref) for ref in found.solref[live[mine]].tolist())
+                self._pending[pair] = _Pending(
+                    np.zeros(model.nv), math.ceil(_LASTING * lasting / step), float(approach[mine].max())
+                )
+        applied = np.zeros(model.nv)
+        for pair, one in self._pending.items():
+            mine = np.repeat([other == pair for other in pairs], 3)
+            force = found.force[live].ravel()[mine]
+            one.momentum = one.momentum + (impulses.ravel()[mine] - step * force) @ motion[mine]
+            one.steps -= 1
+            applied += force @ moved[mine]
+        self._outside = step * (data.qacc - applied)
         return out
+
+    def _moving(self, data: mujoco.MjData) -> "tuple[np.ndarray, np.ndarray] | None":
+        """Return velocities and turns of mocap bodies in the last step, (N, 3) each, if any has moved."""
+        before, step = self._poses, self._model.opt.timestep
+        self._poses = data.mocap_pos.copy(), data.mocap_quat.copy()
+        if before is None:
+            return None
+        velocity, turn = (data.mocap_pos - before[0]) / step, np.zeros((len(before[0]), 3))
+        for out, now, was in zip(turn, data.mocap_quat, before[1]):
+            if (now != was).any():
+                mujoco.mju_subQuat(out, now, was)  # in the frame that the body had
+                mujoco.mju_rotVecQuat(out, out.copy(), was)
+        turn /= step
+        jumped = np.square(velocity).sum(1) > _JUMP**2
+        velocity[jumped] = turn[jumped] = 0
+        return (velocity, turn) if velocity.any() or turn.any() else None
+
+    def _carried(
+        self, data: mujoco.MjData, found: "_Rows", velocity: np.ndarray, turn: np.ndarray
+    ) -> "_Rows":
+        """Return contacts with the velocities that mocap bodies add, of which MuJoCo knows nothing."""
+        added = np.zeros_like(found.velocity)
+        for k, pair in enumerate(found.bodies):
+            for sign, body in zip((-1, 1), pair):
+                mocap = self._mocap[body]
+                if mocap >= 0:
+                    arm = found.point[k] - data.mocap_pos[mocap]
+                    added[k] += sign * found.frame[k] @ (velocity[mocap] + np.cross(turn[mocap], arm))
+        return replace(found, velocity=found.velocity + added, carried=added[:, 0])
 
     def _loads(self, data: mujoco.MjData, found: "_Rows", lasting: np.ndarray) -> list[Load]:
         """Sum the contacts that last, by pairs of bodies."""
@@ -140,7 +214,7 @@ class ContactReader:
         for k in lasting.tolist():
             pairs.setdefault(found.bodies[k], []).append(k)
         for pair, rows in pairs.items():
-            force = found.force[rows]
+            force = found.force[rows, 0]
             total = float(force.sum())
             if total <= 0:
                 continue
@@ -159,6 +233,8 @@ class ContactReader:
         """Return how the velocity of a contact, in its frame, follows from that of the joints; (3, nv)."""
         sides = np.zeros((2, 3, self._model.nv))
         for side, body in zip(sides, found.bodies[row]):
+            if body == 0:
+                continue
             mujoco.mj_jac(self._model, data, side, None, found.point[row], body)
         return found.frame[row] @ (sides[1] - sides[0])
 
@@ -172,7 +248,8 @@ class _Rows:
     point: np.ndarray  #: (K, 3)
     frame: np.ndarray  #: (K, 3, 3), rows: normal and two tangents
     velocity: np.ndarray  #: (K, 3) in that frame, before the step
-    force: np.ndarray  #: (K,) along the normal
+    carried: np.ndarray  #: (K,) part along the normal that mocap bodies have
+    force: np.ndarray  #: (K, 3) in that frame
     friction: np.ndarray  #: (K,)
     solref: np.ndarray  #: (K, 2)
     distance: np.ndarray  #: (K,)
@@ -181,7 +258,7 @@ class _Rows:
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData, rows: np.ndarray) -> "_Rows":
         contact = data.contact
         geoms, mu = contact.geom[rows], contact.friction[rows]
-        velocity, force = np.zeros((len(rows), 3)), np.zeros(len(rows))
+        velocity, force = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
         edged = model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
         address, dims = contact.efc_address[rows], contact.dim[rows]
         for dim in set(dims.tolist()):
@@ -189,10 +266,12 @@ class _Rows:
             start = address[alike, None]
             if not edged or dim == 1:
                 size = min(dim, 3)
-                force[alike] = data.efc_force[start[:, 0]]
+                force[alike, :size] = data.efc_force[start + np.arange(size)]
                 velocity[alike, :size] = data.efc_vel[start + np.arange(size)]
             else:  # edges n + mu t and n - mu t of each tangent
-                force[alike] = data.efc_force[start + np.arange(2 * (dim - 1))].sum(1)
+                f = data.efc_force[start + np.arange(2 * (dim - 1))]
+                force[alike, 0] = f.sum(1)
+                force[alike, 1:] = (f[:, :4:2] - f[:, 1:4:2]) * mu[alike, :2]
                 v = data.efc_vel[start + np.arange(4)]
                 velocity[alike, 0] = (v[:, 0] + v[:, 1]) / 2
                 velocity[alike, 1:] = (v[:, ::2] - v[:, 1::2]) / (2 * mu[alike, :2])
@@ -202,11 +281,65 @@ class _Rows:
             point=contact.pos[rows],
             frame=contact.frame[rows].reshape(-1, 3, 3),
             velocity=velocity,
+            carried=np.zeros(len(rows)),
             force=force,
             friction=mu[:, 0],
             solref=contact.solref[rows],
             distance=contact.dist[rows],
         )
+
+
+@dataclass
+class _Pending:
+    """What is left of the impacts of two bodies that the simulation has not applied yet."""
+
+    momentum: np.ndarray  #: (nv,) of the joints
+    steps: int  #: until it has
+    speed: float  #: of approach in the first one, m/s
+
+
+def _stopping(
+    mobility: np.ndarray, velocity: np.ndarray, rebound: np.ndarray, friction: np.ndarray
+) -> np.ndarray:
+    """Return impulses after which contacts part at least as fast as asked, in their frames; (K, 3).
+
+    They push, within pyramids of Coulomb friction, as MuJoCo's. One problem of least squares without negative
+    unknowns finds those of a convex friction, which would lift what slides; the next ones ask for that much
+    less.
+
+    Parameters
+    ----------
+    mobility : (3 K, 3 K) array
+        Change of all velocities by all impulses.
+    velocity : (K, 3) array
+        Before.
+    rebound, friction : (K,) array
+    """
+    count = len(velocity)
+    cone = np.zeros((count, 4, count, 3))  # n + mu t and n - mu t of each tangent
+    each = np.arange(count)
+    cone[each, :, each, 0] = 1
+    for edge, (tangent, sign) in enumerate(((1, 1), (1, -1), (2, 1), (2, -1))):
+        cone[each, edge, each, tangent] = sign * friction
+    edges = cone.reshape(4 * count, 3 * count)
+    soft = edges @ (mobility + _SHARE * np.diag(mobility.diagonal())) @ edges.T
+    soft += 1e-9 * np.trace(soft) / len(soft) * np.eye(len(soft))
+    root = np.linalg.cholesky(soft)
+    wanted, impulses = rebound, np.zeros((count, 3))
+    for _ in range(_PASSES):
+        target = np.repeat(wanted, 4) - edges @ velocity.ravel()
+        sizes, _ = nnls(root.T, np.linalg.solve(root, target), maxiter=100 * len(target))
+        impulses = (sizes @ edges).reshape(-1, 3)
+        slip = velocity[:, 1:] + (mobility @ impulses.ravel()).reshape(-1, 3)[:, 1:]
+        before, wanted = wanted, rebound - friction * abs(slip).max(1)
+        if abs(wanted - before).max() < 1e-3 * abs(velocity).max():
+            break
+    return impulses
+
+
+def _time_constant(first: float, second: float) -> float:
+    """Return the time in which a contact stops an approach, from its ``solref``, s."""
+    return first if first > 0 else 1 / math.sqrt(max(-first, 1e-12))
 
 
 def restitution(first: float, second: float) -> float:
