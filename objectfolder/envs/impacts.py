@@ -132,13 +132,17 @@ class ContactReader:
         slowest = np.maximum(self.slowest, faint)
         met = new[live] & (approach > slowest)
         impulses, out = np.zeros((count, 3)), []
-        if (velocity[:, 0] < 0).any():
+        mobility = motion @ moved.T
+        solved = _coupled(mobility, -velocity[:, 0] > slowest)
+        if solved.any():
             # MuJoCo's damper acts on the velocity that it knows, which is not that of mocap bodies.
             own = approach + found.carried[live].clip(max=0)
             bounce = np.array([restitution(*ref) for ref in found.solref[live].tolist()])
             rebound = np.where(met, bounce * own.clip(0), 0.0)
-            mobility = motion @ moved.T
-            impulses = _stopping(mobility, velocity, rebound, found.friction[live])
+            some = np.repeat(solved, 3)
+            impulses[solved] = _stopping(
+                mobility[np.ix_(some, some)], velocity[solved], rebound[solved], found.friction[live][solved]
+            )
             then = velocity + (mobility @ impulses.ravel()).reshape(-1, 3)
             work = -impulses * (velocity + then) / 2
             lost = (work[:, 0] + work[:, 1:].sum(1).clip(max=0)).clip(0)
@@ -209,25 +213,27 @@ class ContactReader:
 
     def _loads(self, data: mujoco.MjData, found: "_Rows", lasting: np.ndarray) -> list[Load]:
         """Sum the contacts that last, by pairs of bodies."""
-        out = []
-        pairs: dict[tuple[int, int], list[int]] = {}
-        for k in lasting.tolist():
-            pairs.setdefault(found.bodies[k], []).append(k)
-        for pair, rows in pairs.items():
-            force = found.force[rows, 0]
-            total = float(force.sum())
-            if total <= 0:
-                continue
-            share = force / total
-            velocity = found.velocity[rows] * [0, 1, 1]
-            normal = share @ found.frame[rows, 0]
-            normal /= max(math.sqrt(normal @ normal), 1e-9)
-            slip = share @ (velocity[:, None] @ found.frame[rows])[:, 0]
-            turn = data.cvel[pair[1], :3] - data.cvel[pair[0], :3]
-            turn -= normal * (normal @ turn)
-            friction = float(share @ found.friction[rows])
-            out.append(Load(pair, share @ found.point[rows], normal, total, slip, turn, friction))
-        return out
+        pushing = [k for k in lasting.tolist() if found.force[k, 0] > 0]
+        if not pushing:
+            return []
+        bodies = [found.bodies[k] for k in pushing]
+        numbers = {pair: number for number, pair in enumerate(dict.fromkeys(bodies))}
+        force = found.force[pushing, 0]
+        share = np.zeros((len(numbers), len(pushing)))  # of each contact in the force of its pair
+        share[[numbers[pair] for pair in bodies], np.arange(len(pushing))] = force
+        total = share.sum(1)
+        share /= total[:, None]
+        point, friction = share @ found.point[pushing], share @ found.friction[pushing]
+        slip = share @ np.einsum("kt,ktd->kd", found.velocity[pushing, 1:], found.frame[pushing, 1:])
+        normal = share @ found.frame[pushing, 0]
+        normal /= np.sqrt(np.square(normal).sum(1, keepdims=True)).clip(1e-9)
+        first, second = np.array([*numbers]).T
+        turn = data.cvel[second, :3] - data.cvel[first, :3]
+        turn -= normal * (normal * turn).sum(1, keepdims=True)
+        return [
+            Load(pair, point[k], normal[k], float(total[k]), slip[k], turn[k], float(friction[k]))
+            for pair, k in numbers.items()
+        ]
 
     def _jacobian(self, data: mujoco.MjData, found: "_Rows", row: int) -> np.ndarray:
         """Return how the velocity of a contact, in its frame, follows from that of the joints; (3, nv)."""
@@ -296,6 +302,18 @@ class _Pending:
     momentum: np.ndarray  #: (nv,) of the joints
     steps: int  #: until it has
     speed: float  #: of approach in the first one, m/s
+
+
+def _coupled(mobility: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Return whether each contact, (K,) bool, can move or be moved by a wanted one."""
+    count = len(wanted)
+    if not wanted.any() or count == 1:
+        return wanted
+    moved = mobility.reshape(count, 3, count, 3).any((1, 3))
+    while True:
+        wanted, before = moved[:, wanted].any(1), wanted
+        if (wanted == before).all():
+            return wanted
 
 
 def _stopping(
