@@ -309,9 +309,9 @@ def _coupled(mobility: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     count = len(wanted)
     if not wanted.any() or count == 1:
         return wanted
-    moved = mobility.reshape(count, 3, count, 3).any((1, 3))
+    moved = np.any(mobility.reshape(count, 3, count, 3) != 0, axis=(1, 3))
     while True:
-        wanted, before = moved[:, wanted].any(1), wanted
+        wanted, before = np.any(moved[:, wanted], axis=1), wanted
         if (wanted == before).all():
             return wanted
 
