@@ -193,7 +193,7 @@ def test_a_record_that_is_there_is_not_in_the_way_of_a_generated_mesh(workspace)
     Path("data/objects/crate.dvc").write_text("outs: []\n")
     entry = "{mesh: data/objects/crate/mesh.glb, material: wood, scale: 0.1, up: y}"
     Path("new.yaml").write_text(f"procedural:\n  crate: {{generator: die}}\nobjects:\n  crate: {entry}\n")
-    with pytest.raises(ObjectFolderError, match=r"`dvc remove --outs data/objects/crate\.dvc` if you"):
+    with pytest.raises(ObjectFolderError, match=r"`dvc remove --outs data/objects/crate\.dvc` if they"):
         add_catalogue(Path("new.yaml"))
     assert Path("params.yaml").read_text() == before
     Path("data/objects/crate.dvc").unlink()
