@@ -88,17 +88,14 @@ class FreeVibration:
             fem.stiffness, fem.nodal_mass, self._factor.solve, self._shift, self._rigid, wanted, tolerance
         )
 
-    def modes_below(
-        self, max_frequency: float, max_modes: int, name: str = "object", min_frequency: float = 0.0
-    ) -> Modes:
+    def modes_below(self, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
         """Find the elastic modes below a frequency; see `solve_modes`."""
         fem, limit = self.fem, (2 * np.pi * max_frequency) ** 2
         below = self.count_below(limit)
 
         def wanted(found: np.ndarray) -> int:
             """Modes counted by inertia or, without a count, those found below the limit."""
-            inaudible = int((found < (2 * np.pi * min_frequency) ** 2).sum())
-            return min(int((found < limit).sum()) if below is None else below, max_modes + inaudible)
+            return min(int((found < limit).sum()) if below is None else below, max_modes)
 
         values, vectors = self.lowest(lambda found: min(wanted(found) + SPARES, fem.stiffness.shape[0] - 6))
         if below is not None and int((values < limit).sum()) < wanted(values):
@@ -132,13 +129,7 @@ class FreeVibration:
         )
 
 
-def solve_modes(
-    fem: FiniteElements,
-    max_frequency: float,
-    max_modes: int,
-    name: str = "object",
-    min_frequency: float = 0.0,
-) -> Modes:
+def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
     """Find the elastic modes below a frequency.
 
     Parameters
@@ -150,8 +141,6 @@ def solve_modes(
         Maximum number of modes to keep, lowest first.
     name : str
         Name of the object in errors.
-    min_frequency : float
-        Modes below it, Hz, are kept but do not count towards ``max_modes``.
 
     Raises
     ------
@@ -159,7 +148,7 @@ def solve_modes(
         If the solid has more than six rigid modes (it is not one connected piece), or the solver misses
         modes.
     """
-    return FreeVibration(fem).modes_below(max_frequency, max_modes, name, min_frequency)
+    return FreeVibration(fem).modes_below(max_frequency, max_modes, name)
 
 
 def rigid_modes(fem: FiniteElements) -> np.ndarray:

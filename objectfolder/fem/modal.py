@@ -99,7 +99,7 @@ def _modes_at(
 ) -> ModalData:
     cells, material, scale = candidate.solid, candidate.material, candidate.scale
     fem = candidate.vibration.fem
-    modes = candidate.vibration.modes_below(max_frequency, max_modes, name, MIN_FREQUENCY)
+    modes = candidate.vibration.modes_below(max_frequency, max_modes, name)
     damping = material.damping(modes.eigenvalues)
     rings = (modes.eigenvalues > damping**2) & (modes.eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
     eigenvalues, damping = modes.eigenvalues[rings], damping[rings]
