@@ -24,7 +24,7 @@ from objectfolder.benchmarks.collect import LoadedFile, collect_observations, lo
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.sampling import ObserveConfig, ask, draw_queries
 from objectfolder.benchmarks.models.classifier import Classifier
-from objectfolder.benchmarks.models.encoders import InputSizes, encoder_inputs, shifted
+from objectfolder.benchmarks.models.inputs import InputSizes, encoder_inputs, shifted
 from objectfolder.benchmarks.run import BenchmarkOptions
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognition import FLAT, RECOGNIZE, RecognizeConfig

@@ -138,9 +138,7 @@ def add_taxels(
         each.needsdf = int(each.needsdf or each.name in touched)
 
 
-def read_taxels(
-    model: mujoco.MjModel, data: mujoco.MjData, columns: int | None = None, name: str = "taxels"
-) -> np.ndarray:
+def read_taxels(model: mujoco.MjModel, data: mujoco.MjData, name: str = "taxels") -> np.ndarray:
     """Return what the taxels of `add_taxels` read; (3, rows, columns) float64.
 
     Depth past each taxel, metres, zero without a contact; and the speeds of sliding along the gel, towards
@@ -150,24 +148,20 @@ def read_taxels(
     ----------
     model : mujoco.MjModel
     data : mujoco.MjData
-    columns : int, optional
-        Of the taxels, which the model knows: another number is an error.
     name : str
         Of the sensor.
 
     Raises
     ------
     ObjectFolderError
-        If the model has no such taxels, or another number of columns.
+        If the model has no such taxels.
     """
     sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
     if sensor < 0 or model.sensor_type[sensor] != _TACTILE:
         known = [model.sensor(i).name for i in np.flatnonzero(model.sensor_type == _TACTILE)]
         raise ObjectFolderError(f"the model has no taxels {name!r}, but {quoted(known)}")
     # The first triangle of `taxel_mesh` is of taxels 0 and 1, and the first one of the second row.
-    found = int(model.mesh_face[model.mesh_faceadr[model.sensor_objid[sensor]]].max())
-    if columns not in (None, found):
-        raise ObjectFolderError(f"columns is {quoted(columns)}, but the taxels {name!r} have {found}")
+    columns = int(model.mesh_face[model.mesh_faceadr[model.sensor_objid[sensor]]].max())
     start = model.sensor_adr[sensor]
     values: np.ndarray = data.sensordata[start : start + model.sensor_dim[sensor]]
-    return values.reshape(CHANNELS, -1, found).copy()
+    return values.reshape(CHANNELS, -1, columns).copy()

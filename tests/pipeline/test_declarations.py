@@ -129,14 +129,14 @@ MAX_MODULES = {
     "pack": 12,
     "evaluate": 101,
     "observe": 105,
-    "recognize": 30,
-    "retrieve": 29,
-    "reconstruct": 123,
+    "recognize": 31,
+    "retrieve": 30,
+    "reconstruct": 124,
     "decompose": 97,
     "grasp_data": 117,
-    "grasp_stability": 27,
-    "grasp_policy": 129,
-    "reach": 121,
+    "grasp_stability": 28,
+    "grasp_policy": 130,
+    "reach": 122,
 }
 
 

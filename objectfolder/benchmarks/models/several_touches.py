@@ -5,7 +5,7 @@ from typing import Any, cast
 import torch
 from torch import nn
 
-from objectfolder.benchmarks.models.encoders import Ground
+from objectfolder.benchmarks.models.inputs import Ground
 
 
 class SeveralTouches(nn.Module):

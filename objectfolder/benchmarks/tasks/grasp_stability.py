@@ -14,8 +14,8 @@ from sklearn.metrics import balanced_accuracy_score, roc_auc_score
 from torch import nn
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
-from objectfolder.benchmarks.models.encoders import encoder_inputs
 from objectfolder.benchmarks.models.grasp_baselines import baselines
+from objectfolder.benchmarks.models.inputs import encoder_inputs
 from objectfolder.benchmarks.models.training import EpochPoint, shuffled
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
 from objectfolder.benchmarks.tasks.grasp_stability_config import GraspStabilityConfig

@@ -12,15 +12,8 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, without_rows
-from objectfolder.benchmarks.models.encoders import (
-    Ground,
-    InputSizes,
-    Weights,
-    encoder_inputs,
-    flipped,
-    make_encoder,
-    shifted,
-)
+from objectfolder.benchmarks.models.encoders import Weights, make_encoder
+from objectfolder.benchmarks.models.inputs import Ground, InputSizes, encoder_inputs, flipped, shifted
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, train
 from objectfolder.io import read_json, write_json
 from objectfolder.settings import Precision
@@ -152,7 +145,7 @@ class Job(Generic[_Params]):
         return make_encoder(self.encoder, modality, self.weights)
 
     def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
-        """Return the encoder inputs of rows; see `objectfolder.benchmarks.models.encoders.encoder_inputs`.
+        """Return the encoder inputs of rows; see `objectfolder.benchmarks.models.inputs.encoder_inputs`.
 
         With a generator they are those of training: views cropped and flipped, touches moved, at random.
         """

@@ -17,7 +17,8 @@ from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, sample_contacts
 from objectfolder.benchmarks.datasets.samples import object_digest
-from objectfolder.benchmarks.models.encoders import own_code, registered, shifted
+from objectfolder.benchmarks.models.encoders import own_code, registered
+from objectfolder.benchmarks.models.inputs import shifted
 from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, belief_together, likeliest
 from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
 from objectfolder.benchmarks.params import TaskParams

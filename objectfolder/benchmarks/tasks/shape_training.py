@@ -19,8 +19,8 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.companions import Companions
 from objectfolder.benchmarks.datasets.occupancy import OccupancySamples
-from objectfolder.benchmarks.models.encoders import encoder_inputs, flipped
 from objectfolder.benchmarks.models.framing import framed_views
+from objectfolder.benchmarks.models.inputs import encoder_inputs, flipped
 from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
 from objectfolder.benchmarks.models.several_touches import SeveralTouches
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, shape_inputs

@@ -1,7 +1,7 @@
 import torch
 from torch import nn
 
-from objectfolder.benchmarks.models.encoders import Ground
+from objectfolder.benchmarks.models.inputs import Ground
 from objectfolder.benchmarks.models.several_touches import SeveralTouches
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from objectfolder.benchmarks.models.encoders import InputSizes, encoder_inputs
+from objectfolder.benchmarks.models.inputs import InputSizes, encoder_inputs
 from objectfolder.benchmarks.tasks import job
 from objectfolder.benchmarks.tasks.job import Job
 
