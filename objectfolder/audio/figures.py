@@ -45,7 +45,7 @@ def show_spectrogram(
         decibels, origin="lower", aspect="auto", extent=extent, cmap="magma", vmin=-DYNAMIC_RANGE, vmax=0
     )
     if peak is None:
-        axes.figure.colorbar(image, ax=axes, label="dB below the peak")
+        axes.figure.colorbar(image, ax=axes, label="dB relative to the peak")
     return image
 
 
@@ -77,4 +77,4 @@ def show_sounds(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles
             shown = image or shown
             axes.label_outer()
     if shown is not None:
-        figure.colorbar(shown, ax=panels, label="dB below the peak of the ground truth", aspect=40)
+        figure.colorbar(shown, ax=panels, label="dB relative to the peak of the ground truth", aspect=40)

@@ -15,7 +15,7 @@ def test_the_sheet_shows_truth_answer_and_difference(tmp_path):
     assert [a.get_title() for a in panels[::2]] == ["one\nground truth", "Object File", "difference"]
     assert panels[0].get_ylabel() == "frequency [kHz]"
     assert panels[4].get_xlabel() == "time [s]"
-    assert figure.axes[6].get_ylabel() == "dB below the peak of the ground truth"
+    assert figure.axes[6].get_ylabel() == "dB relative to the peak of the ground truth"
     peaks = np.array([a.images[0].get_array().max() for a in panels]).reshape(3, 2)
     np.testing.assert_allclose(peaks, [[0, 0], [20 * np.log10(0.9)] * 2, [-20, -20]], atol=1e-3)
     # Rows are frequencies: 1 and 3 kHz out of 8.
