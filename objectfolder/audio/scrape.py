@@ -8,9 +8,10 @@ is then taken to be a tenth of that.
 """
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 #: Roughness of surfaces, root mean square within a contact, m. Assumed, of finished or glazed ones.
 ROUGHNESS = {
@@ -54,8 +55,8 @@ def scrape_force(
     return share * load * min(1.5 * rough / depth, 1.0), speed / (2 * math.pi * math.sqrt(radius * depth))
 
 
-class Scrape:
-    """Noise of one contact, whose filter goes on from block to block.
+class Scrapes:
+    """Noise of contacts, whose filters go on from block to block.
 
     Parameters
     ----------
@@ -64,11 +65,24 @@ class Scrape:
     """
 
     def __init__(self, rng: np.random.Generator):
-        self._rng, self._state = rng, np.zeros(1)
+        self._rng = rng
+        self._last: dict[Any, float] = {}
 
-    def play(self, samples: int, cutoff: float) -> np.ndarray:
-        """Return noise (samples,) of variance 1 that fades above a frequency, in cycles per sample."""
-        keep = math.exp(-2 * math.pi * cutoff)
-        drawn = math.sqrt((1 + keep) / (1 - keep)) * self._rng.standard_normal(samples)
-        noise, self._state = lfilter([1 - keep], [1, -keep], drawn, zi=self._state)
+    def play(self, samples: int, cutoffs: Mapping[Any, float]) -> np.ndarray:
+        """Return noise of variance 1 that fades above a frequency, in cycles per sample; (contacts, samples).
+
+        Contacts that are not among them have ended.
+        """
+        if not samples or not cutoffs:
+            self._last = self._last if cutoffs else {}
+            return np.zeros((len(cutoffs), samples))
+        keep = np.exp(-2 * np.pi * np.array([*cutoffs.values()]))[:, None]
+        drawn = np.sqrt((1 + keep) / (1 - keep)) * self._rng.standard_normal((len(keep), samples))
+        noise = (1 - keep) * drawn
+        noise[:, :1] += keep * [[self._last.get(contact, 0.0)] for contact in cutoffs]
+        reach = 1  # y[n] = x[n] + keep y[n - 1]: each pass doubles how far back the sums reach
+        while reach < samples:
+            noise[:, reach:] += keep**reach * noise[:, :-reach]
+            reach *= 2
+        self._last = dict(zip(cutoffs, noise[:, -1].tolist()))
         return noise

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from objectfolder.audio.contact import effective_modulus, hertz_time
-from objectfolder.audio.scrape import Scrape, roughness_of, scrape_force
+from objectfolder.audio.scrape import Scrapes, roughness_of, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import real_array, whole_number
@@ -43,17 +43,14 @@ class Strike:
     lost: float  #: energy that the impact took from the motion of both bodies, J
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Body:
-    """A sounding body and what of it goes on."""
+    """A sounding body."""
 
     name: str
-    number: int
+    number: int  #: in the model
+    row: int  #: in the stream
     voice: Voice
-    stream: ModalStream
-    weights: np.ndarray | None = None
-    place: np.ndarray = field(default_factory=lambda: np.zeros(3))  #: of the listener, for which they hold
-    since: int = 0  #: sample at which they were computed
 
 
 class Hearing:
@@ -114,28 +111,36 @@ class Hearing:
         self._listener = _listener(model, listener)
         stuff = surroundings if isinstance(surroundings, Material) else material(surroundings)
         self._surroundings = stuff
-        longest = math.ceil(self.sample_rate * self._step) + 1
         self._bodies: dict[int, _Body] = {}
-        for number, name, one in placed_objects(model, objects):
+        for row, (number, name, one) in enumerate(placed_objects(model, objects)):
             voice = one.file.voice(self.sample_rate, one.material, one.scale)
             check_body(model, name, one, voice)
-            stream = ModalStream(voice.poles, self.sample_rate, longest, voice.accelerated)
-            self._bodies[number] = _Body(name, number, voice, stream)
+            self._bodies[number] = _Body(name, number, row, voice)
+        self._numbers = np.array([*self._bodies])
+        self._sounds = np.isin(np.arange(model.nbody), self._numbers)
+        self._surfaces: dict[tuple[int, int], tuple[float, float, float]] = {}  # of pairs that slide
+        voices = [body.voice for body in self._bodies.values()]
+        longest = math.ceil(self.sample_rate * self._step) + 1
+        self._stream = ModalStream(
+            [voice.poles for voice in voices],
+            self.sample_rate,
+            longest,
+            [voice.accelerated for voice in voices],
+        )
         self._reader = ContactReader(model, [*self._bodies])
         self.reset()
 
     def reset(self, data: mujoco.MjData | None = None) -> None:
         """Begin anew, at the time of a simulation or at 0: silence, and no contact."""
-        self._rng = np.random.default_rng(self._seed)
+        self._scrapes = Scrapes(np.random.default_rng(self._seed))
         self._reader.reset()
+        self._stream.reset()
         self._time = 0.0 if data is None else float(data.time)
         self._diverged = 0 if data is None else divergences(data)
-        self._steps = self._clock = 0
-        self._scrapes: dict[tuple[int, int], Scrape] = {}
+        self._steps = 0
         self.strikes: tuple[Strike, ...] = ()
-        for body in self._bodies.values():
-            body.stream.reset()
-            body.weights = None
+        self._places = np.zeros((len(self._bodies), 3))  # of the listener, for which the weights hold
+        self._since = np.full(len(self._bodies), -np.inf)  # sample at which they were computed
 
     @property
     def time(self) -> float:
@@ -157,26 +162,19 @@ class Hearing:
         than a sample have none at times; what strikes in one is heard from the next sample on.
         """
         self._check(data)
-        samples = round(self.sample_rate * self._step * (self._steps + 1)) - self._clock
+        samples = round(self.sample_rate * self._step * (self._steps + 1)) - self._stream.clock
         impacts, loads = self._reader.read(data)
         self.strikes = tuple(self._struck(data, impacts, samples)) if impacts else ()
-        for load in loads:
-            self._scrape(data, load, samples)
-        lasting = {load.bodies for load in loads}
-        self._scrapes = {pair: made for pair, made in self._scrapes.items() if pair in lasting}
-        ear = self._listener if isinstance(self._listener, np.ndarray) else data.site_xpos[self._listener]
-        out = np.zeros(samples)
-        for body in self._bodies.values():
-            out += body.stream.play(samples, self._weights(data, body, ear)) if body.stream.sounds else 0.0
-            body.stream.clock = self._clock + samples
+        self._scrape(data, loads, samples)
+        self._listen(data)
         self._steps += 1
-        self._clock += samples
         self._time = float(data.time)
-        return out.astype(np.float32)
+        return self._stream.play(samples).astype(np.float32)
 
     def energy(self) -> dict[str, float]:
         """Return the energy of each object's vibrations, J, without pulses that still go on."""
-        return {b.name: float(b.stream.energy[: b.voice.modes].sum()) for b in self._bodies.values()}
+        energy = self._stream.energy
+        return {b.name: float(energy[b.row, : b.voice.modes].sum()) for b in self._bodies.values()}
 
     def _check(self, data: mujoco.MjData) -> None:
         if divergences(data) > self._diverged:  # MuJoCo has set it back to its start
@@ -219,8 +217,8 @@ class Hearing:
             # Hertz's law has no vibrations. Where they would take more energy than the impact lost, as of
             # thin shells, the blow is as much weaker.
             share = math.sqrt(min(impact.lost / taken[k], 1.0)) if taken[k] > 0 else 1.0
-            start = self._clock + round((1 - impact.late / self._step) * max(samples - 1, 0))
-            body.stream.strike(Pulse(start, duration * self.sample_rate, share * gain))
+            start = self._stream.clock + round((1 - impact.late / self._step) * max(samples - 1, 0))
+            self._stream.strike(body.row, Pulse(start, duration * self.sample_rate, share * gain))
             energies = share**2 * energy, impact.lost
             out.append(Strike(body.name, start, point, share * impulse, duration, impact.speed, *energies))
         return out
@@ -237,38 +235,64 @@ class Hearing:
     def _material(self, body: "_Body | None") -> Material:
         return self._surroundings if body is None else body.voice.material
 
-    def _scrape(self, data: mujoco.MjData, load: Load, samples: int) -> None:
-        """Shake the objects of a contact that slides or rolls by the roughness of their surfaces."""
-        both = [self._bodies.get(number) for number in load.bodies]
-        arms = [load.point - data.xipos[body.number] for body in both if body is not None]
-        arm = math.sqrt(max(arm @ arm for arm in arms))
-        slip, rolling = math.sqrt(load.slip @ load.slip), arm * math.sqrt(load.rolling @ load.rolling)
-        if max(slip, rolling) < SLOW:
+    def _scrape(self, data: mujoco.MjData, loads: list[Load], samples: int) -> None:
+        """Shake the objects of contacts that slide or roll by the roughness of their surfaces."""
+        if not loads:
+            self._scrapes.play(samples, {})
             return
-        modulus, radius = self._contact(both)
-        rough = roughness_of(*(self._material(body).name for body in both))
-        size, cutoff = scrape_force(load.force, slip, rolling, rough, radius, modulus)
-        scrape = self._scrapes.setdefault(load.bodies, Scrape(self._rng))
-        forces = size * scrape.play(samples, cutoff / self.sample_rate)
-        along = load.normal - load.friction / max(slip, SLOW) * load.slip
-        for sign, body in zip((-1, 1), both):
-            if body is not None:
-                turn, at = data.xmat[body.number].reshape(3, 3), data.xpos[body.number]
-                gains = body.voice.rough_gains((load.point - at) @ turn, sign * along @ turn)
-                body.stream.shake(forces, gains)
+        pairs = np.array([load.bodies for load in loads])
+        point, normal, slip, turn = (
+            np.array([getattr(load, name) for load in loads])
+            for name in ("point", "normal", "slip", "rolling")
+        )
+        arms = np.where(self._sounds[pairs], _length(point[:, None] - data.xipos[pairs]), 0).max(1)
+        slid, rolled = _length(slip), arms * _length(turn)
+        along = normal - (np.array([load.friction for load in loads]) / slid.clip(SLOW))[:, None] * slip
+        moving = np.flatnonzero(np.maximum(slid, rolled) >= SLOW)
+        cutoffs: dict[tuple[int, int], float] = {}
+        for k in moving.tolist():
+            load = loads[k]
+            modulus, radius, rough = self._rubbed(load.bodies)
+            size, cutoff = scrape_force(load.force, slid[k], rolled[k], rough, radius, modulus)
+            along[k] *= size
+            cutoffs[load.bodies] = cutoff / self.sample_rate
+        noise = self._scrapes.play(samples, cutoffs)
+        contact, side = np.nonzero(self._sounds[pairs[moving]])
+        shaken = moving[contact]
+        numbers = pairs[shaken, side]
+        turns = data.xmat[numbers].reshape(-1, 3, 3)
+        places = np.einsum("kd,kde->ke", point[shaken] - data.xpos[numbers], turns)
+        pushes = np.einsum("kd,kde->ke", (2 * side - 1)[:, None] * along[shaken], turns)
+        for force, number, place, push in zip(noise[contact], numbers.tolist(), places, pushes):
+            body = self._bodies[number]
+            self._stream.shake(body.row, force, body.voice.rough_gains(place, push))
 
-    def _weights(self, data: mujoco.MjData, body: _Body, ear: np.ndarray) -> np.ndarray:
-        """Return how a body is heard, computed anew if it or the listener has moved."""
-        place = data.xmat[body.number].reshape(3, 3).T @ (ear - data.xpos[body.number])
-        if body.weights is not None:
-            if self._clock - body.since < OFTEN * self.sample_rate:
-                return body.weights
-            far, was = float(np.linalg.norm(place)), float(np.linalg.norm(body.place))
-            turned = place @ body.place < math.cos(TURNED) * far * was
-            if not turned and abs(far - was) < NEARER * was:
-                return body.weights
-        body.weights, body.place, body.since = body.voice.weights(place), place, self._clock
-        return body.weights
+    def _rubbed(self, pair: tuple[int, int]) -> tuple[float, float, float]:
+        """Return the modulus of a contact, Pa, its radius, m, and its combined roughness, m."""
+        if pair not in self._surfaces:
+            both = [self._bodies.get(number) for number in pair]
+            rough = roughness_of(*(self._material(body).name for body in both))
+            self._surfaces[pair] = (*self._contact(both), rough)
+        return self._surfaces[pair]
+
+    def _listen(self, data: mujoco.MjData) -> None:
+        """Compute anew how the bodies that sound are heard, if they or the listener have moved."""
+        ear = self._listener if isinstance(self._listener, np.ndarray) else data.site_xpos[self._listener]
+        turns = data.xmat[self._numbers].reshape(-1, 3, 3)
+        places, clock = np.einsum("bd,bde->be", ear - data.xpos[self._numbers], turns), self._stream.clock
+        far, was = _length(places), _length(self._places)
+        turned = (places * self._places).sum(1) < math.cos(TURNED) * far * was
+        moved = turned | (abs(far - was) >= NEARER * was)
+        due = self._stream.sounds & moved & (clock - self._since >= OFTEN * self.sample_rate)
+        for body in (body for body in self._bodies.values() if due[body.row]):
+            self._stream.listen(body.row, body.voice.weights(places[body.row]))
+            self._places[body.row], self._since[body.row] = places[body.row], clock
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    """Return lengths of vectors (..., 3)."""
+    out: np.ndarray = np.sqrt(np.square(vectors).sum(-1))
+    return out
 
 
 def _listener(model: mujoco.MjModel, listener: object) -> "int | np.ndarray":

@@ -144,9 +144,10 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         point = surface.vertices[vertex] * voice.scale
         gains = voice.gains(point[None], -rng.uniform(*IMPULSES) * surface.normals[vertex][None])[0]
         lasting = contact_time(STRIKERS[STRIKER], voice.material, voice.mass)
-        stream = ModalStream(voice.poles, self.sample_rate, self._samples, voice.accelerated)
-        stream.strike(Pulse(0, lasting * self.sample_rate, gains))
-        sound = stream.play(self._samples, voice.weights(_EAR))
+        stream = ModalStream([voice.poles], self.sample_rate, self._samples, [voice.accelerated])
+        stream.listen(0, voice.weights(_EAR))
+        stream.strike(0, Pulse(0, lasting * self.sample_rate, gains))
+        sound = stream.play(self._samples)
         return sound.astype(np.float32).clip(-LOUDEST, LOUDEST)
 
     def _voice(self, number: int) -> Voice:

@@ -111,7 +111,7 @@ class Voice:
         shapes = self._factor * all_shapes[..., self._rows].astype(np.float64)
         recoil = np.broadcast_to(self.recoil.axes.T, (TAPS, 3, 3))
         self._taps, self._tapped = taps * self._resized, np.concatenate([shapes, recoil], 2)
-        self._lengths = np.square(self._taps).sum(1)
+        self._lengths = np.square(self._taps).sum(1) / 2
         self._area = 0.0
         if self._surface.stored:  # build what finds the nearest points, else the first strike would wait
             self._surface.nearest(1.1 * taps[:100])
@@ -131,7 +131,7 @@ class Voice:
 
     def rough_gains(self, point: np.ndarray, impulse: np.ndarray) -> np.ndarray:
         """Return gains (M + 3,) of an impulse (3,), with the shapes of the nearest of `TAPS` points."""
-        row = (self._lengths - 2 * self._taps @ point).argmin()  # squares of distances, but for a constant
+        row = (self._lengths - self._taps @ point).argmin()  # half the squared distances, but for a constant
         found: np.ndarray = impulse @ self._tapped[row]
         return found
 

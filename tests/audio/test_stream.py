@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 import torch
+from scipy.signal import lfilter
 
-from objectfolder.audio.scrape import Scrape, roughness_of, scrape_force
+from objectfolder.audio.scrape import Scrapes, roughness_of, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import pulse_phasor, responses
 
@@ -13,14 +14,16 @@ POLES = -DAMPING + 1j * ANGULAR
 GAINS = np.array([1.0, -0.7, 0.4, 0.3])
 
 
-def _played(stream, weights, sizes):
-    return np.concatenate([stream.play(size, weights) for size in sizes])
+def _stream(poles, weights, longest, accelerated=0):
+    stream = ModalStream([poles], RATE, longest, [accelerated])
+    stream.listen(0, weights)
+    return stream
 
 
 def _strike(duration, start, sizes):
-    stream = ModalStream(POLES, RATE, max(sizes))
-    stream.strike(Pulse(start, duration * RATE, GAINS))
-    return _played(stream, (1 / ANGULAR).astype(complex), sizes)
+    stream = _stream(POLES, 1 / ANGULAR, max(sizes))
+    stream.strike(0, Pulse(start, duration * RATE, GAINS))
+    return np.concatenate([stream.play(size) for size in sizes])
 
 
 @pytest.mark.parametrize("duration", [1e-5, 2.6e-4, 4e-3])
@@ -58,11 +61,10 @@ def test_a_pulse_ends_where_it_ends_between_the_samples_of_two_blocks(end):
 def test_a_constant_force_bends_a_mode_by_its_stiffness():
     """The displacement under a force F is F g / w0^2."""
     poles = np.array([-4000 + 2j * np.pi * 3000])
-    stream = ModalStream(poles, RATE, 480)
-    weights = 1 / poles.imag.astype(complex)
+    stream = _stream(poles, 1 / poles.imag, 480)
     for _ in range(4):
-        stream.shake(np.full(480, 2.0), np.array([0.5]))
-        heard = stream.play(480, weights)
+        stream.shake(0, np.full(480, 2.0), np.array([0.5]))
+        heard = stream.play(480)
     assert heard[-1] == pytest.approx(2.0 * 0.5 / abs(poles[0]) ** 2, rel=0.02)
 
 
@@ -71,21 +73,21 @@ def test_a_constant_force_is_not_heard_of_modes_heard_by_their_acceleration():
     poles = np.array([-4000 + 2j * np.pi * 3000, -5000 + 2j * np.pi * 9000])
     heard = []
     for accelerated in (0, 2):
-        stream = ModalStream(poles, RATE, 480, accelerated)
         weights = np.array([0.6 + 0.8j, -1.0 + 0.3j]) * poles**2 / poles.imag
+        stream = _stream(poles, weights, 480, accelerated)
         for _ in range(4):
-            stream.shake(np.full(480, 2.0), np.array([0.5, 0.2]))
-            last = stream.play(480, weights)[-1]
+            stream.shake(0, np.full(480, 2.0), np.array([0.5, 0.2]))
+            last = stream.play(480)[-1]
         heard.append(abs(last))
     assert heard[1] < 1e-9 * heard[0]
 
 
 def test_a_strike_leaves_the_energy_of_its_phasors():
-    stream = ModalStream(POLES.real * 0 - 1e-6 + 1j * ANGULAR, RATE, 480)
-    stream.strike(Pulse(0, 2e-4 * RATE, GAINS))
-    stream.play(480, np.ones(4, complex))
+    stream = _stream(POLES.real * 0 - 1e-6 + 1j * ANGULAR, np.ones(4), 480)
+    stream.strike(0, Pulse(0, 2e-4 * RATE, GAINS))
+    stream.play(480)
     expected = abs(GAINS * pulse_gain(1j * ANGULAR - 1e-6, 2e-4)) ** 2 / 2
-    assert stream.energy == pytest.approx(expected, rel=1e-6)
+    assert stream.energy[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_gain_of_a_pulse_is_that_of_the_synthesis():
@@ -95,10 +97,11 @@ def test_the_gain_of_a_pulse_is_that_of_the_synthesis():
 
 def test_weights_change_linearly_over_a_block():
     def rung(before, after):
-        stream = ModalStream(POLES, RATE, 96)
-        stream.strike(Pulse(0, 5.0, GAINS))
-        stream.play(96, before)
-        return stream.play(96, after)
+        stream = _stream(POLES, before, 96)
+        stream.strike(0, Pulse(0, 5.0, GAINS))
+        stream.play(96)
+        stream.listen(0, after)
+        return stream.play(96)
 
     one, two = np.full(4, 1.0 + 0j), np.full(4, -2.0 + 1j)
     share = np.arange(1, 97) / 96
@@ -108,12 +111,13 @@ def test_weights_change_linearly_over_a_block():
 
 def test_an_empty_block_changes_nothing():
     def played(sizes):
-        stream = ModalStream(POLES, RATE, 96)
-        stream.strike(Pulse(30, 40.5, GAINS))
+        stream = _stream(POLES, np.ones(4), 96)
+        stream.strike(0, Pulse(30, 40.5, GAINS))
         parts = []
         for k, size in enumerate(sizes):
-            stream.shake(np.full(size, 0.1), GAINS)
-            parts.append(stream.play(size, np.full(4, 1.0 + 1j * (k == len(sizes) - 1))))
+            stream.shake(0, np.full(size, 0.1), GAINS)
+            stream.listen(0, np.full(4, 1.0 + 1j * (k == len(sizes) - 1)))
+            parts.append(stream.play(size))
         return np.concatenate(parts)
 
     expected = played([96, 96]).tobytes()
@@ -122,11 +126,44 @@ def test_an_empty_block_changes_nothing():
 
 
 def test_what_is_not_heard_any_more_stops():
-    stream = ModalStream(np.array([-2000 + 2j * np.pi * 1000]), RATE, 4800)
-    stream.strike(Pulse(0, 5.0, np.array([1e-3])))
-    stream.play(4800, np.ones(1, complex))
-    assert not stream.sounds
-    assert not stream.play(100, np.ones(1, complex)).any()
+    stream = _stream(np.array([-2000 + 2j * np.pi * 1000]), np.ones(1), 4800)
+    stream.strike(0, Pulse(0, 5.0, np.array([1e-3])))
+    stream.play(4800)
+    assert not stream.sounds.any()
+    assert not stream.play(100).any()
+
+
+@pytest.mark.parametrize("together", [(0, 1, 2), (1,), (2, 0)])
+def test_bodies_sound_together_as_the_sum_of_each(together, rng):
+    """Of other numbers of modes, silent ones among them, and with weights that change for some."""
+    poles = [POLES, POLES[:1], POLES[1:3]]
+    weights = [rng.normal(size=len(row)) + 1j * rng.normal(size=len(row)) for row in poles]
+    forces = rng.normal(size=(3, 2, 96))
+
+    def played(bodies):
+        stream = ModalStream([poles[body] for body in bodies], RATE, 96, bodies)
+        heard = []
+        for block in range(4):
+            for row, body in enumerate(bodies):
+                stream.listen(row, weights[body] * (1 + body * block))
+                if body not in together:
+                    continue
+                if block == 1:
+                    stream.strike(row, Pulse(130 + body, 20.5, GAINS[: len(poles[body])]))
+                if block > 1:
+                    for force in forces[body, :body]:
+                        stream.shake(row, force, GAINS[: len(poles[body])])
+            heard.append(stream.play(96))
+        return np.concatenate(heard), stream.phasors
+
+    whole, phasors = played([0, 1, 2])
+    each = [played([body]) for body in range(3)]
+    total = sum(sound for sound, _ in each)
+    assert abs(total).max() > 0
+    assert whole == pytest.approx(total, abs=1e-12 * abs(total).max())
+    for row, (_, alone) in zip(phasors, each):
+        assert row[: alone.shape[1]] == pytest.approx(alone[0], abs=1e-12)
+        assert not row[alone.shape[1] :].any()
 
 
 @pytest.mark.parametrize("cutoff", [0.001, 0.02, 0.4])
@@ -139,13 +176,35 @@ def test_noise_has_unit_variance_and_fades_above_the_cutoff(cutoff, rng):
 
 
 def _noise(cutoff, rng):
-    scrape = Scrape(rng)
-    return np.concatenate([scrape.play(500, cutoff) for _ in range(400)])
+    scrapes = Scrapes(rng)
+    return np.concatenate([scrapes.play(500, {0: cutoff})[0] for _ in range(400)])
 
 
 def test_noise_does_not_depend_on_blocks():
-    one, many = Scrape(np.random.default_rng(1)), Scrape(np.random.default_rng(1))
-    assert one.play(400, 0.01) == pytest.approx(np.concatenate([many.play(100, 0.01) for _ in range(4)]))
+    one, many = Scrapes(np.random.default_rng(1)), Scrapes(np.random.default_rng(1))
+    blocks = [many.play(size, {"a": 0.01})[0] for size in (100, 0, 99, 1, 200)]
+    assert one.play(400, {"a": 0.01})[0] == pytest.approx(np.concatenate(blocks))
+
+
+def test_noise_of_a_contact_is_that_of_a_filter_of_first_order():
+    drawn = np.random.default_rng(1).standard_normal((2, 400))
+    noise = Scrapes(np.random.default_rng(1)).play(400, {"a": 0.01, "b": 0.2})
+    for row, white, cutoff in zip(noise, drawn, (0.01, 0.2)):
+        keep = np.exp(-2 * np.pi * cutoff)
+        size = np.sqrt((1 + keep) / (1 - keep))
+        assert row == pytest.approx(lfilter([1 - keep], [1, -keep], size * white), abs=1e-12)
+
+
+def test_a_contact_that_ended_begins_anew():
+    def last(between):
+        scrapes = Scrapes(np.random.default_rng(1))
+        scrapes.play(100, {"a": 1e-4})
+        for cutoffs in between:
+            scrapes.play(0 if cutoffs else 100, cutoffs)
+        return scrapes._last
+
+    assert last([{"a": 1e-4}]) == last([]) != {}
+    assert last([{}]) == {}
 
 
 def test_faster_slides_are_brighter_and_rolling_is_quieter():

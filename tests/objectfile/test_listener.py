@@ -123,10 +123,10 @@ def test_a_stream_sounds_the_same(brick, struck, striker):
     place, contact = np.array([[0.3, 0.4, 1.2]]), brick.contact_time(striker)
     expected = brick.impact(struck[:1], UP, RATE, 0.05, striker=striker, listener=place)[0]
     voice = brick.voice(RATE)
-    stream = ModalStream(voice.poles, RATE, 100, voice.accelerated)
-    stream.strike(Pulse(0, contact * RATE, voice.gains(struck[:1], np.array(UP))[0]))
-    weights = voice.weights(place[0])
-    heard = np.concatenate([stream.play(100, weights) for _ in range(22)])
+    stream = ModalStream([voice.poles], RATE, 100, [voice.accelerated])
+    stream.listen(0, voice.weights(place[0]))
+    stream.strike(0, Pulse(0, contact * RATE, voice.gains(struck[:1], np.array(UP))[0]))
+    heard = np.concatenate([stream.play(100) for _ in range(22)])
     np.testing.assert_allclose(heard, expected[:2200], atol=1e-5 * np.abs(expected).max())
 
 
