@@ -26,8 +26,21 @@ const inline = {
     to.onLoad({ filter: /.*/, namespace: "worker" }, () => ({ contents: worker, loader: "text" }));
   },
 };
+// esbuild leaves texts as they are; a shader's comments and spaces are a kilobyte.
+const shaders = {
+  name: "shaders",
+  setup(to) {
+    to.onLoad({ filter: /shaders\.ts$/ }, ({ path }) => ({
+      contents: readFileSync(path, "utf8").replace(
+        /(`#version.*\n)([^`]*)/g,
+        (_, first, rest) => first + rest.replace(/ *\/\/.*/g, "").replace(/\s*([^\w\s.])\s*/g, "$1"),
+      ),
+      loader: "ts",
+    }));
+  },
+};
 mkdirSync(out, { recursive: true });
-const script = await text("page/main.ts", { plugins: [inline] });
+const script = await text("page/main.ts", { plugins: [inline, shaders] });
 
 // Within a page, </script would end the script.
 const write = (name, content) =>
