@@ -3,7 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
-import scipy  # scipy.ndimage loads at first use
+import torch
 
 from objectfolder.touch.camera import gel_depth
 from objectfolder.touch.gel import GAP, deform, double, halve, within_reach
@@ -97,19 +97,18 @@ def _carried(shift: np.ndarray) -> np.ndarray:
 
     Solved on a coarse grid, as the friction is, for a point's place before from that after: a fixed point.
     """
-    shapes, coarse = [], list(shift)
+    shapes, coarse = [], shift
     while min(coarse[0].shape) >= FINEST:
         shapes.append(coarse[0].shape)
-        coarse = [halve(part) for part in coarse]
+        coarse = np.stack([halve(part) for part in coarse])
     step = np.float32(2 ** len(shapes))
     axes = _grid(*coarse[0].shape)
-    carried = list(coarse)
+    carried = coarse
     for _ in range(_ROUNDS):
-        origin = _centred(axes - np.stack(carried) / step)
-        carried = [_at(part, origin) for part in coarse]
+        carried = _at(coarse, _centred(axes - carried / step))
     for shape in reversed(shapes):
-        carried = [double(part, shape) for part in carried]
-    return np.stack(carried)
+        carried = np.stack([double(part, shape) for part in carried])
+    return carried
 
 
 @lru_cache(maxsize=16)
@@ -144,12 +143,18 @@ def _centred(places: np.ndarray) -> np.ndarray:
     return places + np.array([(height - 1) / 2, (width - 1) / 2], np.float32)[:, None, None]
 
 
-def _at(image: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Interpolate an image (H, W) at pixel coordinates (2, H, W)."""
-    found: np.ndarray = scipy.ndimage.map_coordinates(
-        image, places, np.float32, order=1, mode="nearest", prefilter=False
+def _at(images: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Interpolate images (..., H, W) at pixel coordinates (2, H, W); beyond the border, it goes on."""
+    shape = images.shape[-2:]
+    # From -1 to 1, columns first; in float64, so that pixels are exact.
+    rows, columns = (axis.astype(np.float64) * (2 / (size - 1)) - 1 for axis, size in zip(places, shape))
+    found = torch.nn.functional.grid_sample(
+        torch.from_numpy(images.reshape(1, -1, *shape)).double(),
+        torch.from_numpy(np.stack([columns, rows], -1)[None]),
+        padding_mode="border",
+        align_corners=True,
     )
-    return found
+    return found.float().numpy().reshape(images.shape)
 
 
 def _nearest(image: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Deformation of the gel: an exact imprint, or an elastic layer on a rigid base."""
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,6 +22,8 @@ _TOLERANCE = 8e-3
 
 _MAX_STEPS = 300  # typically tens suffice
 _COARSEST = 40  # pixels along the shorter side of the coarsest grid
+
+DENSE = 512  #: pixels of a grid up to which a matrix is faster than transforms
 
 # Least stiffness in the preconditioner, relative to that of the stiffest wave of the grid.
 _SOFTEST = 0.06
@@ -201,6 +204,15 @@ def respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
         Metres between pixels.
     layer : Layer
     """
+    if pressure.size <= DENSE:
+        # Unlike BLAS, einsum sums in an order independent of the number of threads.
+        found: np.ndarray = np.einsum("ij,j->i", _matrix(pressure.shape, pitch, layer), pressure.ravel())
+        return found.reshape(pressure.shape)
+    return _transformed(pressure, pitch, layer)
+
+
+def _transformed(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
+    """Return the displacement of `respond`, by Fourier transforms."""
     height, width = pressure.shape
     rows, columns = period(pressure.shape, round(SPACING * layer.thickness / pitch))
     # Axis by axis, to skip transforms of zeros only and of results that are cut off.
@@ -232,13 +244,21 @@ def precondition(residual: np.ndarray, pitch: float, layer: Layer) -> np.ndarray
 
 
 def _sum_of_products(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.einsum("ij,ij->", a, b))  # unlike BLAS, in an order independent of the number of threads
+    return float(np.einsum("ij,ij->", a, b))  # not by BLAS, as in `respond`
 
 
 @lru_cache(maxsize=32)  # two for each sensor, as below
 def period(shape: tuple[int, ...], margin: int) -> tuple[int, ...]:
     """Return the rows and columns of the transforms of an image and a margin."""
     return tuple(scipy.fft.next_fast_len(n + margin, real=True) for n in shape)
+
+
+@lru_cache(maxsize=8)
+def _matrix(shape: tuple[int, ...], pitch: float, layer: Layer) -> np.ndarray:
+    """Displacement of each pixel, metres, under a pressure of 1 Pa on each; (H W, H W) float32."""
+    count = math.prod(shape)
+    pixels = np.eye(count, dtype=np.float32).reshape(count, *shape)
+    return np.stack([_transformed(pixel, pitch, layer).ravel() for pixel in pixels])  # symmetric
 
 
 @lru_cache(maxsize=32)

@@ -1,5 +1,6 @@
 """Shear and twist of the gel: an elastic layer under friction, with partial slip."""
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -8,7 +9,7 @@ import scipy
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
-from objectfolder.touch.gel import SPACING, Layer, double, halve, layer_of, period
+from objectfolder.touch.gel import DENSE, SPACING, Layer, double, halve, layer_of, period
 from objectfolder.touch.profiles import SensorProfile
 
 _TOLERANCE = 0.002  # of the motion: error of the surface's displacement where it sticks
@@ -206,22 +207,35 @@ def _bounded(traction: np.ndarray, bound: np.ndarray) -> np.ndarray:
 
 def _respond(traction: np.ndarray, shape: tuple[int, ...], pitch: float, layer: Layer) -> np.ndarray:
     """Return the tangential displacement under a traction, both (2, h, w), in a part of an image (H, W)."""
+    if math.prod(shape) <= DENSE:
+        matrix = _part(traction.shape[1:], shape, pitch, layer)
+        found: np.ndarray = np.einsum("ij,j->i", matrix, traction.ravel())  # as in `gel.respond`
+        return found.reshape(traction.shape)
+    return _transformed(traction, shape, pitch, layer)
+
+
+def _transformed(traction: np.ndarray, shape: tuple[int, ...], pitch: float, layer: Layer) -> np.ndarray:
+    """Return the displacement of `_respond`, by Fourier transforms."""
     height, width = traction.shape[1:]
-    rows, columns = period(shape, round(SPACING * layer.thickness / pitch))
-    right, up, across, along = _waves(rows, columns, pitch, layer)
+    wholes = period(shape, round(SPACING * layer.thickness / pitch))
+    # Between the pixels of a part there are few shifts, for which smaller transforms do.
+    rows, columns = (
+        min(whole, scipy.fft.next_fast_len(2 * part - 1, real=True))
+        for whole, part in zip(wholes, traction.shape[1:])
+    )
+    right, mixed, up = _compliances(rows, columns, wholes, pitch, layer)
     waves = scipy.fft.rfft2(traction, (rows, columns))
-    longitudinal = (right * waves[0] + up * waves[1]) * along
-    waves *= across
-    waves[0] += right * longitudinal
-    waves[1] += up * longitudinal
-    return scipy.fft.irfft2(waves, (rows, columns))[:, :height, :width]
+    moved = np.empty_like(waves)
+    moved[0] = right * waves[0] + mixed * waves[1]
+    moved[1] = mixed * waves[0] + up * waves[1]
+    return scipy.fft.irfft2(moved, (rows, columns))[:, :height, :width]
 
 
 def _spread(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
     """Return the tangential displacement under a pressure (H, W); (2, H, W)."""
     height, width = pressure.shape
     rows, columns = period((height, width), round(SPACING * layer.thickness / pitch))
-    right, up, _, _ = _waves(rows, columns, pitch, layer)
+    right, up = _units(rows, columns, pitch)
     waves = scipy.fft.rfft2(pressure, (rows, columns)) * _spreading(rows, columns, pitch, layer)
     return scipy.fft.irfft2(np.stack([right * waves, up * waves]), (rows, columns))[:, :height, :width]
 
@@ -239,18 +253,65 @@ def _wavenumbers(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.
     return 2 * np.pi * along_columns[None], -2 * np.pi * along_rows[:, None]
 
 
+@lru_cache(maxsize=16)
+def _part(window: tuple[int, ...], shape: tuple[int, ...], pitch: float, layer: Layer) -> np.ndarray:
+    """Displacement of each pixel of a part (h, w), metres, under 1 Pa on each; (2 h w, 2 h w) float32."""
+    height, width = window
+    whole = _whole(shape, pitch, layer)[:, :height, :width, :, :height, :width]
+    return whole.reshape(2 * height * width, -1)
+
+
+@lru_cache(maxsize=8)
+def _whole(shape: tuple[int, ...], pitch: float, layer: Layer) -> np.ndarray:
+    """Displacement of each pixel, metres, under 1 Pa on each; (2, H, W, 2, H, W) float32."""
+    count = 2 * math.prod(shape)
+    pixels = np.eye(count, dtype=np.float32).reshape(count, 2, *shape)
+    found = np.stack([_transformed(pixel, shape, pitch, layer) for pixel in pixels])  # symmetric
+    return found.reshape(2, *shape, 2, *shape)
+
+
 @lru_cache(maxsize=64)
-def _waves(
-    rows: int, columns: int, pitch: float, layer: Layer
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return unit wave vectors, the compliance across them, and what that along them exceeds it by."""
+def _units(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return unit wave vectors' components along image right and up."""
     right, up = _wavenumbers(rows, columns, pitch)
     length = np.hypot(right, up)
-    along, across = shear_compliance(layer, length)
     unit = np.where(length > 0, length, 1)
-    parts = right / unit, up / unit, across, along - across
-    first, second, third, fourth = (part.astype(np.float32) for part in parts)
-    return first, second, third, fourth
+    return (right / unit).astype(np.float32), (up / unit).astype(np.float32)
+
+
+@lru_cache(maxsize=64)
+def _compliances(
+    rows: int, columns: int, wholes: tuple[int, ...], pitch: float, layer: Layer
+) -> tuple[np.ndarray, ...]:
+    """Return the displacements of waves, right by right, right by up, and up by up; float32, m/Pa.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Of the transforms. Where they are less than those of the whole image, the layer answers as there to
+        shifts up to half of them.
+    wholes : (int, int)
+        Rows and columns of the transforms of the whole image.
+    pitch : float
+        Metres between pixels.
+    layer : Layer
+    """
+    vector = _wavenumbers(wholes[0], wholes[1], pitch)
+    length = np.hypot(*vector)
+    along, across = shear_compliance(layer, length)
+    right, up = (part / np.where(length > 0, length, 1) for part in vector)
+    more = along - across
+    waves = np.stack([across + right**2 * more, right * up * more, across + up**2 * more])
+    if (rows, columns) != wholes:
+        by_shift = scipy.fft.irfft2(waves, wholes)
+        kept = [
+            np.arange(whole) if part == whole else np.arange(-((part - 1) // 2), (part + 1) // 2)
+            for part, whole in zip((rows, columns), wholes)
+        ]
+        answers = np.zeros((3, rows, columns))
+        answers[:, kept[0][:, None] % rows, kept[1] % columns] = by_shift[:, kept[0][:, None], kept[1]]
+        waves = scipy.fft.rfft2(answers).real
+    return tuple(waves.astype(np.float32))
 
 
 @lru_cache(maxsize=32)

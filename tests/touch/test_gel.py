@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.touch.gel import Layer, deform, indent
+from objectfolder.touch.gel import Layer, deform, indent, respond
 
 MM = 1e-3
 
@@ -221,6 +221,15 @@ def test_nothing_in_reach_leaves_the_gel_alone(digit):
     displacement, pressure = deform(np.full((2, 160, 120), -1e-3), digit)
     assert not displacement.any()
     assert not pressure.any()
+
+
+def test_small_grids_answer_as_by_transforms(rng, monkeypatch):
+    layer, pressure = Layer(0.004, 1.5e5, 0.48), rng.random((20, 15))
+    found = respond(pressure, 4e-4, layer)
+    monkeypatch.setattr("objectfolder.touch.gel.DENSE", 0)
+    expected = respond(pressure, 4e-4, layer)
+    assert found.dtype == expected.dtype == np.float64
+    assert abs(found - expected).max() < 1e-6 * expected.max()
 
 
 def test_rows_do_not_depend_on_the_batch(digit):

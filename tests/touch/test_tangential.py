@@ -8,6 +8,7 @@ from scipy.integrate import quad
 from scipy.linalg import expm
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.touch import tangential
 from objectfolder.touch.gel import Layer, deform
 from objectfolder.touch.tangential import shear_compliance, shear_contacts, slide, spreading
 
@@ -50,6 +51,24 @@ def test_compliances_of_uniform_loads_are_those_of_a_slab():
     along, across = shear_compliance(layer, np.array([0.0, 1e-3]))
     np.testing.assert_allclose([along, across], 2 * 1.48 * 0.004 / MODULUS, rtol=1e-4)
     np.testing.assert_allclose(spreading(layer, np.array([0.0, 1e-3])), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("dense", [0, 10**6])
+@pytest.mark.parametrize("size", [(11, 4), (3, 30), (40, 30)])
+def test_a_part_of_the_image_answers_as_the_whole(size, dense, rng, monkeypatch):
+    """With small transforms as with a matrix; the image is 40 x 30 pixels, and the part anywhere in it."""
+    height, width = size
+    layer, pitch, shape = Layer(0.004, MODULUS, 0.48), 2e-4, (40, 30)
+    traction = rng.normal(size=(2, height, width)).astype(np.float32)
+    row, column = (rng.integers(whole - part + 1) for whole, part in zip(shape, size))
+    window = slice(row, row + height), slice(column, column + width)
+    image = np.zeros((2, *shape), np.float32)
+    image[:, *window] = traction
+    monkeypatch.setattr(tangential, "DENSE", 0)
+    expected = tangential._respond(image, shape, pitch, layer)[:, *window]
+    monkeypatch.setattr(tangential, "DENSE", dense)
+    found = tangential._respond(traction, shape, pitch, layer)
+    assert abs(found - expected).max() < 2e-6 * abs(expected).max()
 
 
 class Hertzian:
