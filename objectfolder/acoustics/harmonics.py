@@ -55,10 +55,12 @@ def spherical_bessel(order: int, x: np.ndarray) -> np.ndarray:
 def outgoing(order: int, z: np.ndarray) -> np.ndarray:
     """Return g_0 to g_order of the module's notes at positive numbers of any shape; (order + 1, ...)."""
     out = np.ones((order + 1, *np.shape(z)), np.complex128)
+    factors = np.multiply.outer(1j * (2 * np.arange(order) + 1), 1 / z)
     if order:
-        out[1] += 1j / z
+        out[1] += factors[0]
     for degree in range(1, order):
-        out[degree + 1] = out[degree - 1] + 1j * (2 * degree + 1) / z * out[degree]
+        np.multiply(factors[degree], out[degree], out=out[degree + 1])
+        out[degree + 1] += out[degree - 1]
     return out
 
 

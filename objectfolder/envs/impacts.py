@@ -118,7 +118,7 @@ class ContactReader:
         """Solve for the impulses that stop what approach the pending ones leave."""
         model, count, step = self._model, len(live), self._model.opt.timestep
         pairs = [found.bodies[row] for row in live]
-        motion = np.concatenate([self._jacobian(data, found, k) for k in live])  # (3 K, nv)
+        motion = self._jacobians(data, found, live).reshape(3 * count, -1)
         momentum = sum((one.momentum for one in self._pending.values()), np.zeros(model.nv))
         moved = np.empty((3 * count + 1, model.nv))
         mujoco.mj_solveM(model, data, moved, np.concatenate([motion, momentum[None]]))
@@ -172,13 +172,15 @@ class ContactReader:
                 self._pending[pair] = _Pending(
                     np.zeros(model.nv), math.ceil(_LASTING * lasting / step), float(approach[mine].max())
                 )
-        applied = np.zeros(model.nv)
-        for pair, one in self._pending.items():
-            mine = np.repeat([other == pair for other in pairs], 3)
-            force = found.force[live].ravel()[mine]
-            one.momentum = one.momentum + (impulses.ravel()[mine] - step * force) @ motion[mine]
+        force = found.force[live]
+        given = np.einsum("kd,kdv->kv", impulses - step * force, motion.reshape(count, 3, -1))
+        for k, pair in enumerate(pairs):
+            if pair in self._pending:
+                self._pending[pair].momentum += given[k]
+        for one in self._pending.values():
             one.steps -= 1
-            applied += force @ moved[mine]
+        acting = np.array([pair in self._pending for pair in pairs])
+        applied = np.where(acting[:, None], force, 0).ravel() @ moved
         self._outside = step * (data.qacc - applied)
         return out
 
@@ -235,14 +237,15 @@ class ContactReader:
             for pair, k in numbers.items()
         ]
 
-    def _jacobian(self, data: mujoco.MjData, found: "_Rows", row: int) -> np.ndarray:
-        """Return how the velocity of a contact, in its frame, follows from that of the joints; (3, nv)."""
-        sides = np.zeros((2, 3, self._model.nv))
-        for side, body in zip(sides, found.bodies[row]):
-            if body == 0:
-                continue
-            mujoco.mj_jac(self._model, data, side, None, found.point[row], body)
-        return found.frame[row] @ (sides[1] - sides[0])
+    def _jacobians(self, data: mujoco.MjData, found: "_Rows", rows: np.ndarray) -> np.ndarray:
+        """Return how velocities of contacts, in their frames, follow from those of the joints; (K, 3, nv)."""
+        sides = np.zeros((2, len(rows), 3, self._model.nv))
+        for k, row in enumerate(rows.tolist()):
+            for side, body in enumerate(found.bodies[row]):
+                if body:
+                    mujoco.mj_jac(self._model, data, sides[side, k], None, found.point[row], body)
+        out: np.ndarray = found.frame[rows] @ (sides[1] - sides[0])
+        return out
 
 
 @dataclass(frozen=True)
