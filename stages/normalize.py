@@ -14,7 +14,8 @@ def main(key: str) -> None:
     build = Build(key)
     mesh = load_mesh(params.entry.mesh, params.entry.up, params.settings.texture_size)
     wall = params.entry.wall and params.entry.wall / params.entry.scale
-    normalized = normalize(mesh, key, wall, params.entry.bridge != "off")
+    bridging = params.entry.bridge != "off"
+    normalized = normalize(mesh, key, wall, bridging, params.entry.scale)
     seen, solid = normalized.seen(params.entry.bridge), normalized.surface.mesh
     for warning in normalized.surface.warnings:
         print(f"warning: {key}: {warning}")

@@ -2,6 +2,7 @@
 
 from importlib.util import find_spec
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -38,7 +39,7 @@ def init(
             highlight=False,
         )
     console.print(
-        f"made a workspace of objectfolder {installed_version()} in {folder}; next: cd {folder}, "
+        f"made a workspace of objectfolder {installed_version()} in {folder}; next: cd {quote(str(folder))}, "
         "objectfolder add MESH --name NAME --material MATERIAL --scale METRES, objectfolder build",
         soft_wrap=True,
         highlight=False,

@@ -1,6 +1,7 @@
 """Commands that add objects to a workspace: add, fetch."""
 
 import re
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
@@ -47,7 +48,12 @@ def add(
     up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,
     unit: Annotated[str, typer.Option(help="Unit of the mesh coordinates: m, cm or mm.")] = "m",
     wall: Annotated[
-        float | None, typer.Option(help="Thickness for open sheets in metres; default: 2 % of the size.")
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            parser=_metres,
+            help="Thickness for open sheets in metres; default: 2 % of the size.",
+        ),
     ] = None,
     bridge: Annotated[
         str, typer.Option(help="Fill gaps under half an FEM cell: all, fem (for sound only) or off.")
@@ -99,8 +105,13 @@ def add(
         raise ObjectFolderError(f"up axis {up!r} is neither 'y' nor 'z'")
     if bridge not in get_args(params.Bridge):
         raise ObjectFolderError(f"bridge {bridge!r} is not one of {', '.join(get_args(params.Bridge))}")
-    if wall is not None and not wall > 0:
+    if wall is not None and not 0 < wall < inf:
         raise ObjectFolderError(f"wall is {wall:g}, expected a thickness in metres")
+    if scale is not None and unit != "m":
+        raise ObjectFolderError(
+            f"--scale {scale:g} is in metres, whatever the unit of the mesh's coordinates; give --scale, or "
+            f"--unit {unit}, not both"
+        )
     check_installed()
     values = params.read()
     check_entries(values)

@@ -72,6 +72,7 @@ def normalize(
     name: str = "mesh",
     wall: float | None = None,
     bridging: bool = True,
+    scale: float | None = None,
 ) -> Normalized:
     """Centre and scale a z-up mesh to the unit frame and close its surface.
 
@@ -87,6 +88,8 @@ def normalize(
         Thickness given to visible open sheets, unit frame.
     bridging : bool
         Whether gaps narrower than half an FEM cell are filled.
+    scale : float, optional
+        Longest side in metres, for warnings.
 
     Raises
     ------
@@ -98,7 +101,7 @@ def normalize(
     for _ in range(MOST_CLOSINGS):  # a wall grows with the box, by less each time
         centre, size = (lower + upper) / 2, float((upper - lower).max())
         visual = mesh.with_vertices((mesh.vertices - centre) / size)
-        surface = close_surface(visual.vertices, visual.faces, name, wall, bridging)
+        surface = close_surface(visual.vertices, visual.faces, name, wall, bridging, scale)
         reached = size * np.array([surface.vertices.min(0), surface.vertices.max(0)]) + centre
         beyond = max((lower - reached[0]).max(), (reached[1] - upper).max())
         if beyond <= OUTSIDE * size:

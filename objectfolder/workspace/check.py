@@ -101,7 +101,7 @@ def check_own(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
 
 
 def check_object(key: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> ObjectEntry:
-    """Return one object's entry, whose material must be known.
+    """Return one object's entry, whose material must be known and whose wall must have room.
 
     Raises
     ------
@@ -113,6 +113,11 @@ def check_object(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
         own_material(entry.material)
     except ObjectFolderError as error:
         raise ObjectFolderError(f"{path}: objects.{key}: material: {error}") from error
+    if entry.wall is not None and not entry.wall < entry.scale / 2:
+        raise ObjectFolderError(
+            f"{path}: objects.{key}: wall: got {entry.wall:g} m, expected less than half of the scale, "
+            f"{entry.scale:g} m; give it in metres"
+        )
     return entry
 
 

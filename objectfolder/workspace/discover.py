@@ -26,6 +26,8 @@ SMALL = 0.01  # metres; smallest size that is guessed
 LARGE = 2.0  # metres; few objects that are struck and touched are larger
 MOVED = 1e-3  # fraction of the size by which closing may move a surface without a note
 CLOSED = "closed already"  # in place of the repair step that closed a surface
+MOST_SIZES = 4  # closings until the size holds a wall of given metres
+SETTLED = 1e-4  # fraction of the size by which it may change then
 LISTS = ("materials.csv", "materials.yaml", "materials.yml")
 
 
@@ -171,8 +173,9 @@ def _csv_pairs(path: Path) -> dict[str, str]:
             raise ObjectFolderError(
                 f"{path}, line {lines.line_num} is {quoted(','.join(row))}, expected `name,material`"
             )
-        if row and (pair := (row[0].strip(), row[1].strip())) != ("name", "material"):
-            pairs[pair[0]] = pair[1]
+        name, material = (cell.strip() for cell in row) if row else ("", "")
+        if row and (name.lower(), material.lower()) != ("name", "material"):
+            pairs[name] = material
     return pairs
 
 
@@ -211,7 +214,7 @@ def examine(
     if candidate.refusal is not None:
         raise ObjectFolderError(candidate.refusal)
     key, mesh = candidate.key, candidate.mesh
-    check_new(key, values)
+    check_new(key, values, mesh=mesh)
     if candidate.material is None:
         raise ObjectFolderError(f"{key} has no material; give --material, or list it in {LISTS[0]}")
     materials.material(candidate.material)
@@ -225,13 +228,26 @@ def examine(
             f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "
             + (_size_in_other_units(own, unit) if scale is None else _in_metres(scale))
         )
-    normalized = normalize(loaded, key, wall and wall / size, bridge != "off")
+    if wall is not None and wall >= size / 2:
+        raise ObjectFolderError(
+            f"wall of {key} is {wall:g} m, expected less than half of its size, {size:g} m; give it in metres"
+        )
+    for _ in range(MOST_SIZES):
+        normalized = normalize(loaded, key, wall and wall / size, bridge != "off", size)
+        reached = float(f"{normalized.source_size * UNITS[unit]:.6g}")
+        # With the size that was given the mesh shrinks into its walls. Its own size grows by them instead.
+        if scale is not None or normalized.source_size <= own or abs(reached - size) <= SETTLED * size:
+            break
+        size = reached
     config = settings(VoxelizeConfig, values)
     voxelize(normalized.seen(bridge), normalized.surface.mesh, config, key)  # raises
     report = normalized.report(size, up or default_up(mesh))
     notes = [*report["warnings"], *report["appearance"].get("notes", [])]
-    if scale is None and size > LARGE:
-        notes.insert(0, f"{size:.3g} m is large: {_size_in_other_units(own, unit)}")
+    if size > LARGE:
+        remedy = _size_in_other_units(own, unit) if scale is None else _in_metres(scale)
+        notes.insert(0, f"{size:.3g} m is large: {remedy}")
+    if holes := normalized.surface.holes:
+        notes.append(f"{plural(holes, 'hole')} capped: the piece is solid; give --wall for a shell")
     if crossing := report["self_intersections"]:
         verb = "pierces" if crossing == 1 else "pierce"
         notes.append(f"{plural(crossing, 'edge')} of its surface {verb} another face of it")

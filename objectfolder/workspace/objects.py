@@ -67,7 +67,7 @@ def add_mesh(
     """
     params_path = root / params.PARAMS_FILE
     values = params.read(params_path)
-    home = check_new(key, values, root)
+    home = check_new(key, values, root, mesh)
     up = up or default_up(mesh)
     most = params.settings(NormalizeConfig, values, params_path).texture_size
     lower, upper = load_mesh(mesh, up, most).bounds
@@ -129,10 +129,12 @@ def object_files(mesh: Path, attachments: Sequence[Path] = ()) -> dict[PurePosix
     """
     sources: dict[PurePosixPath, Path] = {}
     folded: dict[str, Path] = {}
+    wanted = [(mesh.parent / name, name) for name in references(mesh)]
     for source, target in (
         (mesh, PurePosixPath("mesh" + mesh.suffix.lower())),
         *((path, PurePosixPath(path.name)) for path in attachments),
-        *((mesh.parent / name, name) for name in references(mesh)),
+        # Only faces need a texture, and the reader of the mesh raises for one that is missing.
+        *(pair for pair in wanted if pair[0].is_file()),
     ):
         if not source.is_file():
             raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
@@ -160,8 +162,8 @@ def _reserved(name: str) -> bool:
     return name.startswith(".") or name.endswith(".dvc") or name in ("dvc.yaml", "dvc.lock")
 
 
-def check_new(key: str, values: dict[str, Any], root: Path = Path()) -> Path:
-    """Return the folder for the files of a new object.
+def check_new(key: str, values: dict[str, Any], root: Path = Path(), mesh: Path | None = None) -> Path:
+    """Return the folder for the files of a new object, of a mesh that lies elsewhere.
 
     Raises
     ------
@@ -175,6 +177,11 @@ def check_new(key: str, values: dict[str, Any], root: Path = Path()) -> Path:
     remedies = [f"delete {' and '.join(entries)} from {root / params.PARAMS_FILE}"] if entries else []
     if record.exists():
         remedies.append(f"run `dvc remove --outs {record}`")
+    elif mesh is not None and home.resolve() in mesh.resolve().parents:
+        raise ObjectFolderError(
+            f"{mesh} lies in {home}, where its copy will be; move it out of {home.parent} and "
+            "add it from there"
+        )
     elif home.exists():
         remedies.append(f"delete the folder {home}")
     if remedies:

@@ -311,6 +311,7 @@ def test_an_object_that_is_there_is_refused_and_the_others_are_added(workspace, 
     ("file", "text"),
     [
         ("materials.csv", "name,material\n025_Mug (blue),ceramic\nbrick,iron\n"),
+        ("materials.csv", "Name,Material\n025_Mug (blue),ceramic\nbrick,iron\n"),
         ("materials.csv", "\ufeffname,material\n025_Mug (blue),ceramic\nbrick,iron\n"),  # Excel's UTF-8
         ("materials.yaml", "025_Mug (blue): ceramic\nBrick.STL: iron\n"),
     ],
@@ -437,6 +438,8 @@ def test_one_mesh_is_examined_before_it_is_added(workspace, collection):
         (["--scale", "0.1"], "is a folder; --name and --scale are for one mesh, such as /"),
         (["--unit", "inch"], "unit 'inch' is not one of m, cm, mm"),
         (["--up", "x"], "up axis 'x' is neither 'y' nor 'z'"),
+        (["--wall", "inf"], "wall is inf, expected a thickness in metres"),
+        (["--wall", "nan"], "wall is nan, expected a thickness in metres"),
     ],
 )
 def test_bad_options_change_nothing(workspace, collection, arguments, message):
@@ -517,9 +520,60 @@ def test_a_scale_in_other_units_is_refused_with_the_one_in_metres(workspace, col
         assert result.exit_code == 2
         text = re.sub(r"[│\s]+", " ", result.output)
         assert f"{given!r} is not a number of metres, such as {example} " in text
+        result = run(*brick, "--wall", given)
+        assert result.exit_code == 2
+        assert f"{given!r} is not a number of metres, such as {example} " in re.sub(
+            r"[│\s]+", " ", result.output
+        )
     message = str(run(*brick, "--scale", "112").exception)
     assert message.endswith("; give it in metres: 1.12 for 112 cm or 0.112 for 112 mm")
     assert str(run(*brick, "--scale", "-1").exception).endswith("; give it in metres")
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_scale_is_in_metres_whatever_the_unit(workspace, collection):
+    brick = (collection / "Brick.STL", "--name", "brick", "--material", "wood", "--dry-run")
+    message = str(run(*brick, "--scale", "12", "--unit", "cm").exception)
+    assert message.startswith("--scale 12 is in metres, whatever the unit")
+    assert message.endswith("give --scale, or --unit cm, not both")
+    large = run(*brick, "--scale", "12")
+    assert "brick: 12 m is large: give it in metres: 0.12 for 12 cm or 0.012 for 12 mm" in large.output
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_wall_thicker_than_half_of_the_object_is_refused(workspace, collection):
+    brick = (collection / "Brick.STL", "--name", "brick", "--material", "wood", "--wall", "0.1")
+    message = str(run(*brick).exception)
+    assert message == "wall of brick is 0.1 m, expected less than half of its size, 0.2 m; give it in metres"
+
+
+@pytest.mark.usefixtures("coarse")
+def test_the_walls_of_a_sheet_add_to_its_size(workspace, tmp_path):
+    """A step whose upper side shows up and whose lower end shows out: the wall of the flange is beyond it."""
+    corners = np.array([(-0.1, 0.03), (-0.1, 0), (0.1, 0), (0.1, -0.03)])
+    vertices = np.concatenate([np.insert(corners, 1, y, 1) for y in (-0.04, 0.04)])
+    faces = [face for i in range(3) for face in ((i, i + 4, i + 1), (i + 1, i + 4, i + 5))]
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "step.ply")
+    step = (tmp_path / "step.ply", "--name", "step", "--material", "steel", "--dry-run")
+    for given, size in ((("--wall", "0.01"), "0.21"), (("--wall", "0.01", "--scale", "0.2"), "0.2")):
+        assert row(run(*step, *given), "step")[2] == size
+
+
+def test_a_mesh_in_the_place_of_its_copy_is_not_to_be_deleted(workspace, box):
+    home = workspace / "data/objects/crate"
+    shutil.copytree(box.parent, home)
+    message = str(run(home / "box.obj", "--name", "crate", "--material", "wood").exception)
+    assert message.endswith("where its copy will be; move it out of data/objects and add it from there")
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_capped_mouth_is_noted(workspace, tmp_path):
+    ball = trimesh.creation.icosphere(3, 0.1)
+    ball.update_faces(ball.triangles_center[:, 2] < 0.093)
+    ball.export(tmp_path / "vase.ply")
+    vase = (tmp_path / "vase.ply", "--name", "vase", "--material", "glass", "--dry-run")
+    assert "vase: 1 hole capped: the piece is solid; give --wall for a shell" in run(*vase).output
+    assert "thicken" in row(run(*vase, "--wall", "0.01"), "vase")
 
 
 @pytest.mark.parametrize("width", [60, 80, 100])

@@ -172,6 +172,16 @@ def test_an_unknown_material_is_found_before_a_build(write):
         assert str(caught.value).startswith(f"{path}: objects.mug: material: ")
 
 
+@pytest.mark.parametrize("wall", [0.05, 2.0])
+def test_a_wall_of_half_the_size_is_found_before_a_build(write, wall):
+    path = write(objects={"mug": {**MUG, "wall": wall}})
+    for check in (lambda: check_all(read(path), path), lambda: check_object("mug", read(path), path)):
+        with pytest.raises(
+            ObjectFolderError, match=r"objects\.mug: wall: got .* less than half of the scale"
+        ):
+            check()
+
+
 @pytest.mark.parametrize(
     ("section", "old", "new"),
     [("train_audio", "batch", "bach"), ("modal", "max_modes", "maxmodes"), ("objects", "wall", "wal")],

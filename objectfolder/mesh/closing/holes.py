@@ -5,6 +5,8 @@ underside, furniture its hidden faces). A boundary loop is an opening if its cap
 from outside, otherwise a hole; a piece with an opening is a sheet.
 """
 
+from collections.abc import Iterator
+
 import igl
 import manifold3d
 import numpy as np
@@ -24,7 +26,9 @@ _RAYS = 1024
 _OFFSET = 1e-4  # start of the rays above the cap, unit frame
 
 
-def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh, int, int]:
+def close_piece(
+    piece: Mesh, scene: RayCaster | None, wall: float, least: float = LARGE
+) -> tuple[Mesh, int, int]:
     """Close an open manifold piece.
 
     Parameters
@@ -36,6 +40,8 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
     wall : float
         Thickness given to a sheet, unit frame. The sheet becomes the outer side; of a flat one, the side to
         which its winding points. Where there is no room for the wall, the openings are capped instead.
+    least : float
+        Area, as a fraction of the piece's, above which a visible loop is an opening.
 
     Returns
     -------
@@ -45,20 +51,14 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
     openings : int
         Number of openings of a sheet.
     """
-    vertices, faces = piece
-    loops = boundary_loops(faces)
+    vertices, faces, loops, flat = _turned_outward(piece)
     area = face_areas(vertices, faces).sum()
-    volume = signed_volume(*cap(vertices, faces, loops))
-    flat = abs(volume) < FLAT * area * np.ptp(vertices[faces.ravel()], axis=0).max()
-    if volume < 0 and not flat:
-        faces = np.ascontiguousarray(faces[:, ::-1])
-        loops = boundary_loops(faces)
     openings = [
         loop
         for loop in loops
         if scene is not None
-        and np.linalg.norm(area_vector(vertices[loop])) > LARGE * area
-        and max(_seen(vertices[side], scene) for side in ([loop, loop[::-1]] if flat else [loop])) > SEEN
+        and np.linalg.norm(area_vector(vertices[loop])) > least * area
+        and _is_visible(vertices, loop, scene, flat)
     ]
     chosen = {int(loop[0]) for loop in openings}
     holes = [loop for loop in loops if int(loop[0]) not in chosen]
@@ -69,6 +69,36 @@ def close_piece(piece: Mesh, scene: RayCaster | None, wall: float) -> tuple[Mesh
     if _turned_over(closed[0], sheet[0][len(closed[0]) :], closed[1]) > NO_ROOM:
         return cap(vertices, faces, loops), len(loops), 0
     return sheet, len(holes), len(openings)
+
+
+def visible_loops(piece: Mesh, scene: RayCaster, least: float = 0) -> Iterator[float]:
+    """Yield the areas of the visible loops, as fractions of the piece's, from the largest to ``least``."""
+    vertices, faces, loops, flat = _turned_outward(piece)
+    area = face_areas(vertices, faces).sum()
+    shares = [float(np.linalg.norm(area_vector(vertices[loop])) / area) for loop in loops]
+    for k in np.argsort(shares, kind="stable")[::-1]:
+        if shares[k] < least:
+            return
+        if _is_visible(vertices, loops[k], scene, flat):
+            yield shares[k]
+
+
+def _turned_outward(piece: Mesh) -> tuple[np.ndarray, np.ndarray, list[np.ndarray], bool]:
+    """Return vertices, faces that show outward once capped, boundary loops, and whether the piece is flat."""
+    vertices, faces = piece
+    loops = boundary_loops(faces)
+    area = face_areas(vertices, faces).sum()
+    volume = signed_volume(*cap(vertices, faces, loops))
+    flat = abs(volume) < FLAT * area * np.ptp(vertices[faces.ravel()], axis=0).max()
+    if volume < 0 and not flat:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+        loops = boundary_loops(faces)
+    return vertices, faces, loops, bool(flat)
+
+
+def _is_visible(vertices: np.ndarray, loop: np.ndarray, scene: RayCaster, flat: bool) -> bool:
+    """Test whether a loop's cap would be seen from outside; of a flat piece, from either side."""
+    return max(_seen(vertices[side], scene) for side in ([loop, loop[::-1]] if flat else [loop])) > SEEN
 
 
 def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> Mesh:

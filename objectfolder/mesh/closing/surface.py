@@ -5,16 +5,16 @@ needed. Remeshing on a grid fills cavities and doubles thin walls, so it is the 
 warning. All lengths are in the unit frame (longest side 1).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import igl
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.mesh.closing.holes import close_piece
+from objectfolder.mesh.closing.holes import close_piece, visible_loops
 from objectfolder.mesh.closing.remesh import RESOLUTION, remesh_on_grid
 from objectfolder.mesh.closing.solids import SPECKS, bodies, bridge, distance, unite, untangle, without_specks
-from objectfolder.mesh.closing.weld import clean
+from objectfolder.mesh.closing.weld import clean, opposite_pairs
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.scanline import Certificate, check_winding, winding_certificate
@@ -34,6 +34,8 @@ BRIDGED_GAP = 1 / 64  #: half a cell of the finest FEM grid
 SHEET_WALL = 0.02  #: default thickness of a sheet
 MAX_OPEN_PIECES = 256  #: more make a triangle soup, whose holes and gaps are indistinguishable
 MAX_BODIES = 128  #: more are not bridged: each bridge takes the better part of a second
+LEFT_OUT = 1e-3  #: of the size; cancelled faces further from the closed surface are noted
+NOTED_HOLE = 1e-3  #: of a piece's area; smaller holes are gaps of a scan
 CRUMB = 0.01  #: area fraction below which an open piece is never a sheet
 _PROBES = 20_000  # points at which the deviation is measured
 
@@ -63,6 +65,7 @@ class ClosedSurface:
     certificate: Certificate  #: that it is closed, with winding numbers 0 and 1
     warnings: list[str] = field(default_factory=list)
     unbridged: Mesh | None = None  #: mesh before gaps were bridged, if any
+    holes: int = 0  #: visible ones that were capped for want of a wall: what they open became solid
 
     @property
     def mesh(self) -> Mesh:
@@ -111,6 +114,7 @@ def close_surface(
     name: str = "mesh",
     wall: float | None = None,
     bridging: bool = True,
+    scale: float | None = None,
 ) -> ClosedSurface:
     """Turn the triangles of a mesh into one closed solid.
 
@@ -121,9 +125,12 @@ def close_surface(
     name : str
         Name of the object in errors.
     wall : float, optional
-        Thickness given to visible sheets; default: `SHEET_WALL`, with a warning.
+        Thickness given to visible sheets; default: `SHEET_WALL`, with a warning. If it is given and no
+        opening is large, the largest visible hole is one, such as the mouth of a bottle.
     bridging : bool
         Whether gaps below `BRIDGED_GAP` between pieces are filled.
+    scale : float, optional
+        Size in metres, for warnings.
 
     Raises
     ------
@@ -133,15 +140,17 @@ def close_surface(
     """
     ladder = _Ladder(name, np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
     tolerance = ladder.clean()
-    openings = ladder.close_pieces(SHEET_WALL if wall is None else wall)
+    openings = ladder.close_pieces(SHEET_WALL if wall is None else wall, asked=wall is not None)
     if openings and wall is None:
+        metres = "" if scale is None else f" ({SHEET_WALL * scale:.3g} m)"
         ladder.warnings.append(
-            f"{plural(openings, 'open sheet')} got a wall of {SHEET_WALL:.0%} of the size; "
-            "set `wall` in metres"
+            f"{plural(openings, 'open sheet')} got a wall of {SHEET_WALL:.0%} of the size{metres}; "
+            "set `wall` in metres, or close the hole in the mesh, if it is solid"
         )
     if wall is not None and not openings:
+        thickness = f"{wall:.2%} of the size" if scale is None else f"{wall * scale:.3g} m"
         ladder.warnings.append(
-            f"no piece is an open sheet with room for a wall of {wall:.2%} of the size: `wall` is not used"
+            f"no piece is an open sheet with room for a wall of {thickness}: `wall` is not used"
         )
     ladder.join()
     if not ladder.solid:
@@ -156,6 +165,7 @@ def close_surface(
         bridged = ladder.mesh
         ladder.drop_specks()
     ladder.accept(bridging)
+    ladder.note_cancelled()
     return ClosedSurface(
         *ladder.mesh,
         ladder.rungs,
@@ -163,6 +173,7 @@ def close_surface(
         winding_certificate(*ladder.mesh),
         ladder.warnings,
         None if before is bridged else before,
+        ladder.holes,
     )
 
 
@@ -173,6 +184,8 @@ class _Ladder:
         self.name, self.source, self.mesh = name, (vertices, faces), (vertices, faces)
         self.rungs: list[Rung] = []
         self.warnings: list[str] = []
+        self.cancelled: Mesh = (vertices, faces[:0])  # faces that their reversed copies cancelled
+        self.holes = 0  # visible ones that were capped
         self.moved = 0.0  # by welding; deviations are measured from the welded mesh
 
     @property
@@ -185,20 +198,25 @@ class _Ladder:
         mesh, tolerance, self.moved = clean(*before)
         lost = len(before[1]) - len(mesh[1])
         if face_areas(*mesh).sum() == 0:
-            welded = f", {len(mesh[1])} of them neither degenerate nor cancelled by a copy" if lost else ""
+            welded = f", {len(mesh[1])} of them not degenerate" if lost else ""
             raise ObjectFolderError(
                 f"{self.name}: the mesh has {plural(len(before[1]), 'face')}{welded}, without any area; "
                 "expected a mesh that encloses a volume, or a sheet"
             )
         self.source = mesh
+        if lost:
+            self.cancelled = opposite_pairs(*before, tolerance)
         detail = f"welded at {tolerance:g}" + (
             f", {lost} degenerate or doubled faces dropped" if lost else ""
         )
         self._record("clean", detail, (before[0], before[1][:0]), mesh)
         return tolerance
 
-    def close_pieces(self, wall: float) -> int:
-        """Cap or thicken open pieces; return the number of sheets."""
+    def close_pieces(self, wall: float, asked: bool) -> int:
+        """Cap or thicken open pieces; return the number of sheets.
+
+        Where a wall is asked for and none is a sheet, the one with the largest visible hole is.
+        """
         pieces = connected_pieces(*self.mesh)
         defects = [edge_defects(f) for _, f in pieces]
         is_open = [boundary > 0 and not crowded for boundary, crowded, _ in defects]
@@ -208,12 +226,26 @@ class _Ladder:
             return 0  # a triangle soup: only the grid remains
         before, scene = self.mesh, RayCaster(*self.mesh)
         total = face_areas(*before).sum()
-        capped = sheets = 0
-        for i, piece in enumerate(pieces):
-            if is_open[i]:
-                visible = face_areas(*piece).sum() > CRUMB * total
-                pieces[i], holes, openings = close_piece(piece, scene if visible else None, wall)
-                capped, sheets = capped + holes, sheets + (openings > 0)
+        shown = [
+            i for i, piece in enumerate(pieces) if is_open[i] and face_areas(*piece).sum() > CRUMB * total
+        ]
+        closed = {
+            i: close_piece(piece, scene if i in shown else None, wall)
+            for i, piece in enumerate(pieces)
+            if is_open[i]
+        }
+        solid = [i for i in shown if not closed[i][2]]
+        if asked and len(solid) == len(shown) > 0:
+            mouths = {i: next(visible_loops(pieces[i], scene), 0.0) for i in shown}
+            widest = max(shown, key=lambda i: mouths[i] * face_areas(*pieces[i]).sum())
+            if mouths[widest]:
+                closed[widest] = close_piece(pieces[widest], scene, wall, mouths[widest] * (1 - 1e-9))
+        if not asked:
+            self.holes = sum(1 for i in solid for _ in visible_loops(pieces[i], scene, NOTED_HOLE))
+        for i, (piece, _, _) in closed.items():
+            pieces[i] = piece
+        capped = sum(holes for _, holes, _ in closed.values())
+        sheets = sum(openings > 0 for _, _, openings in closed.values())
         detail = [f"{capped} holes capped"] if capped else []
         detail += [f"{sheets} sheets given a wall of {wall:.2%} of the size"] if sheets else []
         self._record(
@@ -309,6 +341,20 @@ class _Ladder:
             f"{'; '.join(lines)}; {remedy}"
         )
 
+    def note_cancelled(self) -> None:
+        """Warn of faces that their reversed copies cancelled, and that are not inside the solid."""
+        if len(self.cancelled[1]) == 0:
+            return
+        probes = sample_surface(*self.cancelled, _PROBES, np.random.default_rng(0))
+        away = float(_away(self.mesh, probes).max())
+        if away > LEFT_OUT:
+            self.rungs[-1] = replace(self.rungs[-1], deviation_max=max(away, self.rungs[-1].deviation_max))
+            self.warnings.append(
+                f"faces up to {away:.2%} of the size from the closed surface have reversed copies, with "
+                "which they enclose nothing, and are left out: delete the copies in the mesh, or "
+                "give that part thickness"
+            )
+
     def _history(self) -> str:
         return ", ".join(rung.detail for rung in self.rungs)
 
@@ -345,9 +391,15 @@ def _deviation(mesh: Mesh, source: Mesh) -> tuple[float, float]:
     corners = mesh[0] if len(mesh[0]) <= _PROBES else rng.choice(mesh[0], _PROBES, replace=False)
     there = distance(source, np.concatenate([probes, corners]))
     back_probes = sample_surface(*source, _PROBES, rng)
-    back = distance(mesh, back_probes)
-    far = np.flatnonzero(back > 1e-9)
-    if len(far):
-        inside = np.asarray(igl.fast_winding_number(*mesh, back_probes[far])) > 0.5
-        back[far[inside]] = 0
+    back = _away(mesh, back_probes)
     return float(max(there.max(), back.max())), float(there[:_PROBES].mean())
+
+
+def _away(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Compute the distances of points to a closed mesh; 0 inside."""
+    away = distance(mesh, points)
+    far = np.flatnonzero(away > 1e-9)
+    if len(far):
+        inside = np.asarray(igl.fast_winding_number(*mesh, points[far])) > 0.5
+        away[far[inside]] = 0
+    return away

@@ -1,5 +1,6 @@
 """Clean a triangle soup: weld, stitch cracks, drop duplicate faces, orient, split bow-ties."""
 
+import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -15,6 +16,7 @@ from objectfolder.mesh.topology import (
 )
 
 TOLERANCES = (1e-7, 1e-6, 1e-5, 1e-4, 5e-4)  #: of the object's size
+OUTSIDE = 0.25  #: winding number below which a point is outside of the other pieces
 _MAX_OPEN_EDGES = 100_000  # above which a mesh is a triangle soup, without cracks to stitch
 _NO_AREA = 1e-12  # of the size, squared
 _FINEST_FEATURE = 0.2  # tolerance limit in median edges, to keep intended gaps
@@ -141,7 +143,35 @@ def drop_slivers(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
 
 
 def cancel_copies(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    """Drop degenerate faces, duplicates, and pairs of opposite faces."""
+    """Drop degenerate faces, duplicates, and pairs of opposite faces.
+
+    Of a piece that is two-sided throughout, the first copy of each face is kept, unless the rest encloses it:
+    such a piece is a sheet or a solid that its author wanted seen from both sides.
+    """
+    faces, group, even, net = _copies(faces)
+    wanted = np.where(even, net[group] > 0, net[group] < 0)
+    pairs = net[group] == 0
+    if pairs.any():
+        wanted |= _two_sided(vertices, faces, pairs, wanted)
+    _, first = np.unique(np.where(wanted, group, -1), return_index=True)
+    keep = np.zeros(len(faces), bool)
+    keep[first] = True
+    return compact(vertices, faces[keep & wanted])
+
+
+def opposite_pairs(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> Mesh:
+    """Return the faces that cancel, after welding: those given as often one way round as the other."""
+    welded, faces = weld(vertices, faces, tolerance)
+    faces, group, _, net = _copies(faces)
+    return welded, faces[net[group] == 0]
+
+
+def _copies(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Group the faces that are not degenerate by their three vertices.
+
+    Returns the faces, the group of each, which of the two orientations it has, and the excess of one
+    orientation over the other in every group.
+    """
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     rolled = np.take_along_axis(faces, (faces.argmin(1)[:, None] + np.arange(3)) % 3, 1)
@@ -149,9 +179,22 @@ def cancel_copies(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     even = (rolled == key).all(1)  # the two orientations of one triple of vertices
     _, group = np.unique(key, axis=0, return_inverse=True)
     group = group.ravel()
-    net = np.bincount(group, weights=np.where(even, 1, -1))
-    wanted = np.where(even, net[group] > 0, net[group] < 0)
-    _, first = np.unique(np.where(wanted, group, -1), return_index=True)
-    keep = np.zeros(len(faces), bool)
-    keep[first] = True
-    return compact(vertices, faces[keep & wanted])
+    return faces, group, even, np.bincount(group, weights=np.where(even, 1, -1))
+
+
+def _two_sided(vertices: np.ndarray, faces: np.ndarray, pairs: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Find the faces of pieces (by edges) of opposite pairs only, that reach out of the other faces; (F,)."""
+    edges = half_edges(faces)
+    key = edges.min(1) * (int(faces.max()) + 1) + edges.max(1)
+    edge = np.unique(key, return_inverse=True)[1]
+    face = np.tile(np.arange(len(faces)), 3)
+    piece = components(face, len(faces) + edge, len(faces) + int(edge.max()) + 1)[1][: len(faces)]
+    whole = (np.bincount(piece, ~pairs) == 0)[piece]
+    if not whole.any() or not others.any():
+        return whole
+    chosen = np.flatnonzero(whole)
+    centres = vertices[faces[chosen]].mean(1)
+    # The other faces may be inside out, or open. Beside a face of theirs the winding number is 1/2.
+    wound = np.abs(igl.fast_winding_number(vertices, faces[others], centres))
+    outside = np.bincount(piece[chosen], np.asarray(wound) < OUTSIDE, piece.max() + 1) > 0
+    return whole & outside[piece]

@@ -1,6 +1,7 @@
 """Files that a mesh names: path safety, existence, image decoding."""
 
 from io import BytesIO
+from os.path import normpath
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from PIL import Image
@@ -8,20 +9,32 @@ from PIL import Image
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.pictures import decoded
 
+HERE = PurePosixPath()
 MAX_NAME = 255  #: bytes of a file's or folder's name, as file systems have it
 MAX_PATH = 1024  #: bytes of a path inside the mesh's folder
 
 
-def referenced_path(mesh: Path, name: str) -> PurePosixPath:
+def referenced_path(mesh: Path, name: str, beside: PurePosixPath = HERE, said_in: str = "") -> PurePosixPath:
     """Return the path of a file that a mesh names, relative to the mesh's folder.
+
+    Parameters
+    ----------
+    mesh : Path
+    name : str
+        As it is written.
+    beside : PurePosixPath
+        Folder, relative to the mesh's, that the name is relative to.
+    said_in : str
+        Suffix of the file that has the name; default: the mesh's.
 
     Raises
     ------
     ObjectFolderError
         If it lies outside that folder, or is too long for a file system.
     """
-    path = PurePosixPath(name.replace("\\", "/"))
-    where = f"the path in the {'.mtl' if mesh.suffix.lower() == '.obj' else mesh.suffix} file"
+    written = PurePosixPath(name.replace("\\", "/"))
+    path = PurePosixPath(normpath(beside / written)) if beside.parts else written
+    where = f"the path in the {said_in or mesh.suffix} file"
     if path.is_absolute() or PureWindowsPath(name).drive or ".." in path.parts:
         raise ObjectFolderError(
             f"{mesh} refers to {shortened(name)}, outside its folder; put that file beside the mesh and edit "
@@ -35,19 +48,30 @@ def referenced_path(mesh: Path, name: str) -> PurePosixPath:
     return path
 
 
+def decoded_text(data: bytes) -> str:
+    """Decode the text of a mesh file: UTF-8, or else Latin-1, in which any bytes are characters.
+
+    Names in an unknown encoding stay apart this way, and those in Latin-1 are right.
+    """
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
 def _size(name: str) -> int:
     return len(name.encode(errors="replace"))
 
 
-def read_referenced(mesh: Path, name: str) -> bytes:
-    """Read a file that a mesh names.
+def read_referenced(mesh: Path, name: str | PurePosixPath, remedy: str = "put it there") -> bytes:
+    """Read a file that a mesh names, by its name or its path from `referenced_path`.
 
     Raises
     ------
     ObjectFolderError
         If it is missing, outside the mesh's folder, or cannot be read.
     """
-    source = mesh.parent / referenced_path(mesh, name)
+    source = mesh.parent / (referenced_path(mesh, name) if isinstance(name, str) else name)
     try:
         if source.is_file():
             return source.read_bytes()
@@ -55,7 +79,16 @@ def read_referenced(mesh: Path, name: str) -> bytes:
         raise ObjectFolderError(
             f"{mesh} refers to {source}, which cannot be read: {error.strerror}"
         ) from error
-    raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist; put it there")
+    hint = _other_case(source)
+    raise ObjectFolderError(f"{mesh} refers to {source}, which does not exist{hint}; {remedy}")
+
+
+def _other_case(path: Path) -> str:
+    """Name a file whose name differs from a missing one's in case only, for its error message."""
+    beside = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
+    name = path.name.casefold()
+    alike = [other.name for other in beside if other.name.casefold() == name and other.is_file()]
+    return f" ({alike[0]} does: upper and lower case differ)" if alike else ""
 
 
 def read_image(data: bytes, name: str | Path, mesh: Path, mode: str = "RGB") -> Image.Image:

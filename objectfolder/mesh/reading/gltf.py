@@ -5,7 +5,7 @@ import json
 import math
 import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,8 +24,10 @@ EXTENSIONS = ("KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_web
 DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 GLOSS, TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
+UNLIT, INSTANCING = "KHR_materials_unlit", "EXT_mesh_gpu_instancing"
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 TRIANGLES, STRIP, FAN = 4, 5, 6
+ROUNDING = 1e-4  # of a quaternion's length in single precision, or few digits
 MAX_ELEMENTS = 50_000_000  # vertices and corners of faces; nodes may repeat a mesh
 
 
@@ -149,7 +151,7 @@ class _File:
     def _placed(self) -> list[tuple[int, np.ndarray]]:
         """Return the scene's meshes with their transforms (4, 4), in document order."""
         nodes = self.document.get("nodes", [])
-        if "scenes" in self.document:
+        if self.document.get("scenes"):
             roots = self.document["scenes"][self.document.get("scene", 0)].get("nodes", [])
         else:
             children = {child for node in nodes for child in node.get("children", [])}
@@ -166,6 +168,11 @@ class _File:
             if "mesh" in node:
                 placed.append((node["mesh"], transform))
                 self.changes["skin left out"] += "skin" in node
+                if INSTANCING in node.get("extensions", {}):
+                    raise ObjectFolderError(
+                        f"{self.path}: node {index} repeats its mesh with {INSTANCING}, which is not "
+                        "supported; export it without instancing"
+                    )
             queue += [(child, transform) for child in reversed(node.get("children", []))]
         return placed
 
@@ -218,7 +225,9 @@ class _File:
         surface = material.get("pbrMetallicRoughness", {})
         extensions = material.get("extensions", {})
         gloss = extensions.get(GLOSS)
-        roughness, metallic = surface.get("roughnessFactor", 1.0), surface.get("metallicFactor", 1.0)
+        # An unlit material is not metal because its factors are absent.
+        absent = None if UNLIT in extensions else 1.0
+        roughness, metallic = surface.get("roughnessFactor", absent), surface.get("metallicFactor", absent)
         info, color = surface.get("baseColorTexture"), surface.get("baseColorFactor", [1, 1, 1, 1])
         if gloss is not None:
             info, color = gloss.get("diffuseTexture"), gloss.get("diffuseFactor", [1, 1, 1, 1])
@@ -231,17 +240,20 @@ class _File:
         elif "metallicRoughnessTexture" in surface:
             image, _ = self._texture(surface["metallicRoughnessTexture"])
             mean = np.array(ImageStat.Stat(image).mean) / 255
-            roughness, metallic = roughness * mean[1], metallic * mean[2]
+            roughness = (1.0 if roughness is None else roughness) * mean[1]
+            metallic = (1.0 if metallic is None else metallic) * mean[2]
             self.changes["roughness and metallic map replaced by its mean"] += 1
         self._note_dropped(material, extensions)
         texture, wrap = self._texture(info) if info is not None else (None, SurfaceMaterial.wrap)
         linear = np.asarray(color[:3], np.float64)
-        if linear.shape != (3,) or not np.isfinite([*linear, roughness, metallic]).all():
+        stated = {"roughness": roughness, "metallic": metallic}
+        factors = {name: float(value) for name, value in stated.items() if value is not None}
+        if linear.shape != (3,) or not np.isfinite([*linear, *factors.values()]).all():
             raise ObjectFolderError(
                 f"{self.path}: material {index} has a colour, roughness or metallic factor that is no "
                 "number; export it again"
             )
-        made = SurfaceMaterial(texture, np.clip(linear, 0, 1), float(roughness), float(metallic), wrap)
+        made = SurfaceMaterial(texture, np.clip(linear, 0, 1), **factors, wrap=wrap)
         self.materials[index] = made, info or {}
         return self.materials[index]
 
@@ -374,7 +386,7 @@ def _transform(node: dict[str, Any]) -> np.ndarray:
     """Return a node's matrix (4, 4), or its translation x rotation (quaternion x, y, z, w) x scale."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
+    x, y, z, w = _unit(node.get("rotation", (0, 0, 0, 1)))
     rotation = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -386,6 +398,12 @@ def _transform(node: dict[str, Any]) -> np.ndarray:
     matrix[:3, :3] = rotation * node.get("scale", (1, 1, 1))
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
     return matrix
+
+
+def _unit(rotation: Sequence[float]) -> Sequence[float]:
+    """Return a quaternion of length 1; one that has it but for rounding stays as it is."""
+    length = math.hypot(*rotation)
+    return rotation if abs(length - 1) < ROUNDING or not length else [part / length for part in rotation]
 
 
 def _of_normals(linear: np.ndarray) -> np.ndarray:

@@ -5,16 +5,18 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from PIL import Image
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
-from objectfolder.mesh.reading.files import read_image, read_referenced
+from objectfolder.mesh.reading.files import decoded_text, read_image, read_referenced, referenced_path
 from objectfolder.mesh.reading.parts import SurfaceMaterial
 
 MAP = re.compile(r"map_\w+|bump|disp|decal|norm", re.I)
+LINE_END = re.compile(r"[\r\n]+")
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?(?=\s)"
 #: One option before a file name, with as many arguments as the standard gives it.
 OPTION = re.compile(
@@ -51,42 +53,80 @@ class MtlMaterial:
         return uv * self.scale + self.offset
 
 
-def read_materials(mesh: Path, libraries: list[str]) -> dict[str, MtlMaterial]:
-    """Read the materials of the libraries that a mesh names, by name.
+class MaterialLibraries:
+    """Materials of the libraries that a mesh names, in order; textures are read when faces use them.
 
     Raises
     ------
     ObjectFolderError
-        If a library or a texture is missing or unreadable.
+        If a library is missing or unreadable.
     """
 
-    @cache
-    def image(name: str) -> Image.Image:
-        name = existing_name(mesh, name)
-        return read_image(read_referenced(mesh, name), mesh.parent / name, mesh)
+    def __init__(self, mesh: Path, libraries: list[str]):
+        self.mesh = mesh
+        self.statements: dict[str, dict[str, str]] = {}  # of each material, the last of each keyword
+        self.folders: dict[str, PurePosixPath] = {}  # of its library, relative to the mesh's
+        self.image = cache(self._image)
+        for library in libraries:
+            path = referenced_path(mesh, library)
+            current: dict[str, str] = {}
+            for keyword, rest in _statements(read_library(mesh, path)):
+                if keyword.lower() == "newmtl":
+                    name = " ".join(rest.split())
+                    current = self.statements[name] = {}
+                    self.folders[name] = path.parent
+                else:
+                    current[keyword.lower()] = rest
 
-    contents = (read_referenced(mesh, name) for name in libraries)
-    text = "\n".join(content.decode("utf-8-sig", errors="replace") for content in contents)
-    found: dict[str, dict[str, str]] = {}
-    statements: dict[str, str] = {}  # of the current material, the last of each keyword
-    for keyword, rest in _statements(text):
-        if keyword.lower() == "newmtl":
-            statements = found[" ".join(rest.split())] = {}
-        else:
-            statements[keyword.lower()] = rest
-    materials = {}
-    for name, lines in found.items():
+    def material(self, name: str) -> MtlMaterial:
+        """Return a material with its texture; a plain one if there is none of this name.
+
+        Raises
+        ------
+        ObjectFolderError
+            If the texture is missing or unreadable.
+        """
+        lines = self.statements.get(name)
+        if lines is None:
+            return MtlMaterial()
         options, file = _options(lines.get("map_kd", ""))
         dropped = _dropped(lines) | {f"option -{key} of map_Kd" for key in DROPPED_OPTIONS if key in options}
         roughness, metallic = _fraction(lines.get("pr", "")), _fraction(lines.get("pm", ""))
         if file:
             wrap = "clamp" if options.get("clamp", "").lower() == "on" else "repeat"
-            surface = SurfaceMaterial(image(file), None, roughness, metallic, (wrap, wrap))
+            image = self.image(texture_path(self.mesh, self.folders[name], file))
+            surface = SurfaceMaterial(image, None, roughness, metallic, (wrap, wrap))
         else:
             surface = SurfaceMaterial(None, _color(_floats(lines.get("kd", ""))), roughness, metallic)
         scale, offset = _numbers(options.get("s", ""), 1), _numbers(options.get("o", ""), 0)
-        materials[name] = MtlMaterial(surface, scale, offset, frozenset(dropped))
-    return materials
+        return MtlMaterial(surface, scale, offset, frozenset(dropped))
+
+    def _image(self, path: PurePosixPath) -> Image.Image:
+        return read_image(read_referenced(self.mesh, path), self.mesh.parent / path, self.mesh)
+
+
+def read_library(mesh: Path, path: PurePosixPath) -> str:
+    """Read the text of a material library, given its path relative to the mesh's folder."""
+    return decoded_text(read_referenced(mesh, path, "put it there, or delete the line mtllib"))
+
+
+def texture_path(mesh: Path, beside: PurePosixPath, name: str) -> PurePosixPath:
+    """Return the path of a texture relative to the mesh's folder: beside its library, or else the mesh.
+
+    The name counts as it is written, or as `bare` if only that file exists.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it lies outside the mesh's folder, or its name is too long.
+    """
+    for folder in dict.fromkeys((beside, PurePosixPath())):
+        for written in dict.fromkeys((name, bare(name))):
+            with suppress(ObjectFolderError, OSError):  # outside, or too long
+                path = referenced_path(mesh, written, folder, ".mtl")
+                if (mesh.parent / path).is_file():
+                    return path
+    return referenced_path(mesh, name, beside, ".mtl")
 
 
 def textures(mtl: str) -> list[tuple[str, str]]:
@@ -97,7 +137,7 @@ def textures(mtl: str) -> list[tuple[str, str]]:
 
 def _statements(mtl: str) -> Iterator[tuple[str, str]]:
     """Yield the first word and the rest of every line that has more than one word."""
-    for line in mtl.splitlines():
+    for line in LINE_END.split(mtl):  # of no other characters: in Latin-1, some names have them
         words = line.strip().split(maxsplit=1)
         if len(words) == 2:
             yield words[0], words[1]
@@ -116,15 +156,6 @@ def _options(rest: str) -> tuple[dict[str, str], str]:
 def bare(name: str) -> str:
     """Return a name without quotes and a comment after it, ``# such as this``; ``Material #25`` has none."""
     return re.split(r"\s#(?!\S)", name, maxsplit=1)[0].strip().strip('"')
-
-
-def existing_name(mesh: Path, name: str) -> str:
-    """Return the name of a texture as it is written, or `bare` if only that file exists."""
-    other = bare(name)
-    with suppress(OSError):  # too long
-        if other != name and not (mesh.parent / name).is_file() and (mesh.parent / other).is_file():
-            return other
-    return name
 
 
 def _numbers(text: str, default: float) -> np.ndarray:

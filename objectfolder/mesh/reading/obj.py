@@ -14,8 +14,9 @@ from trimesh.exchange.obj import load_obj
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import needs_ears, split
+from objectfolder.mesh.reading.files import decoded_text
 from objectfolder.mesh.reading.from_trimesh import as_points, color_unit, fan_triangles
-from objectfolder.mesh.reading.mtl import MtlMaterial, bare, read_materials
+from objectfolder.mesh.reading.mtl import MaterialLibraries, MtlMaterial, bare
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart
 
 FACE = re.compile(r"^f[ \t]+\S.*", re.M | re.A)
@@ -42,11 +43,12 @@ def read_obj(path: Path) -> MeshContent:
     ObjectFolderError
         If a file it refers to is missing or unreadable, or a face index is out of range.
     """
-    text = _plain(path.read_bytes().decode("utf-8-sig", errors="replace"))
+    text = _plain(decoded_text(path.read_bytes()))
     _check_materials(path, text)
     text = _counted_from_start(path, text)
     _check_zero(path, text)
-    materials = read_materials(path, mtl_names(text))
+    libraries = MaterialLibraries(path, mtl_names(text))
+    materials = libraries.statements
     text = _named(text, materials)
     # trimesh gets names only: it would ignore options of textures, and give materials without Kd a colour.
     library = "\n".join(f"newmtl {name}" for name in materials).encode()
@@ -62,13 +64,15 @@ def read_obj(path: Path) -> MeshContent:
         _check_vertices(path, text)
         raise
     unit = color_unit(max((_brightest(content) for content in geometry), default=0))
-    plain = MtlMaterial()
     parts: list[MeshPart] = []
-    notes, used = [], {}
+    notes: list[str] = []
+    used: dict[str, MtlMaterial] = {}
     for content in geometry:
         visual, colors = content.get("visual"), content.get("vertex_colors")
         name = (None if visual is None else visual.material.name) or ""
-        material = used[name] = materials.get(name, plain)
+        if name not in used:
+            used[name] = libraries.material(name)
+        material = used[name]
         surface = material.surface
         colors = None if colors is None else srgb.decode(np.clip(colors[:, :3] / unit, 0, 1))
         if colors is not None and surface.image is not None:

@@ -13,6 +13,7 @@ from trimesh.exchange.ply import _elements_to_kwargs
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import needs_ears, split
+from objectfolder.mesh.reading.files import decoded_text
 from objectfolder.mesh.reading.from_trimesh import (
     ReferencedFiles,
     as_points,
@@ -27,6 +28,7 @@ COLORS, DIFFUSE = ("red", "green", "blue"), ("diffuse_red", "diffuse_green", "di
 INDICES = ("vertex_index", "vertex_indices")
 COORDINATES = {"s", "t", "u", "v", "texture_u", "texture_v", "texcoord"}
 CARRIERS = ("vertex", "face")  # elements that may have colours
+FACET = re.compile(rb"^\s*facet\s+normal\b", re.M | re.I)
 MAX_SOLIDS = 4096  # trimesh takes time in proportion to the square of their number
 
 
@@ -46,7 +48,7 @@ def read_polygons(path: Path) -> MeshContent:
         _check_length(path, data)
     if kind == "ply":
         header, end, body = data.partition(b"end_header")
-        data = _header_text(header).encode() + end + body
+        data = decoded_text(header).encode() + end + body
     _check_textures(path, data if kind == "ply" else b"")
     scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
     files.check()
@@ -59,6 +61,8 @@ def read_polygons(path: Path) -> MeshContent:
         image = getattr(getattr(sources[0].visual, "material", None), "image", None)
         mesh = trimesh.Trimesh(**_elements_to_kwargs(elements, fix_texture=True, image=image), process=False)
         sources = [mesh]
+    if kind == "stl":
+        _check_facets(path, data, len(mesh.faces))
     visual = mesh.visual
     vertices, faces = as_points(mesh.vertices), fan_triangles(mesh.faces)
     normals = None
@@ -69,9 +73,13 @@ def read_polygons(path: Path) -> MeshContent:
     if visual.kind == "texture":
         material = surface_material(visual.material, files.images)
         uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
-        return MeshContent([MeshPart(vertices, faces, material, uv, normals=normals)])
+        left_out = ["vertex colours beside a texture left out"] if _colored(elements or raw) else []
+        left_out += ["texture left out: the file has no texture coordinates"] if uv is None else []
+        return MeshContent([MeshPart(vertices, faces, material, uv, normals=normals)], left_out)
     colors: np.ndarray | None = None
     notes = ["colours of faces beside those of vertices left out"] if _colored(elements or raw) > 1 else []
+    if ply_textures(data if kind == "ply" else b""):
+        notes.append("texture left out: the file has no texture coordinates")
     if visual.kind == "face":
         colors, vertex, faces = by_face_color(np.asarray(visual.face_colors), faces)
         vertices, normals = vertices[vertex], None if normals is None else normals[vertex]
@@ -83,17 +91,9 @@ def read_polygons(path: Path) -> MeshContent:
 
 def ply_textures(data: bytes) -> list[str]:
     """Return the textures named in the header of a ``.ply``, in order."""
-    header = _header_text(data.partition(b"end_header")[0])
+    header = decoded_text(data.partition(b"end_header")[0])
     names = re.findall(r"^(?:comment|obj_info)\b.*?texturefile(.*)", header, re.MULTILINE | re.I)
     return list(dict.fromkeys(name.strip() for name in names))
-
-
-def _header_text(header: bytes) -> str:
-    """Decode the header of a ``.ply``: UTF-8, or else Latin-1, in which any bytes are characters."""
-    try:
-        return header.decode()
-    except UnicodeDecodeError:
-        return header.decode("latin-1")
 
 
 def _check_textures(path: Path, data: bytes) -> None:
@@ -120,6 +120,21 @@ def _check_length(path: Path, data: bytes) -> None:
             f"{path} cannot be read as a mesh: it has {len(data)} bytes, expected {84 + 50 * count} of "
             f"{count} triangles: cut off?"
         )
+
+
+def _check_facets(path: Path, data: bytes, count: int) -> None:
+    """Raise for an ASCII ``.stl`` of which trimesh left out solids that break off."""
+    facets = len(FACET.findall(data)) if _is_text(data) else 0
+    if facets > count:
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: it begins {facets} triangles, of which {count} are complete, "
+            "in solids with an end: cut off?"
+        )
+
+
+def _is_text(data: bytes) -> bool:
+    """Whether an ``.stl`` begins as ASCII, and has no zero, as binary counts of triangles do."""
+    return data[:80].removeprefix(BOM_UTF8).lstrip().lower().startswith(b"solid") and b"\0" not in data
 
 
 def _amended(elements: dict[str, Any], textured: bool) -> dict[str, Any] | None:

@@ -1,11 +1,13 @@
 """Files that a mesh file refers to: material libraries, textures, buffers."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
-from objectfolder.mesh.reading.files import read_referenced, referenced_path
+from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.reading.files import decoded_text, referenced_path
 from objectfolder.mesh.reading.gltf import uris
-from objectfolder.mesh.reading.mtl import existing_name, textures
+from objectfolder.mesh.reading.mtl import read_library, texture_path, textures
 from objectfolder.mesh.reading.obj import mtl_names
 from objectfolder.mesh.reading.polygons import ply_textures
 
@@ -13,19 +15,23 @@ from objectfolder.mesh.reading.polygons import ply_textures
 def references(mesh: Path) -> Iterator[PurePosixPath]:
     """Yield the paths of the files that a mesh refers to, relative to its folder.
 
-    An ``.mtl``, which is read after it was yielded, is followed by the textures it names.
+    An ``.mtl``, which is read after it was yielded, is followed by the textures that it names, also by those
+    that no face needs. They may be missing; one outside the mesh's folder is left out.
 
     Raises
     ------
     ObjectFolderError
-        If one lies outside the mesh's folder, an ``.mtl`` does not exist, or a glTF file is not valid.
+        If another file lies outside the mesh's folder, an ``.mtl`` does not exist, or a glTF file is not
+        valid.
     """
     suffix = mesh.suffix.lower()
     if suffix == ".obj":
-        for library in mtl_names(mesh.read_text("utf-8-sig", errors="replace")):
-            yield referenced_path(mesh, library)
-            for _, texture in textures(read_referenced(mesh, library).decode("utf-8-sig", errors="replace")):
-                yield referenced_path(mesh, existing_name(mesh, texture))
+        for name in mtl_names(decoded_text(mesh.read_bytes())):
+            library = referenced_path(mesh, name)
+            yield library
+            for _, texture in textures(read_library(mesh, library)):
+                with suppress(ObjectFolderError):  # outside: no face may need it, which the reader knows
+                    yield texture_path(mesh, library.parent, texture)
     elif suffix == ".ply":
         for name in ply_textures(mesh.read_bytes()):
             yield referenced_path(mesh, name)

@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import numpy as np
@@ -94,8 +95,53 @@ def test_faces_given_twice_are_kept_once_and_opposite_copies_cancel():
     sheet = np.array([[-0.2, -0.2, 0], [0.2, -0.2, 0], [0, 0.2, 0]])
     both = join((vertices, faces), (sheet, np.array([[0, 1, 2], [0, 2, 1]])))
     assert close_surface(*both).volume == pytest.approx(twice.volume)
-    with pytest.raises(ObjectFolderError, match="cancelled"):
-        close_surface(vertices, np.concatenate([faces, faces[:, ::-1]]))
+
+
+def two_sided(mesh):
+    vertices, faces = mesh
+    return vertices, np.concatenate([faces, faces[:, ::-1]])
+
+
+@pytest.mark.parametrize("solid", [box((1, 0.5, 0.3), turn=TURN), sphere(0.5, 2)], ids=["box", "sphere"])
+def test_a_mesh_that_is_two_sided_throughout_is_its_first_copy(solid):
+    surface = close_surface(*two_sided(solid))
+    np.testing.assert_array_equal(surface.mesh[1], close_surface(*solid).mesh[1])
+    assert surface.volume == pytest.approx(signed_volume(*solid))
+    assert surface.deviation_max == 0
+    assert surface.warnings == []
+
+
+def test_a_two_sided_sheet_gets_a_wall_like_a_one_sided_one():
+    vertices, faces = sphere(0.5, 4)
+    bowl = (vertices, faces[vertices[faces].mean(1)[:, 2] < 0])
+    one, both = close_surface(*bowl, wall=0.05), close_surface(*two_sided(bowl), wall=0.05)
+    assert both.rung == "thicken"
+    assert both.volume == pytest.approx(one.volume)
+    assert both.warnings == []
+
+
+def test_a_two_sided_part_of_a_solid_stays_and_one_inside_vanishes():
+    base, arm = box((0.6, 0.6, 0.1)), box((0.1, 0.1, 0.4), (0.1, 0.13, 0.24))
+    hidden = box((0.1, 0.1, 0.05), (-0.2, 0, 0))
+    alike = close_surface(*join(base, arm))
+    for parts in ((base, two_sided(arm)), (flipped(base), two_sided(arm), two_sided(hidden))):
+        surface = close_surface(*join(*parts))
+        assert surface.volume == pytest.approx(alike.volume)
+        assert surface.deviation_max < 1e-9
+        assert surface.warnings == []
+
+
+def test_a_two_sided_fin_on_an_edge_of_a_solid_is_noted():
+    vertices, faces = box((0.6, 0.6, 0.1))
+    edge = np.flatnonzero((vertices[:, 0] > 0) & (vertices[:, 2] > 0))
+    fin = np.array([[*edge, 8], [edge[1], 9, 8]])
+    vertices = np.concatenate([vertices, vertices[edge] + [0, 0, 0.3]])
+    surface = close_surface(vertices, np.concatenate([faces, fin, fin[:, ::-1]]))
+    assert surface.volume == pytest.approx(0.036)
+    assert surface.deviation_max == pytest.approx(0.3, rel=0.02)
+    assert surface.rungs[-1].name == "clean"
+    (warning,) = surface.warnings
+    assert re.match(r"faces up to (29|30)\.\d\d% of the size from .* delete the copies in the mesh", warning)
 
 
 def test_degenerate_faces_are_dropped():
@@ -128,7 +174,44 @@ def test_a_visible_sheet_gets_the_wall_that_is_asked_for_else_two_percent_and_a_
         assert surface.volume == pytest.approx(2 / 3 * np.pi * (0.125 - (0.5 - wall) ** 3), rel=0.01)
         assert surface.deviation_max == pytest.approx(wall, rel=0.02)
     assert asked.warnings == []
-    assert "set `wall`" in default.warnings[0]
+    assert default.warnings[0].endswith(
+        "; set `wall` in metres, or close the hole in the mesh, if it is solid"
+    )
+    (warning,) = close_surface(*bowl, scale=0.3).warnings
+    assert warning.startswith("1 open sheet got a wall of 2% of the size (0.006 m); set")
+
+
+def bottle(mouth):
+    """A sheet around a body with a mouth on top, in the unit frame."""
+    radii, heights = np.array([(0.17, 0), (0.17, 0.6), (mouth, 0.8), (mouth, 1)]).T
+    turn = np.arange(48) * 2 * np.pi / 48
+    rings = np.stack([np.outer(radii, np.cos(turn)), np.outer(radii, np.sin(turn))], 2)
+    vertices = np.concatenate([rings, np.broadcast_to(heights[:, None, None], (4, 48, 1))], 2).reshape(-1, 3)
+    a, b = np.arange(48), np.roll(np.arange(48), -1)
+    walls = [np.c_[a + k, b + k, b + k + 48, a + k, b + k + 48, a + k + 48] for k in (0, 48, 96)]
+    floor = np.c_[b, a, np.full(48, len(vertices))]
+    faces = np.concatenate([*(wall.reshape(-1, 3) for wall in walls), floor])
+    return np.concatenate([vertices, [[0, 0, 0]]]) - [0, 0, 0.5], faces
+
+
+def test_a_narrow_mouth_is_an_opening_if_a_wall_is_asked_for_and_noted_else():
+    shell, solid = (close_surface(*bottle(0.05), wall=wall) for wall in (0.01, None))
+    assert (shell.rung, shell.warnings, shell.holes) == ("thicken", [], 0)
+    assert 0.06 * solid.volume < shell.volume < 0.25 * solid.volume
+    assert (solid.rung, solid.warnings, solid.holes) == ("cap", [], 1)
+    wide = close_surface(*bottle(0.16))
+    assert (wide.rung, wide.holes) == ("thicken", 0)
+
+
+def test_a_wall_that_is_asked_for_goes_to_one_piece_if_none_is_a_sheet():
+    legs = [
+        (vertices * [0.3, 0.3, 0.6] + [x, 0, 0], faces)
+        for x, (vertices, faces) in ((-0.3, bottle(0.05)), (0.3, bottle(0.06)))
+    ]
+    board = box((0.8, 0.3, 0.05), (0, 0, -0.32))
+    surface = close_surface(*join(board, *legs), wall=0.01)
+    (rung,) = (rung for rung in surface.rungs if rung.name == "thicken")
+    assert rung.detail == "1 holes capped, 1 sheets given a wall of 1.00% of the size in 2 open of 3 pieces"
 
 
 @pytest.mark.parametrize("faces", [[[0, 1, 2], [0, 2, 3]], [[0, 1, 2]]], ids=["square", "triangle"])
@@ -146,7 +229,7 @@ def test_the_simplest_sheets_get_a_wall(faces):
     ("faces", "count"),
     [
         ([[0, 1, 2]], "1 face, without any area; expected a mesh that"),
-        ([[0, 1, 3], [0, 3, 1], [0, 1, 1]], "3 faces, 0 of them neither degenerate nor cancelled by a copy"),
+        ([[0, 1, 1], [0, 3, 3]], "2 faces, 0 of them not degenerate, without any area"),
     ],
 )
 def test_a_mesh_without_area_is_refused_with_the_faces_that_welding_drops(faces, count):
@@ -396,7 +479,9 @@ def test_a_wall_without_room_fills_the_sheet_and_says_so():
         assert surface.rung == "cap"
         assert surface.volume == pytest.approx(filled, rel=0.03)
         assert surface.vertices.max(0) == pytest.approx(bowl[0][np.unique(bowl[1])].max(0))
-        assert "`wall` is not used" in surface.warnings[0]
+        assert surface.warnings[0].endswith(f"a wall of {wall:.2%} of the size: `wall` is not used")
+    (warning,) = close_surface(*bowl, wall=0.6, scale=0.5).warnings
+    assert warning.endswith("a wall of 0.3 m: `wall` is not used")
 
 
 def test_a_needle_that_no_grid_resolves_is_refused_as_too_thin():

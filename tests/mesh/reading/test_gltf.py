@@ -598,3 +598,39 @@ def test_a_glb_that_breaks_off_is_refused_at_every_length(tmp_path):
         (tmp_path / "cut.glb").write_bytes(whole[:length])
         with pytest.raises(ObjectFolderError, match=r"cut\.glb cannot be read"):
             load_mesh(tmp_path / "cut.glb")
+
+
+def box_scene(**node):
+    scene = Scene()
+    vertices, faces = box((1, 2, 3))
+    material = scene.append("materials", {"extensions": {"KHR_materials_unlit": {}}})
+    primitive = {
+        "attributes": {"POSITION": scene.accessor(vertices)},
+        "indices": scene.accessor(faces.ravel(), "u4"),
+        "material": material,
+    }
+    mesh = scene.append("meshes", {"primitives": [primitive]})
+    scene.document["scenes"][0]["nodes"] = [scene.append("nodes", {"mesh": mesh, **node})]
+    return scene
+
+
+def test_a_rotation_that_is_no_unit_quaternion_keeps_the_shape(tmp_path):
+    mesh = load_mesh(box_scene(rotation=[1, 0, 0, 1]).write(tmp_path / "m.gltf"))
+    np.testing.assert_allclose(np.ptp(mesh.bounds, axis=0).ravel(), [1, 3, 2], atol=1e-6)
+
+
+def test_an_unlit_material_states_neither_roughness_nor_metallic(tmp_path):
+    mesh = load_mesh(box_scene().write(tmp_path / "m.gltf"))
+    assert (mesh.roughness, mesh.metallic) == (None, None)
+
+
+def test_repeated_instances_are_refused(tmp_path):
+    scene = box_scene(extensions={"EXT_mesh_gpu_instancing": {"attributes": {}}})
+    with pytest.raises(ObjectFolderError, match="node 0 repeats its mesh with EXT_mesh_gpu_instancing"):
+        load_mesh(scene.write(tmp_path / "m.gltf"))
+
+
+def test_an_empty_list_of_scenes_shows_all_nodes(tmp_path):
+    scene = box_scene()
+    scene.document["scenes"] = []
+    assert len(load_mesh(scene.write(tmp_path / "m.gltf")).faces) == 12

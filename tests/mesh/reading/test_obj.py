@@ -7,12 +7,15 @@ from gltf_scene import checker, colors_at
 from PIL import Image
 from polygons import AREA, VOLUME, area, u_plate
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.reading.mtl import textures
 from objectfolder.mesh.reading.obj import read_obj
+from objectfolder.mesh.reading.references import references
 from objectfolder.mesh.textured import PLAIN, appearance_report
+from objectfolder.workspace.objects import object_files
 
 QUAD = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 CORNERS = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -286,3 +289,66 @@ def test_the_range_of_vertex_colours_is_that_of_the_file(tmp_path):
     assert notes(mesh) == [
         "material a, b is not defined: its faces have no colour but that of their vertices"
     ]
+
+
+TWO_MATERIALS = (
+    "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl {}\nf 1 3 2\nf 1 2 4\nusemtl {}\nf 1 4 3\nf 2 3 4\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("names", "encoding"),
+    [(("Stahl_ä", "Stahl_ö"), "cp1252"), (("红", "绿"), "gbk"), (("\u8005a", "\u5085a"), "gbk")],
+)
+def test_names_that_are_no_utf8_stay_apart(tmp_path, names, encoding):
+    path = tmp_path / "m.obj"
+    library = "newmtl {}\nKd 1 0 0\nnewmtl {}\nKd 0 1 0\n".format(*names)
+    (tmp_path / "m.mtl").write_bytes(library.encode(encoding))
+    path.write_bytes(("mtllib m.mtl\n" + TWO_MATERIALS.format(*names)).encode(encoding))
+    mesh = load_mesh(path)
+    assert appearance_report(mesh)["notes"] == []
+    assert len(np.unique(mesh.vertex_colors, axis=0)) == 2
+
+
+ONE_SIDE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\n"
+
+
+def test_a_texture_lies_beside_its_library_or_else_beside_the_mesh(tmp_path):
+    path = tmp_path / "m.obj"
+    (tmp_path / "mats").mkdir()
+    path.write_text("mtllib mats/m.mtl\n" + ONE_SIDE)
+    for name, found in (("t.png", "mats/t.png"), ("../maps/t.png", "maps/t.png"), ("own.png", "own.png")):
+        (tmp_path / "mats/m.mtl").write_text(f"newmtl a\nmap_Kd {name}\n")
+        file = tmp_path / found
+        file.parent.mkdir(exist_ok=True)
+        Image.new("RGB", (2, 2), (9, 8, 7)).save(file)
+        if name == "t.png":
+            Image.new("RGB", (2, 2), (1, 2, 3)).save(tmp_path / name)
+        assert [str(name) for name in references(path)] == ["mats/m.mtl", found]
+        assert load_mesh(path).texture.max() == 9
+    (tmp_path / "mats/m.mtl").write_text("newmtl a\nmap_Kd ../../t.png\n")
+    with pytest.raises(ObjectFolderError, match=r"outside its folder; .* edit the path in the \.mtl file"):
+        load_mesh(path)
+
+
+def test_only_textures_that_faces_need_have_to_be_there(tmp_path):
+    path = tmp_path / "m.obj"
+    path.write_text("mtllib m.mtl\n" + ONE_SIDE)
+    (tmp_path / "m.mtl").write_text(
+        "newmtl a\nKd 1 0 0\nmap_Bump C:\\tex\\b.png\nnewmtl b\nmap_Kd gone.png\n"
+    )
+    assert load_mesh(path).texture.tolist() == [[[255, 0, 0]]]
+    assert [str(target) for target in object_files(path)] == ["mesh.obj", "m.mtl"]
+
+
+def test_where_a_library_is_and_what_to_do_is_told(tmp_path):
+    path = tmp_path / "m.obj"
+    for name, message in (
+        ("C:\\x\\m.mtl", r"outside its folder; .* edit the path in the \.obj file"),
+        ("gone.mtl", r"gone\.mtl, which does not exist; put it there, or delete the line mtllib"),
+        ("M.MTL", r"M\.MTL, which does not exist \(m\.mtl does: upper and lower case differ\); put"),
+    ):
+        (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\n")
+        path.write_text(f"mtllib {name}\n" + ONE_SIDE)
+        with pytest.raises(ObjectFolderError, match=message):
+            load_mesh(path)

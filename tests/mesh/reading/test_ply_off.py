@@ -214,3 +214,33 @@ def test_an_off_that_is_none_is_refused_in_words(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ObjectFolderError, match=message):
         load_mesh(path)
+
+
+def test_a_texture_without_coordinates_and_colours_beside_one_are_noted(tmp_path):
+    Image.new("RGB", (2, 2), (9, 8, 7)).save(tmp_path / "t.png")
+    path = tmp_path / "m.ply"
+    start = "ply\nformat ascii 1.0\ncomment TextureFile t.png\nelement vertex 3\n"
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    places = ["0 0 0", "1 0 0", "0 1 0"]
+    path.write_text(start + axes + faces + "\n".join(places) + "\n3 0 1 2\n")
+    assert load_mesh(path).source["notes"][0] == "texture left out: the file has no texture coordinates"
+    more = "property float s\nproperty float t\n" + "".join(
+        f"property uchar {name}\n" for name in ("red", "green", "blue")
+    )
+    rows = "".join(f"{place} 0.5 0.5 1 2 3\n" for place in places)
+    path.write_text(start + axes + more + faces + rows + "3 0 1 2\n")
+    assert load_mesh(path).source["notes"] == ["vertex colours beside a texture left out"]
+    assert load_mesh(path).texture.max() == 9
+
+
+def test_an_ascii_stl_that_breaks_off_in_a_later_solid_is_refused(tmp_path):
+    path = tmp_path / "m.stl"
+    corners = "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+    facet = f"facet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\n"
+    whole = f"solid a\n{facet}endsolid a\n"
+    path.write_text(2 * whole)
+    assert len(load_mesh(path).faces) == 2
+    path.write_text(whole + "solid b\n" + facet + facet[:60])
+    with pytest.raises(ObjectFolderError, match=r"begins 3 triangles, of which 1 .* cut off"):
+        load_mesh(path)
