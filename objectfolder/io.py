@@ -7,6 +7,7 @@ file in errors.
 import ast
 import fcntl
 import hashlib
+import io
 import json
 import os
 import re
@@ -106,13 +107,22 @@ def check_writable(directory: Path) -> None:
 def write_json(path: str | Path, value: Any) -> None:
     """Write JSON with sorted keys."""
     with atomic(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=2, sort_keys=True) + "\n")
+        temporary.write_text(json.dumps(value, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def wav_bytes(sound: np.ndarray, rate: int) -> bytes:
+    """Encode a sound (samples,) as WAV. Not by libsndfile, whose PEAK chunk of floats has the time of day."""
+    from scipy.io import wavfile
+
+    stream = io.BytesIO()
+    wavfile.write(stream, rate, sound)
+    return stream.getvalue()
 
 
 def write_text(path: str | Path, text: str) -> None:
     """Write text."""
     with atomic(path) as temporary:
-        temporary.write_text(text)
+        temporary.write_text(text, encoding="utf-8")
 
 
 def write_npz(path: str | Path, **arrays: Any) -> None:
@@ -166,7 +176,7 @@ def write_table(path: str | Path, columns: list[str], rows: list[list[Any]]) -> 
     """Write rows of numbers as CSV."""
     lines = [",".join(f"{value:.9g}" for value in row) for row in rows]
     with atomic(path) as temporary:
-        temporary.write_text("\n".join([",".join(columns), *lines]) + "\n")
+        temporary.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
 
 
 def write_curve(path: str | Path, curve: list[Any]) -> None:

@@ -106,7 +106,8 @@ def main() -> None:
         try:
             app()
         finally:
-            sys.stdout.flush()  # here, where a full device can be reported
+            if sys.stdout is not None:  # closed
+                sys.stdout.flush()  # here, where a full device can be reported
     except ObjectFolderError as error:
         # Messages hold lists in brackets, which rich would take for markup.
         Console(stderr=True, emoji=False).print(

@@ -17,6 +17,11 @@ def tracked(items: Iterable[Any], description: str, total: int) -> Iterable[Any]
     return track(items, description, total, console=screen, transient=True, disable=not screen.is_terminal)
 
 
+def print_line(text: str) -> None:
+    """Print a line as it is: paths may hold brackets, and programs may read it."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
 def print_wide(table: Table, console: Console = console) -> None:
     """Print a table, at its full width unless the output is a terminal."""
     if not console.is_terminal:

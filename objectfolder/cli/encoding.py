@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 
 import numpy as np
 
-from objectfolder.cli.console import console, tracked
+from objectfolder.cli.console import print_line, tracked
 from objectfolder.errors import ObjectFolderError, shortened
 
 
@@ -84,4 +84,4 @@ def write_video(
             log.seek(0)
             said = log.read().decode(errors="replace").strip()
             raise ObjectFolderError(f"{out}: ffmpeg failed: {shortened(said, 300)}")
-    console.print(f"{out} ({out.stat().st_size / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
+    print_line(f"{out} ({out.stat().st_size / 1e6:.1f} MB)")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from objectfolder.cli.console import console, tracked
+from objectfolder.cli.console import console, print_line, tracked
 from objectfolder.cli.files import SAMPLE, folder_to_write, object_files
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.installation import install_command
@@ -160,7 +160,7 @@ def nerfstudio(
                 status.update(f"{key}: {done} of {total} views")
 
             path = write_nerfstudio(file, out, views, resolution, seed, fixed_light, report)
-        console.print(str(path), highlight=False, soft_wrap=True)
+        print_line(str(path))
 
 
 @export_app.command()
@@ -194,7 +194,7 @@ def lerobot(
             report=lambda done, total: status.update(f"{done} of {total} episodes"),
         )
     count = f"{plural(len(objects), 'object')} in {out}/: {plural(episodes, 'episode')} of each"
-    console.print(count, highlight=False)
+    print_line(count)
 
 
 def _export_objects(
@@ -206,7 +206,7 @@ def _export_objects(
     for found in objects:
         density(found)
     for found in tracked(objects, "exporting objects", len(objects)):
-        console.print(str(write(found, out, hulls)), highlight=False, soft_wrap=True)
+        print_line(str(write(found, out, hulls)))
 
 
 def _loaded(out: Path, files: list[Path], *needs: str) -> "list[ObjectFile]":
@@ -246,9 +246,7 @@ def _export(
     chosen = named_split(split, observations.keys, observations.count)
     with console.status("") as status:
         write(observations, chosen, lambda done, total: status.update(f"{done} of {total} samples"))
-    console.print(
+    print_line(
         f"{plural(len(observations.keys), 'object')} in {out}/: {len(chosen.train)} samples to train, "
-        f"{len(chosen.val)} to validate, {len(chosen.test)} to test",
-        highlight=False,
-        soft_wrap=True,
+        f"{len(chosen.val)} to validate, {len(chosen.test)} to test"
     )

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import page_to_write
 from objectfolder.errors import plural
 
@@ -36,7 +36,7 @@ def make(
 
     write_text(page_to_write(out), study_page(ours, other, pairs, seed))
     count = plural(pairs, "pair")
-    console.print(f"{out}: {count}; then `objectfolder listening score` the CSV files", soft_wrap=True)
+    print_line(f"{out}: {count}; then `objectfolder listening score` the CSV files")
 
 
 @listening_app.command()

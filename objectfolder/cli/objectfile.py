@@ -1,6 +1,5 @@
 """Commands on an Object File: info, query."""
 
-import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +9,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import SAMPLE, empty_folder, object_file
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import read_rows
@@ -120,7 +119,7 @@ def vision(
         write_png(out / f"{i}.png", (views.rgb[0] * 255).round().astype(np.uint8))
         if buffers:
             write_npz(out / f"{i}.npz", rgba=views.rgba[0], depth=views.depth[0], normals=views.normals[0])
-    console.print(f"{plural(len(rows), 'view')} in {out}/")
+    print_line(f"{plural(len(rows), 'view')} in {out}/")
 
 
 def _lamps(lights: str | None) -> "str | list[PointLight] | None":
@@ -177,10 +176,8 @@ def audio(
 
     Amplitudes are absolute and tiny; `--normalize` makes them audible.
     """
-    import soundfile
-
     from objectfolder.audio.synthesis import count_samples
-    from objectfolder.io import atomic
+    from objectfolder.io import atomic, wav_bytes
     from objectfolder.objectfile.file import ObjectFile
 
     points = read_rows(
@@ -211,13 +208,11 @@ def audio(
     if normalize and peak > 0:
         sounds = sounds / peak * 0.9
     for i, sound in enumerate(sounds, 1):
-        content = io.BytesIO()  # soundfile does not say that a disk is full
-        soundfile.write(content, sound, sample_rate, format="WAV", subtype="FLOAT")
         with atomic(out / f"{i}.wav") as path:
-            path.write_bytes(content.getbuffer())
+            path.write_bytes(wav_bytes(sound, sample_rate))
     loudest = _peak_summary(peak, response, listener is not None, normalize)
     modes = _mode_summary(frequencies, sample_rate)
-    _print_line(f"{plural(len(sounds), 'sound')} in {out}/, {loudest}; {modes}")
+    print_line(f"{plural(len(sounds), 'sound')} in {out}/, {loudest}; {modes}")
 
 
 @query_app.command()
@@ -275,7 +270,7 @@ def touch(
         images = obj.touch(points, **query)
         for i, image in enumerate(images, 1):
             write_png(out / f"{i}.png", image)
-        console.print(f"{plural(len(images), 'tactile image')} in {out}/")
+        print_line(f"{plural(len(images), 'tactile image')} in {out}/")
         return
     if moved:
         others: dict[str, Any] = {"sensor": sensor, "shear": shear, "twist": twist}
@@ -297,7 +292,7 @@ def touch(
             sideways = batch.shear_force[i].tolist() if moved else []
             rows.append([number, *(float(getattr(batch, column)[i]) for column in columns), *sideways])
     write_table(out / "contacts.csv", ["contact", *columns.values(), *forces], rows)
-    _print_line(f"{plural(len(rows), 'contact')} in {out}/{_contact_summary(np.array(rows))}")
+    print_line(f"{plural(len(rows), 'contact')} in {out}/{_contact_summary(np.array(rows))}")
 
 
 def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str]) -> None:
@@ -313,10 +308,6 @@ def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str])
         arrays["markers"] = batch.markers
     if arrays:
         write_npz(out / f"{number}.npz", **arrays)
-
-
-def _print_line(text: str) -> None:
-    console.print(text, highlight=False, soft_wrap=True)
 
 
 def _peak_summary(peak: float, response: str, heard: bool, normalized: bool) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import console, print_line
 from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 
 
@@ -65,7 +65,7 @@ def release(
             out, entries, words, notices, site, on_object=lambda key: status.update(f"{key} is done")
         )
     size = sum(entry.bytes for entry in entries) / 1e6
-    console.print(f"{out}: {plural(len(entries), 'object')}, {size:.1f} MB of Object Files", highlight=False)
+    print_line(f"{out}: {plural(len(entries), 'object')}, {size:.1f} MB of Object Files")
     unnamed = [entry.key for entry in entries if not entry.source]
     if unnamed:
         console.print(

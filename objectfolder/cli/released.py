@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import print_line
 from objectfolder.errors import ObjectFolderError
 
 
@@ -64,9 +64,7 @@ def import_released(
     obj = convert(file, options)
     obj.save(out)
     held = [f"{m} ({obj.header[m]['kind']})" for m in ("geometry", *MODALITIES) if m in obj.header]
-    console.print(
+    print_line(
         f"{out}: {obj.header['imported']['release']}, {', '.join(held)}; {out.stat().st_size / 1e6:.1f} MB, "
-        f"longest side {obj.scale:g} m",
-        highlight=False,
-        soft_wrap=True,
+        f"longest side {obj.scale:g} m"
     )

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import SAMPLE, object_files, page_to_write, site_to_write
 from objectfolder.errors import ObjectFolderError, plural
 
@@ -68,7 +68,7 @@ def report(
             note,
         )
     count = plural(len(paths), "object") + (f", {len(failed)} failed" if failed else "")
-    console.print(f"{page}: {count}", highlight=False, soft_wrap=True)
+    print_line(f"{page}: {count}")
     if open_page and not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser found: open the page in one", highlight=False)
     if failed:

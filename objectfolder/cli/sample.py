@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import print_line
 from objectfolder.cli.objectfile import FileArgument
 from objectfolder.errors import ObjectFolderError
 
@@ -128,7 +128,7 @@ def _check_names(*paths: Path | None) -> None:
     for path in given:
         if path.suffix != ".npy":
             raise ObjectFolderError(f"cannot write queries to {path}: expected the name of a .npy file")
-    if len(set(given)) < len(given):
+    if len({path.resolve() for path in given}) < len(given):
         raise ObjectFolderError(f"{given[0]} is given twice: expected two files")
 
 
@@ -139,4 +139,4 @@ def _write(arrays: dict[Path, np.ndarray]) -> None:
     for path, array in arrays.items():
         write_npy(path, array)
     shapes = " and ".join(f"{path} {array.shape}" for path, array in arrays.items())
-    console.print(f"wrote {shapes}", highlight=False, soft_wrap=True, markup=False)
+    print_line(f"wrote {shapes}")

@@ -7,7 +7,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import empty_folder
 from objectfolder.errors import ObjectFolderError, plural
 
@@ -120,11 +120,9 @@ def fit_sensor_profile(
         fit = fit_sensor_lights(pictures, radius, profile, rest, circles, names, lights, residual)
     source = f"{profile.source.strip()} Lights and background: fitted to {plural(len(pictures), 'image')}."
     written = save_fit(fit, out, out.stem, source)
-    console.print(
+    print_line(
         f"images: {fit.psnr_before:.1f} dB with the given lights, {fit.psnr_after:.1f} dB with the "
-        f"fitted; wrote {', '.join(map(str, written))}",
-        highlight=False,
-        soft_wrap=True,
+        f"fitted; wrote {', '.join(map(str, written))}"
     )
 
 
@@ -154,11 +152,9 @@ def export_sensor(
     assert given is not None
     folder, profile = empty_folder(given), load_profile(sensor)
     written = export_taxim(profile, folder, isaac=isaac_lab is not None)
-    console.print(
+    print_line(
         f"wrote {', '.join(map(str, written))}\nimage_height={profile.height}, image_width={profile.width}, "
-        f"num_bins={BINS}, mm_per_pixel={1000 * profile.pixel_pitch:.4g}",
-        highlight=False,
-        soft_wrap=True,
+        f"num_bins={BINS}, mm_per_pixel={1000 * profile.pixel_pitch:.4g}"
     )
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import SAMPLE, object_files, page_to_write
 from objectfolder.errors import ObjectFolderError
 
@@ -45,6 +45,6 @@ def view(
         objects[key] = path.read_bytes()
     with atomic(page) as path:
         path.write_text(viewer_page(objects, ", ".join(objects)), encoding="utf-8")
-    console.print(f"{page} ({page.stat().st_size / 1e6:.1f} MB)", highlight=False, soft_wrap=True)
+    print_line(f"{page} ({page.stat().st_size / 1e6:.1f} MB)")
     if open_page and not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser found: open the page in one", highlight=False)

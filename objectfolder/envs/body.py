@@ -205,7 +205,12 @@ def add_body(
             "the parent, or fix it to that with free=False"
         )
     _check_compiler(spec, body, name)
-    added = parent.add_body(name=name)
+    try:
+        added = parent.add_body(name=name)
+    except ValueError as error:  # such as "world"
+        raise ObjectFolderError(
+            f"name is {name!r}, which MuJoCo refuses for a body: {error}; give another name"
+        ) from error
     if free:
         added.add_freejoint(name=name).align = mujoco.mjtAlignFree.mjALIGNFREE_FALSE  # keeps the frame
     added.explicitinertial = True

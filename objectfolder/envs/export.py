@@ -13,6 +13,7 @@ from objectfolder.envs.body import ROLLING, TORSIONAL, RigidBody, add_body, dens
 from objectfolder.envs.export_folder import export_folder
 from objectfolder.envs.hulls import MAX_HULLS
 from objectfolder.envs.visual import PLAIN, visual_mesh
+from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.io import write_text
 from objectfolder.objectfile.file import ObjectFile
 
@@ -73,8 +74,8 @@ def write_urdf(
         Of the URDF file.
     """
     with export_folder(file, out, max_hulls, hulls) as (new, body):
-        _write_meshes(new, file, body)
-        write_text(new / f"{file.key}.urdf", _urdf(body))
+        textured = _write_meshes(new, file, body)
+        write_text(new / f"{file.key}.urdf", _urdf(body, textured))
     return Path(out) / file.key / f"{file.key}.urdf"
 
 
@@ -121,11 +122,14 @@ def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
         conaffinity=0,
         density=0,
     )
-    spec.compile()
+    try:
+        spec.compile()
+    except ValueError as error:  # such as of an object that is too small
+        raise ObjectFolderError(f"{body.key}: MuJoCo refuses the model: {shortened(error)}") from error
     return spec.to_xml()
 
 
-def _urdf(body: RigidBody) -> str:
+def _urdf(body: RigidBody, textured: bool) -> str:
     """Return the robot with one link."""
     robot = xml.Element("robot", name=body.key)
     compiler = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "false"}
@@ -146,6 +150,9 @@ def _urdf(body: RigidBody) -> str:
             part = xml.SubElement(link, kind, name=Path(name).stem)
             xml.SubElement(part, "origin", xyz="0 0 0", rpy="0 0 0")
             xml.SubElement(xml.SubElement(part, "geometry"), "mesh", filename=name, scale="1 1 1")
+            if kind == "visual" and not textured:
+                grey = xml.SubElement(part, "material", name="plain")
+                xml.SubElement(grey, "color", rgba=_numbers(PLAIN, PLAIN, PLAIN, 1))
     xml.indent(robot)
     return xml.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 

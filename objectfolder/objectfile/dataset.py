@@ -259,7 +259,7 @@ def read_index(path: Path) -> tuple[IndexEntry, ...]:
         If it is missing or damaged, or names a file outside the release.
     """
     try:
-        with path.open(newline="") as stream:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = list(csv.DictReader(stream, strict=True))
     except OSError as error:
         raise ObjectFolderError(

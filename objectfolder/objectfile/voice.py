@@ -12,7 +12,7 @@ from objectfolder.audio.contact import effective_modulus
 from objectfolder.audio.synthesis import audible, gains
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
-from objectfolder.objectfile.arguments import Rows, finite_rows
+from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
 from objectfolder.objectfile.audio import ModalSense
 from objectfolder.objectfile.header import RADIATION
 from objectfolder.objectfile.parts import TAPS, StoredParts
@@ -126,6 +126,7 @@ class Voice:
         Object frame, metres of this object.
         """
         places, pushes = finite_rows("points", points, 3), finite_rows("impulses", impulses, 3)
+        places, pushes = broadcast_rows("points", places, "impulses", pushes)
         nearest = self._surface.nearest(places / self._resized)[0]
         return self._gains(self._shapes(nearest), pushes)
 
@@ -140,18 +141,18 @@ class Voice:
 
         Object frame, metres. Places in the ball about the origin that holds the object count as on it.
         """
-        place = np.asarray(place, np.float64)
-        distance = float(np.linalg.norm(place))
+        places = finite_rows("place", place, 3)
+        if len(places) != 1:
+            raise ObjectFolderError(f"place has {len(places)} rows, expected one")
+        distance = float(np.linalg.norm(places))
         if distance < self.radius:
-            place = np.array([0, 0, self.radius]) if distance == 0 else place * (self.radius / distance)
-        modal, away = self.poles[: self.modes], place - self.recoil.centre
+            places = np.array([[0, 0, self.radius]]) if distance == 0 else places * (self.radius / distance)
+        modal, away = self.poles[: self.modes], places[0] - self.recoil.centre
         if self._radiation is None:
             reach = self._plane_waves() / max(distance, self.radius)
             heard = reach * modal / modal.imag
         else:
-            pressure = self._radiation.pressure(
-                self._rows, self._own / self._resized, place[None], self.scale
-            )
+            pressure = self._radiation.pressure(self._rows, self._own / self._resized, places, self.scale)
             heard = self._factor * pressure[0].conj() * modal**2 / modal.imag
         r = np.linalg.norm(away)
         s, rate = self.poles[self.modes :], self._recoil_rate

@@ -1,5 +1,6 @@
 import re
 import shutil
+import time
 
 import numpy as np
 import pytest
@@ -50,6 +51,26 @@ def test_views_and_their_buffers(brick, brick_path, tmp_path, supersample):
         with np.load(tmp_path / "out" / f"{i + 1}.npz", allow_pickle=False) as arrays:
             for name in ("rgba", "depth", "normals"):
                 np.testing.assert_array_equal(arrays[name], getattr(expected, name)[i])
+
+
+def test_paths_are_printed_as_they_are(brick, brick_path, tmp_path):
+    np.save(tmp_path / "points.npy", np.c_[brick.sample_surface(1), [[0, 0, 1]]])
+    out = tmp_path / "a[b" / "] [bold]"
+    arguments = ["query", "audio", brick_path, tmp_path / "points.npy", out]
+    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert done.exit_code == 0
+    assert f"1 sound in {out}/" in done.output
+
+
+def test_a_sound_is_the_same_bytes_at_any_time(brick, brick_path, tmp_path):
+    np.save(tmp_path / "points.npy", np.c_[brick.sample_surface(1), [[0, 0, 1]]])
+    for name in ("one", "two"):
+        arguments = ["query", "audio", brick_path, tmp_path / "points.npy", tmp_path / name]
+        assert CliRunner().invoke(app, [str(a) for a in arguments]).exit_code == 0
+        time.sleep(1.1)
+    one, two = ((tmp_path / name / "1.wav").read_bytes() for name in ("one", "two"))
+    assert one == two
+    assert soundfile.info(tmp_path / "one" / "1.wav").subtype == "FLOAT"
 
 
 def test_views_under_several_lights(brick, brick_path, tmp_path):

@@ -168,6 +168,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(brick_path, tmp
         (["audio", "{file}", "{out}.npy", "--force", "inf"], "force is inf"),
         (["audio", "{file}", "{out}.npy", "--directions", "up"], "'up' is not one of normal, random"),
         (["audio", "{file}", "{out}.npy", "--forces", "{out}.npy"], "given twice"),
+        (["audio", "{file}", "{out}.npy", "--forces", "{folder}/../{folder.name}/out.npy"], "given twice"),
         (["audio", "{out}.safetensors", "{out}.npy"], "out.safetensors does not exist"),
         (["touch", "{file}", "{out}.npy", "--sensor", "digit"], "--sensor chooses the depths of --gelinfo"),
         (
@@ -178,7 +179,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(brick_path, tmp
 )
 def test_nonsense_is_refused_and_nothing_is_written(brick_path, tmp_path, arguments, message):
     before = brick_path.read_bytes()
-    arguments = [a.format(file=brick_path, out=tmp_path / "out") for a in arguments]
+    arguments = [a.format(file=brick_path, out=tmp_path / "out", folder=tmp_path) for a in arguments]
     with pytest.raises(ObjectFolderError, match=re.escape(message)) as error:
         run("sample", *arguments)
     assert "\n" not in str(error.value)

@@ -1,6 +1,7 @@
 """Objects that MuJoCo and PyBullet load."""
 
 import sys
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -164,6 +165,15 @@ def test_object_without_a_look_is_grey(brick, body, tmp_path):
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.ntex == 0
     np.testing.assert_allclose(model.material("brick_look").rgba, [0.7, 0.7, 0.7, 1])
+    robot = write_urdf(ObjectFile(header, brick.tensors), tmp_path / "urdf", hulls=body.hulls)
+    assert [color.get("rgba") for color in ElementTree.parse(robot).iter("color")] == ["0.7 0.7 0.7 1"]
+
+
+def test_a_model_that_mujoco_refuses_is_named(brick, body, tmp_path):
+    world = ObjectFile(brick.header | {"key": "world"}, brick.tensors)
+    with pytest.raises(ObjectFolderError, match="'world', which MuJoCo refuses"):
+        write_mjcf(world, tmp_path, hulls=body.hulls)
+    assert not [*tmp_path.iterdir()]
 
 
 @WRITERS

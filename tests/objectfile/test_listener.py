@@ -235,5 +235,11 @@ def test_a_voice_takes_lists_and_single_rows(brick):
     both = voice.gains(points, np.tile([0.0, 0, 1], (2, 1)))
     np.testing.assert_array_equal(voice.gains(points[0].tolist(), [0, 0, 1]), both[:1])
     np.testing.assert_array_equal(voice.weights([1, 1, 1]), voice.weights(np.ones(3)))
+    np.testing.assert_array_equal(voice.gains(points, [0, 0, 1]), both)
     with pytest.raises(ObjectFolderError, match="impulses"):
         voice.gains(points, [[0, 0, np.nan]])
+    with pytest.raises(ObjectFolderError, match="points has 2 rows, impulses 3"):
+        voice.gains(points, np.ones((3, 3)))
+    for place in ([1, 0], [np.nan, 0, 0], np.ones((2, 3))):
+        with pytest.raises(ObjectFolderError, match="place"):
+            voice.weights(place)

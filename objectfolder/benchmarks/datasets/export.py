@@ -3,7 +3,6 @@
 Views and touches are PNG, sounds float WAV at absolute scale. The same observations give the same bytes.
 """
 
-import io
 import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -11,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import wavfile
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.disk import new_folder
 from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.io import write_json, write_text
+from objectfolder.io import wav_bytes, write_json, write_text
 from objectfolder.pictures import png_bytes
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import MODALITIES, SPLITS
@@ -151,7 +149,7 @@ def _samples(observations: Observations, rows: np.ndarray) -> Iterator[dict[str,
             record = observations.records[key]
             yield {
                 "vision": png_bytes(arrays["vision"][i]),
-                "audio": _wav(arrays["audio"][i], record["sample_rate"]),
+                "audio": wav_bytes(arrays["audio"][i], record["sample_rate"]),
                 "touch": png_bytes(arrays["touch"][i]),
                 "label": label,
                 "key": key,
@@ -181,13 +179,6 @@ def _columns(sample: dict[str, Any]) -> dict[str, Any]:
         for modality in MODALITIES
     }
     return {**sample, **stored, **sample["queries"]}
-
-
-def _wav(sound: np.ndarray, rate: int) -> bytes:
-    """Encode as float WAV. Not with libsndfile, whose PEAK chunk contains the time of day."""
-    stream = io.BytesIO()
-    wavfile.write(stream, rate, sound)
-    return stream.getvalue()
 
 
 def _rate(observations: Observations) -> int:
