@@ -36,5 +36,5 @@ def write_params(path: Path, document: Any) -> None:
     """Write an edited document back."""
     yaml = YAML()
     yaml.width = 4096  # an entry stays on its line
-    with atomic(path) as temporary, temporary.open("w") as stream:
+    with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
         yaml.dump(document, stream)
