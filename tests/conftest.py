@@ -41,6 +41,14 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: first.index(item.path.name) if item.path.name in first else len(first))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _site_cache(tmp_path_factory):
+    """DVC keeps a folder for every workspace, outside of it: here those of tests end with them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DVC_SITE_CACHE_DIR", str(tmp_path_factory.mktemp("dvc")))
+        yield
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _single_thread():
     """As in the stages: the same inputs give the same bytes."""

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from objectfolder.audio.synthesis import pressing
 
@@ -180,8 +179,9 @@ class ModalStream:
         parts = np.concatenate([each.real, each.imag], 2)
         answers = np.stack([part @ self._table[body, :, :samples] for part, body in zip(parts, bodies)])
         answers[..., 0] -= (each * self._bent[bodies, None]).imag.sum(2)
-        size = next_fast_len(2 * samples - 1, real=True)
-        heard += irfft((rfft(answers, size) * rfft(forces, size)[:, None]).sum(0), size)[:, :samples]
+        size = 2 * samples
+        spectra = np.fft.rfft(answers, size) * np.fft.rfft(forces, size)[:, None]
+        heard += np.fft.irfft(spectra.sum(0), size)[:, :samples]
         turned, added = forces[:, ::-1].copy(), np.zeros_like(self.phasors)
         rung = np.stack([self._table[body, :, 1 : samples + 1] @ row for row, body in zip(turned, bodies)])
         np.add.at(added, bodies, gains * self._complex(rung))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from objectfolder.cli.console import console, print_wide, tracked
+from objectfolder.cli.console import print_line, print_wide, tracked
 from objectfolder.cli.files import SAMPLE, files_or_folders
 
 if TYPE_CHECKING:
@@ -234,10 +234,12 @@ def localization(
     options = BenchmarkOptions(
         files=files, preset=preset, out=out, seeds=seeds, encoder=encoder, threads=threads, device=device
     )
-    scores = run_on_contacts(options, say, jobs)
+    scores = run_on_contacts(options, print_line, jobs)
     print_scores(localization_table(scores))
     for key in scores:
-        say(f"{options.folder.result('localize', key)}  curves: {options.folder.curve('localize', key)}")
+        print_line(
+            f"{options.folder.result('localize', key)}  curves: {options.folder.curve('localize', key)}"
+        )
 
 
 @bench_app.command("vision-to-touch")
@@ -272,14 +274,9 @@ def run_on_splits(task: "Task", options: "BenchmarkOptions") -> None:
     from objectfolder.benchmarks.reporting.tables import score_table
 
     folder = options.folder
-    for split, scores in run.run_on_splits(task, options, say, tracked).items():
+    for split, scores in run.run_on_splits(task, options, print_line, tracked).items():
         print_scores(score_table(task.name, split, scores))
-        say(f"{folder.result(task.name, split)}  curves: {folder.curve(task.name, split)}")
-
-
-def say(line: str) -> None:
-    """Print a line without wrapping it."""
-    console.print(line, soft_wrap=True, highlight=False)
+        print_line(f"{folder.result(task.name, split)}  curves: {folder.curve(task.name, split)}")
 
 
 def print_scores(table: "Table") -> None:
@@ -292,4 +289,4 @@ def print_scores(table: "Table") -> None:
     for row in table.rows:
         grid.add_row(*row)
     print_wide(grid)
-    console.print(table.note, soft_wrap=True)
+    print_line(table.note)

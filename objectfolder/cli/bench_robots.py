@@ -16,8 +16,8 @@ from objectfolder.cli.bench import (
     WeightsOption,
     print_scores,
     run_on_splits,
-    say,
 )
+from objectfolder.cli.console import print_line
 
 
 def stability(
@@ -77,14 +77,14 @@ def grasping(
     from objectfolder.benchmarks.tasks.grasp_policy import GRASP_POLICY
 
     options = BenchmarkOptions(files=files, preset=preset, out=out, seeds=seeds, threads=threads)
-    scores = run_on_objects(GRASP_POLICY, options, say)
+    scores = run_on_objects(GRASP_POLICY, options, print_line)
     print_scores(grasping_table(scores))
     folder = options.folder
     for key in scores:
         result, curve, film = (
             path(GRASP_POLICY.name, key) for path in (folder.result, folder.curve, folder.film)
         )
-        say(f"{result}  curves: {curve}" + (f"  film: {film}" if film.is_file() else ""))
+        print_line(f"{result}  curves: {curve}" + (f"  film: {film}" if film.is_file() else ""))
 
 
 def reach(
@@ -115,7 +115,7 @@ def reach(
     task = METAWORLD_REACH if metaworld else REACH
     environment_class(task.name)  # fails before any work if Meta-World is not installed
     options = BenchmarkOptions(files=files, preset=preset, out=out, seeds=seeds, threads=1)
-    scores = run_on_objects(task, options, say, jobs or cores())
+    scores = run_on_objects(task, options, print_line, jobs or cores())
     print_scores(reach_table(scores))
     for key in scores:
-        say(f"{options.folder.result(task.name, key)}  curves: {options.folder.curve(task.name, key)}")
+        print_line(f"{options.folder.result(task.name, key)}  curves: {options.folder.curve(task.name, key)}")

@@ -7,7 +7,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from objectfolder.cli.console import console, print_wide
+from objectfolder.cli.console import print_line, print_wide
 
 fit_app = typer.Typer(
     no_args_is_help=True,
@@ -90,13 +90,8 @@ def sound(
             "the size"
         )
     for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+        print_line(line)
     if dry_run:
         return
     set_material(key, fit.material)
-    console.print(
-        f"wrote objects.{key}.material to {params.PARAMS_FILE}; next: objectfolder build {key}",
-        highlight=False,
-        soft_wrap=True,
-        markup=False,
-    )
+    print_line(f"wrote objects.{key}.material to {params.PARAMS_FILE}; next: objectfolder build {key}")

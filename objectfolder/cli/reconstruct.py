@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import print_line
 from objectfolder.errors import ObjectFolderError
 
 
@@ -54,12 +54,7 @@ def reconstruct(
     trained = load_model(model)
     vertices, faces = photograph_to_mesh(trained, framed(rgba, trained.setup.view))
     write_mesh(out, vertices, faces)
-    console.print(
-        f"wrote {out}: {len(vertices):,} vertices, {len(faces):,} triangles",
-        highlight=False,
-        soft_wrap=True,
-        markup=False,
-    )
+    print_line(f"wrote {out}: {len(vertices):,} vertices, {len(faces):,} triangles")
 
 
 def _colour(text: str) -> tuple[int, int, int]:

@@ -56,7 +56,7 @@ def report(
 
     def note(key: str, error: ObjectFolderError) -> None:
         failed.append(key)
-        console.print(f"{key} cannot be reported: {error}", highlight=False, markup=False, soft_wrap=True)
+        print_line(f"{key} cannot be reported: {error}")
 
     with console.status("reading objects") as status:
         page = write_site(

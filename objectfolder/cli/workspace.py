@@ -8,7 +8,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from objectfolder.cli.console import console
+from objectfolder.cli.console import console, print_line
 from objectfolder.errors import ObjectFolderError, plural
 
 MAX_SCORES = 40  # objects whose scores a build prints
@@ -173,4 +173,4 @@ def _print_metrics(keys: list[str]) -> None:
         if warning := uncertainty_warning(read_json(b.modal), allow=True, name=key):
             console.print(f"warning: {warning}", style="yellow", soft_wrap=True, highlight=False)
         sheets = (b.views_sheet, b.touch_sheet, b.vision_sheet, b.sound_sheet)
-        console.print(f"{b.object_file}  pictures: {' '.join(map(str, sheets))}", soft_wrap=True)
+        print_line(f"{b.object_file}  pictures: {' '.join(map(str, sheets))}")

@@ -3,15 +3,19 @@
 import hashlib
 import io
 import json
+import re
 import shutil
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from objectfolder.cli.statusview import as_json, print_details, print_outlook, print_table
 from objectfolder.engine.build import build
+from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.engine.status import Outlook, StageStatus, State, status
 from objectfolder.engine.summary import StageOutcome
+from objectfolder.errors import ObjectFolderError
 
 from .conftest import KEYS, everything
 
@@ -91,6 +95,68 @@ def test_what_the_run_cache_has_is_known_to_come_back_all_the_way_down(workspace
     said = check_prediction(workspace)
     assert (said["solve@mug"], said["pack@mug"]) == (Outlook.RESTORE, Outlook.RESTORE)
     assert workspace.ran() == []
+
+
+@pytest.mark.parametrize("lost", [["build", "metrics"], ["build", "metrics", "dvc.lock"]])
+def test_outputs_that_are_all_lost_are_known_to_come_back(workspace, lost):
+    build(root=workspace.root)
+    workspace.ran()
+    for name in lost:
+        path = workspace.root / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert set(check_prediction(workspace).values()) == {Outlook.RESTORE}
+    assert workspace.ran() == []
+
+
+def empty(entry):
+    entry.unlink()
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda entry: entry.write_text(entry.read_text().partition("outs:")[0]),
+        lambda entry: entry.write_text(entry.read_text().replace("steps pack", "steps  pack")),
+        lambda entry: entry.write_bytes(b"\xff"),
+        lambda entry: entry.write_bytes(bytes(100)),
+        empty,
+    ],
+    ids=["cut off", "changed", "not UTF-8", "zeros", "gone"],
+)
+@pytest.mark.parametrize("locked", [True, False])
+def test_a_damaged_saved_run_is_removed_by_a_build_only(workspace, harm, locked):
+    build(root=workspace.root)
+    workspace.ran()
+    runs = [path for path in (workspace.root / ".dvc/cache/runs").glob("*/*/*") if path.is_file()]
+    (entry,) = (path for path in runs if "steps pack mug" in path.read_text())
+    harm(entry)
+    (workspace.root / "build/mug/pack.txt").unlink()
+    if not locked:
+        (workspace.root / "dvc.lock").unlink()
+    before = fingerprint(workspace.root)
+    said = states(workspace)
+    assert said["pack@mug"] is (State.MISSING if locked else State.NEVER)
+    assert fingerprint(workspace.root) == before
+    check_prediction(workspace)
+    assert workspace.ran() == ([] if locked else ["pack@mug"])
+    assert set(states(workspace).values()) == {State.FRESH}
+
+
+def test_damaged_files_of_dvc_outside_the_workspace_are_named(workspace):
+    build(root=workspace.root)
+    with open_repository(workspace.root) as repository:
+        site = Path(repository.repo.site_cache_dir)
+    kept = [path for path in site.rglob("cache.db") if path.is_file()]
+    assert kept
+    for path in kept:
+        for log in path.parent.glob("cache.db-*"):
+            log.unlink()
+        path.write_bytes(b"damaged" * 1000)
+    for command in (states, lambda w: build(root=w.root)):
+        with pytest.raises(ObjectFolderError, match=re.escape(f"its databases in {site.parents[1]}")):
+            command(workspace)
+    shutil.rmtree(site)
+    assert set(states(workspace).values()) == {State.FRESH}
 
 
 def test_changed_dependency_and_command(workspace):

@@ -3,6 +3,7 @@
 import hashlib
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -220,8 +221,12 @@ def _find_run(stage: Stage, hashes: dict[int, tuple[Meta, HashInfo]], changed: b
         for number, dep in enumerate(stage.deps):
             if isinstance(dep, ParamsDependency):
                 dep.hash_info = dep.get_hash()
-            else:
-                dep.meta, dep.hash_info = hashes[number] if number in hashes else dep._get_hash_meta()
+                continue
+            dep.update_legacy_hash_name(
+                force=True
+            )  # as a build does with those that are not in the lock file
+            dep.meta, dep.hash_info = hashes[number] if number in hashes else dep._get_hash_meta()
+            dep.get_hash = partial(getattr, dep, "hash_info")  # DVC would ask the disk, which may lack it yet
         return saved_run(stage, changed)
     except (DvcException, OSError):  # a dependency is missing: the stage will fail
         return None

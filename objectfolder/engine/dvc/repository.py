@@ -5,6 +5,7 @@ import json
 import logging
 import os
 import re
+import sqlite3
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, chdir, contextmanager, suppress
@@ -13,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from dvc.config import Config
+from dvc.dirs import site_cache_dir
 from dvc.dvcfile import LOCK_FILE
 from dvc.exceptions import DvcException, NotDvcRepoError
 from dvc.lock import LockError
@@ -24,6 +27,7 @@ from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.tree import Tree
 from voluptuous import Invalid
 
+from objectfolder.disk import free_bytes
 from objectfolder.engine.dvc.lockfile import COPIES, LockFiles
 from objectfolder.engine.dvc.replacements import replacements
 from objectfolder.engine.dvc.runcache import RunCache
@@ -90,7 +94,7 @@ class OpenRepository:
 
     def use_run_cache(self, pull: bool) -> None:
         """Verify what the run cache restores; if ``pull``, fetch what it lacks from the default remote."""
-        self.repo.stage_cache = RunCache(self.repo, pull=pull)
+        self.repo.stage_cache = RunCache(self.repo, restores=True, pull=pull)
 
     def remove_partial_files(self) -> None:
         """Remove temporary files of interrupted writes to the caches, and of a killed engine.
@@ -148,7 +152,7 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
                 f"{root / name} is a link, which DVC does not follow; make it a folder. To keep its files on "
                 "another disk: `dvc cache dir PATH` and `dvc config cache.type symlink`"
             )
-    with quiet(), chdir(root):
+    with quiet(), chdir(root), _site_cache():
         try:
             repo = Repo()
         except NotDvcRepoError as error:
@@ -156,6 +160,7 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
         except DvcException as error:
             git = "; run `git init` in it, or clone the repository" if "not a git" in str(error) else ""
             raise ObjectFolderError(f"DVC cannot open {root}: {error}{git}") from error
+        repo.stage_cache = RunCache(repo)
         with repo, _alone(repo, wait):
             lockfiles = LockFiles(Path(repo.root_dir))
             with repo.scm_context(quiet=True), replacements(lockfiles):
@@ -194,6 +199,19 @@ def read_params(root: Path) -> dict[str, Any]:
     path = root / PARAMS
     values = read_yaml(path) if path.exists() else {}
     return values if isinstance(values, dict) else {}
+
+
+@contextmanager
+def _site_cache() -> Iterator[None]:
+    """Report in the block that DVC cannot use the databases that it keeps outside of workspaces."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        folder = Path(site_cache_dir(Config.from_cwd(validate=False)["core"].get("site_cache_dir")))
+        raise ObjectFolderError(
+            f"DVC cannot use its databases in {folder}: {error}; {free_bytes(folder) / 1e6:.1f} MB are free "
+            "there; make space, or delete that folder, which DVC makes anew"
+        ) from error
 
 
 @contextmanager

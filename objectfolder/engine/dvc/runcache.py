@@ -8,12 +8,16 @@ from typing import Any
 
 from dvc.output import Output
 from dvc.repo import Repo
+from dvc.schema import COMPILED_LOCK_FILE_STAGE_SCHEMA
 from dvc.stage import PipelineStage
-from dvc.stage.cache import StageCache
+from dvc.stage.cache import StageCache, _get_cache_hash
+from dvc.utils.serialize import ParseError, load_yaml
 from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.tree import Tree
+from voluptuous import Invalid
 
 from objectfolder.engine.dvc.remote import pull_outputs
+from objectfolder.engine.dvc.savedruns import remove_saved_run
 
 _log = logging.getLogger(__name__)
 
@@ -22,25 +26,42 @@ class RunCache(StageCache):
     """Replacement for ``repo.stage_cache``.
 
     DVC trusts a read-only cached file and records the expected hash for the copy without computing it: a
-    damaged object would be restored and recorded as valid.
+    damaged object would be restored and recorded as valid. It trusts entries, too.
 
     Parameters
     ----------
     repo : Repo
         Open DVC repository.
+    restores : bool
+        Whether outputs are restored: then damaged objects and entries are removed. Else nothing changes.
     pull : bool
         Download missing cached objects from the default remote.
     """
 
-    def __init__(self, repo: Repo, pull: bool = False):
+    def __init__(self, repo: Repo, restores: bool = False, pull: bool = False):
         super().__init__(repo)
-        self.pull_objects = pull
+        self.restores, self.pull_objects = restores, pull
 
     def _load_cache(self, key: str, value: str | None) -> dict[str, Any] | None:
-        # A killed DVC leaves the folder of an entry empty, and fails on it later.
-        return None if value is None else super()._load_cache(key, value)
+        if value is None:  # a killed DVC leaves the folder of an entry empty
+            return None
+        path = Path(self._get_cache_path(key, value))
+        try:
+            entry: dict[str, Any] = COMPILED_LOCK_FILE_STAGE_SCHEMA(load_yaml(path))
+            if _get_cache_hash(entry) == value:
+                return entry
+        except FileNotFoundError:
+            return None
+        except (ParseError, Invalid):
+            pass
+        if self.restores:
+            _log.warning("%s: this saved run is damaged and was removed", path)
+            remove_saved_run(path)
+        return None
 
     def _create_stage(self, cache: dict[str, Any], wdir: str | None = None) -> PipelineStage:
+        if not self.restores:
+            return super()._create_stage(cache, wdir)
         # DVC's `restore` creates this stage from an entry and checks out its outputs if they are cached.
         stage = super()._create_stage(cache, wdir)
         cached = stage.outs_cached

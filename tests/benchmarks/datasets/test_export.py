@@ -16,6 +16,7 @@ from objectfolder.benchmarks.datasets.splits import named_split
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import install_command
+from objectfolder.io import wav_bytes
 from objectfolder.objectfile.file import ObjectFile
 
 KEYS = ("espresso_mug", "tea_beaker", "own")  # for training, for tests, for training
@@ -138,7 +139,7 @@ def test_what_is_broken_off_leaves_nothing(observations, tmp_path, write, error,
     def fail(sound, rate):
         raise error
 
-    monkeypatch.setattr(export, "_wav", fail)
+    monkeypatch.setattr(export, "wav_bytes", fail)
     wanted = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else ObjectFolderError
     with pytest.raises(wanted, match="no space in" if wanted is ObjectFolderError else None):
         write(observations, split_of(observations), tmp_path / "out")
@@ -166,7 +167,7 @@ def test_png_and_wav_are_what_other_readers_expect():
     image = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
     read = Image.open(io.BytesIO(export.png_bytes(image)))
     assert (read.mode, read.size) == ("RGB", (3, 2))
-    info = soundfile.info(io.BytesIO(export._wav(np.array([0, 1e-9, -3], np.float32), 16000)))
+    info = soundfile.info(io.BytesIO(wav_bytes(np.array([0, 1e-9, -3], np.float32), 16000)))
     assert (info.format, info.subtype, info.samplerate, info.frames) == ("WAV", "FLOAT", 16000, 3)
 
 
