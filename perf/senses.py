@@ -2,7 +2,8 @@
 
 ``--speed``: real-time factors (simulated over CPU seconds, MuJoCo's steps included) of `Hearing` with 1, 10
 and 30 mugs, dice and bells that fall on a table, at 48 kHz, in the second in which they land; and of
-`Feeling` with 2 and 16 pads that squeeze a mug and shear the gel, at 30 pictures per second. One core.
+`Feeling` with 2 and 16 pads that squeeze a mug and shear the gel, at 30 pictures per second. One core, the
+best of three runs.
 
 ``--drop N --keep DIR``: accuracy of the trained ear of ``ObjectFolder/Drop-v0`` on N / 4 unseen falls after
 N others, beside chance. The oracle is right by definition: it reads ``info``. Falls are kept in DIR.
@@ -17,6 +18,7 @@ episodes, where it expects to learn most, and at random.
 """
 
 import argparse
+import copy
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -35,6 +37,7 @@ SURE = 0.99  #: probability at which an object is named
 TOUCHES, FEWER = 0.5, 0.02  #: greatest ratio of touches to random's, and by how much fewer names are right
 KINDS = ("mug", "die", "bell")
 SECONDS = 1.0
+REPEATS = 3  #: of each measurement of speed; the fastest counts, as others share the machine
 TAPS = 3  #: of each object of a row to learn from
 TRIED, UNSEEN = 100, 250  #: rows on which a threshold is chosen, and others
 
@@ -60,14 +63,19 @@ def hearing(bodies: str) -> dict:
         body.quat = turn / np.linalg.norm(turn)
         objects[f"{k}"] = files[k % 3]
     model = spec.compile()
-    data, ear = mujoco.MjData(model), Hearing(model, objects, [0.7, -0.8, 0.6])
-    steps = round(SECONDS / model.opt.timestep)
-    ear.simulate(data, round(0.2 / model.opt.timestep))
-    start, strikes = time.process_time(), 0
-    for _ in range(steps):
-        ear.simulate(data)
-        strikes += len(ear.strikes)
-    spent = time.process_time() - start
+    ear, steps = Hearing(model, objects, [0.7, -0.8, 0.6]), round(SECONDS / model.opt.timestep)
+
+    def land() -> tuple[float, int]:
+        data, strikes = mujoco.MjData(model), 0
+        ear.reset()
+        ear.simulate(data, round(0.2 / model.opt.timestep))
+        start = time.process_time()
+        for _ in range(steps):
+            ear.simulate(data)
+            strikes += len(ear.strikes)
+        return time.process_time() - start, strikes
+
+    spent, strikes = min(land() for _ in range(REPEATS))
     return {"what": "bodies", "count": int(bodies), "factor": SECONDS / spent, "strikes": strikes}
 
 
@@ -110,11 +118,16 @@ def feeling(pads: str) -> dict:
     mujoco.mj_step(model, data, 100)
     fingers.feel(data)
     frames = 15
-    start, touched = time.process_time(), 0
-    for _ in range(frames):
-        mujoco.mj_step(model, data, round(1 / 30 / model.opt.timestep))
-        touched += int((fingers.feel(data).touched > 0).sum())
-    spent = time.process_time() - start
+
+    def squeeze() -> tuple[float, int]:
+        squeezed, touched = copy.copy(data), 0
+        start = time.process_time()
+        for _ in range(frames):
+            mujoco.mj_step(model, squeezed, round(1 / 30 / model.opt.timestep))
+            touched += int((fingers.feel(squeezed).touched > 0).sum())
+        return time.process_time() - start, touched
+
+    spent, touched = min(squeeze() for _ in range(REPEATS))
     return {"what": "pads", "count": int(pads), "factor": frames / 30 / spent, "touched": touched / frames}
 
 

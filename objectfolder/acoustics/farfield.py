@@ -2,6 +2,7 @@
 
 import lzma
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,12 +42,22 @@ class FarField:
         distance = np.linalg.norm(places, axis=1)
         order = int(np.sqrt(self.coefficients.shape[1])) - 1
         harmonics = real_harmonics(places / distance[:, None], order)
-        out = np.zeros((len(places), len(wavenumbers)), np.complex128)
-        parts = outgoing(order, distance[:, None] * wavenumbers)
-        for degree in range(order + 1):
+        waves = outgoing(order, distance[:, None] * wavenumbers)
+        sums = np.empty((order + 1, len(places), 2 * len(wavenumbers)))
+        for degree, out in enumerate(sums):
             part = slice(degree**2, (degree + 1) ** 2)
-            out += parts[degree] * (harmonics[:, part] @ self.coefficients[:, part].T)
-        return out * np.exp(1j * wavenumbers * self.radius) / distance[:, None]
+            np.matmul(harmonics[:, part], self._columns[part], out=out)
+        found = (waves * sums.view(np.complex128)).sum(0)
+        return found * np.exp(1j * wavenumbers * self.radius) / distance[:, None]
+
+    @cached_property
+    def _columns(self) -> np.ndarray:
+        """Coefficients, (H, 2 M): real numbers, so that harmonics need not become complex."""
+        return np.ascontiguousarray(self.coefficients.T, np.complex128).view(np.float64)
+
+    def of(self, modes: np.ndarray) -> "FarField":
+        """Return the field of some of the modes."""
+        return FarField(self.orders[modes], self.coefficients[modes], self.radius)
 
     def truncated(self, order: int) -> "FarField":
         """Return the field with degrees up to an order, at equal power."""

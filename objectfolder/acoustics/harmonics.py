@@ -7,6 +7,8 @@ Harmonics are real and orthonormal, in order l^2 + l + m. A field with coefficie
 with the spherical Hankel functions h of outgoing waves; g is 1 far away.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from objectfolder.acoustics.triangles import Triangles
@@ -21,11 +23,17 @@ def real_harmonics(directions: np.ndarray, order: int) -> np.ndarray:
 
     x, y, z = np.asarray(directions, np.float64).T
     complex_ones = sph_harm_y_all(order, order, np.arccos(z.clip(-1, 1)), np.arctan2(y, x))
-    of_degree, m = degrees(order), np.arange((order + 1) ** 2)
-    m = m - of_degree * (of_degree + 1)
+    of_degree, m, factor = _real_parts(order)
     found = complex_ones[of_degree, abs(m)]
-    factor = np.where(m == 0, 1.0, np.sqrt(2) * (-1.0) ** abs(m))
     return (np.where(m[:, None] < 0, found.imag, found.real) * factor[:, None]).T
+
+
+@lru_cache
+def _real_parts(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return l and m of each real harmonic, and its factor on the part of the complex one that it is."""
+    of_degree, m = degrees(order), np.arange((order + 1) ** 2)
+    m -= of_degree * (of_degree + 1)
+    return of_degree, m, np.where(m == 0, 1.0, np.sqrt(2) * (-1.0) ** abs(m))
 
 
 def degrees(order: int) -> np.ndarray:

@@ -33,26 +33,31 @@ def roughness_of(one: str, other: str) -> float:
 
 
 def scrape_force(
-    load: float, slip: float, rolling: float, rough: float, radius: float, modulus: float
-) -> tuple[float, float]:
-    """Return the force of a contact's roughness, N root mean square, and the frequency where it fades, Hz.
+    load: np.ndarray,
+    slip: np.ndarray,
+    rolling: np.ndarray,
+    rough: np.ndarray,
+    radius: np.ndarray,
+    modulus: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the forces of contacts' roughness, N root mean square, and the frequencies where they fade, Hz.
 
     Parameters
     ----------
-    load : float
+    load : (K,) array
         N.
-    slip, rolling : float
+    slip, rolling : (K,) array
         Speeds at which surfaces slide, and at which the contact moves over them as they roll, m/s; one is
         positive.
-    rough : float
+    rough : (K,) array
         Combined roughness, m.
-    radius, modulus : float
-        Of the contact, m and Pa.
+    radius, modulus : (K,) array
+        Of the contacts, m and Pa.
     """
     depth = (9 * load**2 / (16 * radius * modulus**2)) ** (1 / 3)  # Hertz's indentation by a static load
     speed = slip + rolling
     share = (slip + ROLLING * rolling) / speed
-    return share * load * min(1.5 * rough / depth, 1.0), speed / (2 * math.pi * math.sqrt(radius * depth))
+    return share * load * np.minimum(1.5 * rough / depth, 1.0), speed / (2 * np.pi * np.sqrt(radius * depth))
 
 
 class Scrapes:

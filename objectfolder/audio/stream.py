@@ -54,6 +54,8 @@ class ModalStream:
         Of the modes at the next sample, of all that began before; 0 beyond the modes of a body.
     clock : int
         Number of the next sample.
+    modes : int
+        M, of the body that has most.
 
     Notes
     -----
@@ -67,15 +69,15 @@ class ModalStream:
         longest: int,
         accelerated: Sequence[int] | None = None,
     ):
-        self._rate, self._modes = sample_rate, max(len(row) for row in poles)
+        self._rate, self.modes = sample_rate, max(len(row) for row in poles)
         self._accelerated = [0] * len(poles) if accelerated is None else [*accelerated]
-        self._step = np.full((len(poles), self._modes), -1 + 0j)  # exponent of a sample; -1: of no mode
+        self._step = np.full((len(poles), self.modes), -1 + 0j)  # exponent of a sample; -1: of no mode
         for out, row in zip(self._step, poles):
             out[: len(row)] = np.asarray(row, np.complex128) / sample_rate
         powers = np.exp(self._step[:, :, None] * np.arange(longest + 1))
         #: real and imaginary part of a phasor times these rows are its sound; (B, 2 M, longest + 1)
         self._table = np.concatenate([powers.imag, powers.real], 1)
-        pushed = np.arange(self._modes) < np.array(self._accelerated)[:, None]
+        pushed = np.arange(self.modes) < np.array(self._accelerated)[:, None]
         self._bent = np.where(pushed, -1 / np.expm1(self._step), 0)  # phasors, after long, per unit of force
         self.reset()
 
@@ -86,13 +88,15 @@ class ModalStream:
         self._weights, self._before = (np.zeros_like(self._step) for _ in range(2))
         self._sounded = np.zeros(len(self._step), bool)  # in the last block
         self._pulses: list[tuple[int, Pulse]] = []
-        self._shaking: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._shaking: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     @property
     def sounds(self) -> np.ndarray:
         """Whether anything is to be heard of each body; (B,) bool."""
         out = np.zeros(len(self._step), bool)
-        out[[body for body, _ in self._pulses] + [body for body, _, _ in self._shaking]] = True
+        out[[body for body, _ in self._pulses]] = True
+        for bodies, _, _ in self._shaking:
+            out[bodies] = True
         return out | self.phasors.any(1)
 
     @property
@@ -109,11 +113,23 @@ class ModalStream:
 
     def strike(self, body: int, pulse: Pulse) -> None:
         """Apply a pulse of force that begins in a later block, or in the next."""
-        self._pulses.append((body, replace(pulse, gains=self._row(pulse.gains))))
+        gains = np.zeros(self.modes)
+        gains[: len(pulse.gains)] = pulse.gains
+        self._pulses.append((body, replace(pulse, gains=gains)))
 
-    def shake(self, body: int, forces: np.ndarray, gains: np.ndarray) -> None:
-        """Apply a force (samples,), N, to the next block, with gains (M,) of the modes per newton second."""
-        self._shaking.append((body, np.asarray(forces, np.float64), self._row(gains) / self._rate))
+    def shake(self, bodies: np.ndarray, forces: np.ndarray, gains: np.ndarray) -> None:
+        """Apply forces to the next block.
+
+        Parameters
+        ----------
+        bodies : (K,) int array
+            That they act on; one may be there several times.
+        forces : (K, samples) array
+            N.
+        gains : (K, M) array
+            Of the modes, per newton second; 0 beyond those of a body.
+        """
+        self._shaking.append((bodies, forces, gains / self._rate))
 
     def play(self, samples: int) -> np.ndarray:
         """Return the next samples of sound. An empty block changes nothing."""
@@ -132,8 +148,8 @@ class ModalStream:
         ears = self._weights[None] if fixed else np.stack([self._before, self._weights])
         heard = self._ring(ears, self.phasors, rows, samples)
         phasors = self.phasors * self._complex(self._table[:, :, samples])
-        if self._shaking:
-            phasors += self._shaken(ears, heard)
+        for bodies, forces, gains in self._shaking:
+            phasors += self._shaken(bodies, forces, gains, ears, heard)
         left = []
         for body, pulse in self._pulses:
             phasors[body] += self._pulsed(pulse, body, ears, heard)
@@ -151,12 +167,7 @@ class ModalStream:
 
     def _complex(self, parts: np.ndarray) -> np.ndarray:
         """Return numbers (..., M) from what the table has of them, (..., 2 M)."""
-        out: np.ndarray = parts[..., self._modes :] + 1j * parts[..., : self._modes]
-        return out
-
-    def _row(self, gains: np.ndarray) -> np.ndarray:
-        out = np.zeros(self._modes)
-        out[: len(gains)] = gains
+        out: np.ndarray = parts[..., self.modes :] + 1j * parts[..., : self.modes]
         return out
 
     def _ring(self, ears: np.ndarray, phasors: np.ndarray, rows: np.ndarray, samples: int) -> np.ndarray:
@@ -167,14 +178,15 @@ class ModalStream:
         parts = np.concatenate([heard.real, heard.imag], 2).reshape(len(ears), -1)
         return parts @ table.reshape(-1, table.shape[2])[:, :samples]
 
-    def _shaken(self, ears: np.ndarray, heard: np.ndarray) -> np.ndarray:
+    def _shaken(
+        self, bodies: np.ndarray, forces: np.ndarray, gains: np.ndarray, ears: np.ndarray, heard: np.ndarray
+    ) -> np.ndarray:
         """Add forces that shake bodies to a block of sound; return what they add to the phasors at its end.
 
         While a force shakes modes that are heard by their acceleration, it cancels what they sound of a force
         that does not change: bent and at rest, they move no air.
         """
-        samples, bodies = heard.shape[1], [body for body, *_ in self._shaking]
-        forces, gains = (np.stack([one[part] for one in self._shaking]) for part in (1, 2))
+        samples = heard.shape[1]
         each = np.moveaxis(ears[:, bodies] * gains, 0, 1)
         parts = np.concatenate([each.real, each.imag], 2)
         answers = np.stack([part @ self._table[body, :, :samples] for part, body in zip(parts, bodies)])
@@ -192,7 +204,7 @@ class ModalStream:
         samples, ears = heard.shape[1], ears[:, body]
         turn = math.pi / pulse.duration  # of the force, per sample
         size = turn / 2 * pulse.gains  # impulse response of phasors: force per sample times gain
-        s, added = self._step[body], np.zeros(self._modes, np.complex128)
+        s, added = self._step[body], np.zeros(self.modes, np.complex128)
         edges = (pulse.start - self.clock, pulse.start + pulse.duration - self.clock)
         for edge in edges:
             first = math.ceil(edge)

@@ -12,7 +12,7 @@ from objectfolder.audio.scrape import Scrapes, roughness_of, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import real_array, whole_number
-from objectfolder.envs.impacts import ContactReader, Impact, Load
+from objectfolder.envs.impacts import ContactReader, Impact, Loads
 from objectfolder.envs.sounding import Objects, check_body, check_poses, placed_objects, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material, material
@@ -182,7 +182,7 @@ class Hearing:
                 f"the simulation diverged after {self._time:g} s: take smaller time steps or forces, and "
                 "reset(data)"
             )
-        check_poses(self._model, data, self._bodies)
+        check_poses(self._model, data, self._numbers)
         if not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
             raise ObjectFolderError(f"the state of the simulation is not finite at {data.time:g} s; reset it")
         expected = self._time + self._step
@@ -235,37 +235,36 @@ class Hearing:
     def _material(self, body: "_Body | None") -> Material:
         return self._surroundings if body is None else body.voice.material
 
-    def _scrape(self, data: mujoco.MjData, loads: list[Load], samples: int) -> None:
+    def _scrape(self, data: mujoco.MjData, loads: Loads | None, samples: int) -> None:
         """Shake the objects of contacts that slide or roll by the roughness of their surfaces."""
-        if not loads:
+        if loads is None:
             self._scrapes.play(samples, {})
             return
-        pairs = np.array([load.bodies for load in loads])
-        point, normal, slip, turn = (
-            np.array([getattr(load, name) for load in loads])
-            for name in ("point", "normal", "slip", "rolling")
-        )
-        arms = np.where(self._sounds[pairs], _length(point[:, None] - data.xipos[pairs]), 0).max(1)
-        slid, rolled = _length(slip), arms * _length(turn)
-        along = normal - (np.array([load.friction for load in loads]) / slid.clip(SLOW))[:, None] * slip
+        arms = _length(loads.point[:, None] - data.xipos[loads.bodies])
+        slid = _length(loads.slip)
+        rolled = np.where(self._sounds[loads.bodies], arms, 0).max(1) * _length(loads.rolling)
         moving = np.flatnonzero(np.maximum(slid, rolled) >= SLOW)
-        cutoffs: dict[tuple[int, int], float] = {}
-        for k in moving.tolist():
-            load = loads[k]
-            modulus, radius, rough = self._rubbed(load.bodies)
-            size, cutoff = scrape_force(load.force, slid[k], rolled[k], rough, radius, modulus)
-            along[k] *= size
-            cutoffs[load.bodies] = cutoff / self.sample_rate
-        noise = self._scrapes.play(samples, cutoffs)
-        contact, side = np.nonzero(self._sounds[pairs[moving]])
-        shaken = moving[contact]
-        numbers = pairs[shaken, side]
+        if not len(moving):
+            self._scrapes.play(samples, {})
+            return
+        bodies, slip, slid = loads.bodies[moving], loads.slip[moving], slid[moving]
+        pairs = [(first, second) for first, second in bodies.tolist()]
+        modulus, radius, rough = np.array([self._rubbed(pair) for pair in pairs]).T
+        size, cutoff = scrape_force(loads.force[moving], slid, rolled[moving], rough, radius, modulus)
+        along = loads.normal[moving] - (loads.friction[moving] / slid.clip(SLOW))[:, None] * slip
+        noise = self._scrapes.play(samples, dict(zip(pairs, (cutoff / self.sample_rate).tolist())))
+        contact, side = np.nonzero(self._sounds[bodies])
+        numbers = bodies[contact, side]
         turns = data.xmat[numbers].reshape(-1, 3, 3)
-        places = np.einsum("kd,kde->ke", point[shaken] - data.xpos[numbers], turns)
-        pushes = np.einsum("kd,kde->ke", (2 * side - 1)[:, None] * along[shaken], turns)
-        for force, number, place, push in zip(noise[contact], numbers.tolist(), places, pushes):
-            body = self._bodies[number]
-            self._stream.shake(body.row, force, body.voice.rough_gains(place, push))
+        places = np.einsum("kd,kde->ke", loads.point[moving[contact]] - data.xpos[numbers], turns)
+        pushes = np.einsum("kd,kde->ke", ((2 * side - 1) * size[contact])[:, None] * along[contact], turns)
+        shaken, gains = (
+            [self._bodies[number] for number in numbers.tolist()],
+            np.zeros((len(numbers), self._stream.modes)),
+        )
+        for out, body, place, push in zip(gains, shaken, places, pushes):
+            out[: len(body.voice.poles)] = body.voice.rough_gains(place, push)
+        self._stream.shake(np.array([body.row for body in shaken]), noise[contact], gains)
 
     def _rubbed(self, pair: tuple[int, int]) -> tuple[float, float, float]:
         """Return the modulus of a contact, Pa, its radius, m, and its combined roughness, m."""

@@ -42,16 +42,16 @@ class Impact:
 
 
 @dataclass(frozen=True)
-class Load:
-    """Contacts of two bodies that last; world frame."""
+class Loads:
+    """Contacts that last, one row for each pair of bodies; world frame."""
 
-    bodies: tuple[int, int]
-    point: np.ndarray  #: (3,) m, mean by force
-    normal: np.ndarray  #: (3,) unit vector from the first to the second body
-    force: float  #: N
-    slip: np.ndarray  #: velocity of the second body's surface against the first one's, (3,) m/s
-    rolling: np.ndarray  #: turn of the second body against the first one, about tangents, (3,) rad/s
-    friction: float
+    bodies: np.ndarray  #: (K, 2) numbers
+    point: np.ndarray  #: (K, 3) m, mean by force
+    normal: np.ndarray  #: (K, 3) unit vectors from the first to the second body
+    force: np.ndarray  #: (K,) N
+    slip: np.ndarray  #: velocity of the second body's surface against the first one's, (K, 3) m/s
+    rolling: np.ndarray  #: turn of the second body against the first one, about tangents, (K, 3) rad/s
+    friction: np.ndarray  #: (K,)
 
 
 class ContactReader:
@@ -80,8 +80,8 @@ class ContactReader:
         self._outside = np.zeros(self._model.nv)  # that all but pending impacts added to the velocity
         self._poses: tuple[np.ndarray, np.ndarray] | None = None  # places and turns of mocap bodies
 
-    def read(self, data: mujoco.MjData) -> tuple[list[Impact], list[Load]]:
-        """Return the impacts and loads of the step that ``mj_step`` made last."""
+    def read(self, data: mujoco.MjData) -> tuple[list[Impact], Loads | None]:
+        """Return the impacts of the step that ``mj_step`` made last, and the loads, if any."""
         contact, model = data.contact, self._model
         moving = self._moving(data) if model.nmocap else None
         geoms = contact.geom
@@ -93,7 +93,7 @@ class ContactReader:
         before, self._before = self._before, None
         if not len(rows):
             self._pending = {}
-            return [], []
+            return [], None
         found = _Rows.of(model, data, rows)
         if moving is not None:
             found = self._carried(data, found, *moving)
@@ -213,11 +213,11 @@ class ContactReader:
                     added[k] += sign * found.frame[k] @ (velocity[mocap] + np.cross(turn[mocap], arm))
         return replace(found, velocity=found.velocity + added, carried=added[:, 0])
 
-    def _loads(self, data: mujoco.MjData, found: "_Rows", lasting: np.ndarray) -> list[Load]:
+    def _loads(self, data: mujoco.MjData, found: "_Rows", lasting: np.ndarray) -> Loads | None:
         """Sum the contacts that last, by pairs of bodies."""
         pushing = [k for k in lasting.tolist() if found.force[k, 0] > 0]
         if not pushing:
-            return []
+            return None
         bodies = [found.bodies[k] for k in pushing]
         numbers = {pair: number for number, pair in enumerate(dict.fromkeys(bodies))}
         force = found.force[pushing, 0]
@@ -229,13 +229,11 @@ class ContactReader:
         slip = share @ np.einsum("kt,ktd->kd", found.velocity[pushing, 1:], found.frame[pushing, 1:])
         normal = share @ found.frame[pushing, 0]
         normal /= np.sqrt(np.square(normal).sum(1, keepdims=True)).clip(1e-9)
-        first, second = np.array([*numbers]).T
+        of_bodies = np.array([*numbers])
+        first, second = of_bodies.T
         turn = data.cvel[second, :3] - data.cvel[first, :3]
         turn -= normal * (normal * turn).sum(1, keepdims=True)
-        return [
-            Load(pair, point[k], normal[k], float(total[k]), slip[k], turn[k], float(friction[k]))
-            for pair, k in numbers.items()
-        ]
+        return Loads(of_bodies, point, normal, total, slip, turn, friction)
 
     def _jacobians(self, data: mujoco.MjData, found: "_Rows", rows: np.ndarray) -> np.ndarray:
         """Return how velocities of contacts, in their frames, follow from those of the joints; (K, 3, nv)."""

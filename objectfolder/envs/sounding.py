@@ -205,13 +205,14 @@ def check_poses(model: mujoco.MjModel, data: mujoco.MjData, bodies: Iterable[int
             f"the data are of another model: they have {len(data.xpos)} bodies and {len(data.qpos)} "
             f"positions, and the model {model.nbody} and {model.nq}; give those of mujoco.MjData(model)"
         )
-    numbers = np.asarray([*bodies])
-    finite = np.isfinite(np.concatenate([data.xpos[numbers], data.xquat[numbers]], 1))
-    if not finite.all():
-        body = int(numbers[finite.all(1).argmin()])
-        raise ObjectFolderError(
-            f"body {model.body(body).name!r}: its pose is not finite at {data.time:g} s: {DIVERGED}"
-        )
+    if not (np.isfinite(data.xpos).all() and np.isfinite(data.xquat).all()):
+        numbers = np.asarray([*bodies])
+        finite = np.isfinite(np.concatenate([data.xpos[numbers], data.xquat[numbers]], 1)).all(1)
+        if not finite.all():
+            body = int(numbers[finite.argmin()])
+            raise ObjectFolderError(
+                f"body {model.body(body).name!r}: its pose is not finite at {data.time:g} s: {DIVERGED}"
+            )
 
 
 def _extent(model: mujoco.MjModel, body: int) -> np.ndarray | None:

@@ -246,11 +246,11 @@ class ModalSense:
         lag = radiation.lag(listening.places, size, SOUND_SPEED) * listening.delay
         late = np.ceil(lag * bank.sample_rate).astype(np.int64)
         rest = torch.from_numpy(late / bank.sample_rate - lag)[:, None]
-        rows, wavenumbers = tuning.modes[bank.heard].numpy(), s.imag.numpy() / SOUND_SPEED
+        radiation, wavenumbers = radiation.of(tuning.modes[bank.heard].numpy()), s.imag.numpy() / SOUND_SPEED
         contact_time = self._contact(settings)
         sounds = np.empty((len(points), bank.samples), np.float32)
         for part, strengths in self._strengths(points, impulses, settings, tolerance):
-            pressure = radiation.pressure(rows, wavenumbers, listening.places[part], size)
+            pressure = radiation.pressure(wavenumbers, listening.places[part], size)
             phasors = strengths.cpu() * torch.from_numpy(tuning.shape_factor * pressure.conj()) * s**2
             sounds[part] = bank.mix((phasors * torch.exp(s * rest[part])).to(torch.complex64))
             if contact_time:

@@ -1,10 +1,11 @@
 """What of an object's sound reaches a listener: far fields of its modes, and its recoil."""
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
 
-from objectfolder.acoustics.farfield import FarField, unpack_far_field
+from objectfolder.acoustics.farfield import unpack_far_field
 from objectfolder.audio.click import Recoil
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.reading import StoredNet, report_damage
@@ -76,14 +77,17 @@ class Radiation:
         """Return how long sound travels from the ball to places (N, 3), seconds; (N,)."""
         return (np.linalg.norm(places, axis=1) - self.field.radius * scale / self._scale) / sound_speed
 
-    def pressure(
-        self, modes: np.ndarray, wavenumbers: np.ndarray, places: np.ndarray, scale: float
-    ) -> np.ndarray:
+    def of(self, modes: np.ndarray) -> "Radiation":
+        """Return that of some of the modes."""
+        out = copy.copy(self)
+        out.field = self.field.of(modes)
+        return out
+
+    def pressure(self, wavenumbers: np.ndarray, places: np.ndarray, scale: float) -> np.ndarray:
         """Return pressures per unit of modal acceleration (N, M), of a body of some longest side.
 
         The wavenumbers (M,) must be the own ones over the ratio of sizes. Mode shapes count as unchanged; see
         `FarField.pressure`.
         """
         size = scale / self._scale
-        part = FarField(self.field.orders[modes], self.field.coefficients[modes], self.field.radius)
-        return size * part.pressure(wavenumbers * size, places / size)
+        return size * self.field.pressure(wavenumbers * size, places / size)

@@ -83,7 +83,7 @@ class Voice:
             )
         self.modes = len(modal)
         self._own = sense.damped_frequency.double().numpy()[self._rows] / SOUND_SPEED
-        self._radiation = parts.radiation if RADIATION in parts.header else None
+        self._radiation = parts.radiation.of(self._rows) if RADIATION in parts.header else None
         self.accelerated = 0 if self._radiation is None else self.modes
         if self._radiation is None:
             surface = self._surface.read()
@@ -110,8 +110,9 @@ class Voice:
         taps, all_shapes = parts.taps
         shapes = self._factor * all_shapes[..., self._rows].astype(np.float64)
         recoil = np.broadcast_to(self.recoil.axes.T, (TAPS, 3, 3))
-        self._taps, self._tapped = taps * self._resized, np.concatenate([shapes, recoil], 2)
-        self._lengths = np.square(self._taps).sum(1) / 2
+        self._tapped, places = np.concatenate([shapes, recoil], 2), taps * self._resized
+        #: half the squared distance of each from (x, y, z, 1), but for what all have in common; (4, TAPS)
+        self._tap_distances = np.concatenate([-places.T, np.square(places).sum(1)[None] / 2])
         self._area = 0.0
         if self._surface.stored:  # build what finds the nearest points, else the first strike would wait
             self._surface.nearest(1.1 * taps[:100])
@@ -132,8 +133,7 @@ class Voice:
 
     def rough_gains(self, point: np.ndarray, impulse: np.ndarray) -> np.ndarray:
         """Return gains (M + 3,) of an impulse (3,), with the shapes of the nearest of `TAPS` points."""
-        row = (self._lengths - self._taps @ point).argmin()  # half the squared distances, but for a constant
-        found: np.ndarray = impulse @ self._tapped[row]
+        found: np.ndarray = impulse @ self._tapped[(np.append(point, 1) @ self._tap_distances).argmin()]
         return found
 
     def weights(self, place: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -152,7 +152,7 @@ class Voice:
             reach = self._plane_waves() / max(distance, self.radius)
             heard = reach * modal / modal.imag
         else:
-            pressure = self._radiation.pressure(self._rows, self._own / self._resized, places, self.scale)
+            pressure = self._radiation.pressure(self._own / self._resized, places, self.scale)
             heard = self._factor * pressure[0].conj() * modal**2 / modal.imag
         r = np.linalg.norm(away)
         s, rate = self.poles[self.modes :], self._recoil_rate

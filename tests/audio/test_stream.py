@@ -63,7 +63,7 @@ def test_a_constant_force_bends_a_mode_by_its_stiffness():
     poles = np.array([-4000 + 2j * np.pi * 3000])
     stream = _stream(poles, 1 / poles.imag, 480)
     for _ in range(4):
-        stream.shake(0, np.full(480, 2.0), np.array([0.5]))
+        stream.shake(np.array([0]), np.full((1, 480), 2.0), np.array([[0.5]]))
         heard = stream.play(480)
     assert heard[-1] == pytest.approx(2.0 * 0.5 / abs(poles[0]) ** 2, rel=0.02)
 
@@ -76,7 +76,7 @@ def test_a_constant_force_is_not_heard_of_modes_heard_by_their_acceleration():
         weights = np.array([0.6 + 0.8j, -1.0 + 0.3j]) * poles**2 / poles.imag
         stream = _stream(poles, weights, 480, accelerated)
         for _ in range(4):
-            stream.shake(0, np.full(480, 2.0), np.array([0.5, 0.2]))
+            stream.shake(np.array([0]), np.full((1, 480), 2.0), np.array([[0.5, 0.2]]))
             last = stream.play(480)[-1]
         heard.append(abs(last))
     assert heard[1] < 1e-9 * heard[0]
@@ -115,7 +115,7 @@ def test_an_empty_block_changes_nothing():
         stream.strike(0, Pulse(30, 40.5, GAINS))
         parts = []
         for k, size in enumerate(sizes):
-            stream.shake(0, np.full(size, 0.1), GAINS)
+            stream.shake(np.array([0]), np.full((1, size), 0.1), GAINS[None])
             stream.listen(0, np.full(4, 1.0 + 1j * (k == len(sizes) - 1)))
             parts.append(stream.play(size))
         return np.concatenate(parts)
@@ -150,9 +150,10 @@ def test_bodies_sound_together_as_the_sum_of_each(together, rng):
                     continue
                 if block == 1:
                     stream.strike(row, Pulse(130 + body, 20.5, GAINS[: len(poles[body])]))
-                if block > 1:
-                    for force in forces[body, :body]:
-                        stream.shake(row, force, GAINS[: len(poles[body])])
+                if block > 1 and body:
+                    gains = np.zeros((body, stream.modes))
+                    gains[:, : len(poles[body])] = GAINS[: len(poles[body])]
+                    stream.shake(np.full(body, row), forces[body, :body], gains)
             heard.append(stream.play(96))
         return np.concatenate(heard), stream.phasors
 

@@ -138,7 +138,7 @@ def test_strikes_are_heard_in_batches(brick, struck, monkeypatch):
     monkeypatch.setattr("objectfolder.objectfile.audio._BATCH", 4)
     places, pressure = [], Radiation.pressure
     monkeypatch.setattr(
-        Radiation, "pressure", lambda self, *given: places.append(len(given[2])) or pressure(self, *given)
+        Radiation, "pressure", lambda self, *given: places.append(len(given[1])) or pressure(self, *given)
     )
     for way, sounds in zip(ways, whole):
         np.testing.assert_array_equal(brick.impact(points, UP, **way), sounds)
