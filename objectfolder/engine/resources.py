@@ -8,11 +8,12 @@ from typing import Any
 
 import psutil
 
+from objectfolder.engine.cgroups import core_quota, memory_left
+
 HOUR = 3600.0
 #: Share of the available memory for stages; the rest is for the engine and the system.
 MEMORY_SHARE = 0.9
 _DEVICES = Path("/dev")
-_CGROUP = Path("/sys/fs/cgroup")  # a container's own, which has limits; the machine's has none
 
 
 @dataclass(frozen=True)
@@ -97,27 +98,13 @@ def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
 
 
 def cores() -> int:
-    """Return the number of cores that this process may use, in a container at most its quota."""
-    allowed = len(os.sched_getaffinity(0))
-    quota, _, period = _limit("cpu.max").partition(" ")
-    return max(1, min(allowed, int(quota) // int(period))) if quota.isdigit() else allowed
+    """Return the number of cores that this process may use, in a container or job at most its quota."""
+    return max(1, int(min(len(os.sched_getaffinity(0)), core_quota())))
 
 
 def free_memory() -> int:
-    """Return the bytes that can be taken now, in a container at most what its limit leaves."""
-    free = int(psutil.virtual_memory().available)
-    limit, used = _limit("memory.max"), _limit("memory.current")
-    if not (limit.isdigit() and used.isdigit()):
-        return free
-    # Pages of files that nobody has used lately count as used, but the system takes them back.
-    lines = dict(line.split() for line in _limit("memory.stat").splitlines())
-    return min(free, max(0, int(limit) - int(used) + int(lines.get("inactive_file", 0))))
-
-
-def _limit(name: str) -> str:
-    """Return the content of a file of the control group; empty if there is none."""
-    path = _CGROUP / name
-    return path.read_text().strip() if path.is_file() else ""
+    """Return the bytes that can be taken now, in a container or job at most what its limit leaves."""
+    return int(min(psutil.virtual_memory().available, memory_left()))
 
 
 def machine_gpus() -> list[str]:

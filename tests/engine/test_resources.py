@@ -81,31 +81,17 @@ def test_visible_gpus_are_those_of_the_environment(monkeypatch, visible, expecte
     assert machine_gpus() == expected
 
 
-@pytest.mark.parametrize(
-    ("cpu", "limit", "most", "free"),
-    [
-        ("max 100000", "max", None, None),  # no limits
-        ("100000 100000", "3000000000", 1, 1_000_000_000),
-        ("50000 100000", "1000000000", 1, 0),  # half a core; more is used than allowed
-    ],
-)
-def test_a_containers_limits_count(monkeypatch, tmp_path, cpu, limit, most, free):
-    for name, text in (("cpu.max", cpu), ("memory.max", limit), ("memory.current", "2000000000")):
-        (tmp_path / name).write_text(f"{text}\n")
-    monkeypatch.setattr("objectfolder.engine.resources._CGROUP", tmp_path)
-    assert cores() == (most or len(os.sched_getaffinity(0)))
-    if free is not None:
-        assert free_memory() == free
-    else:
-        assert free_memory() > 2**20
+@pytest.mark.parametrize(("quota", "expected"), [(1.0, 1), (0.5, 1), (1e6, None), (float("inf"), None)])
+def test_cores_are_at_most_the_quota(monkeypatch, quota, expected):
+    monkeypatch.setattr("objectfolder.engine.resources.core_quota", lambda: quota)
+    assert cores() == (expected or len(os.sched_getaffinity(0)))
 
 
-def test_pages_that_the_system_takes_back_are_free(monkeypatch, tmp_path):
-    files = {"memory.max": "3000000000", "memory.current": "2500000000"}
-    for name, text in (files | {"memory.stat": "anon 1\ninactive_file 400000000"}).items():
-        (tmp_path / name).write_text(f"{text}\n")
-    monkeypatch.setattr("objectfolder.engine.resources._CGROUP", tmp_path)
-    assert free_memory() == 900_000_000
+def test_memory_is_at_most_what_the_limit_leaves(monkeypatch):
+    monkeypatch.setattr("objectfolder.engine.resources.memory_left", lambda: 1000)
+    assert free_memory() == 1000
+    monkeypatch.setattr("objectfolder.engine.resources.memory_left", lambda: float("inf"))
+    assert free_memory() > 2**20
 
 
 def test_without_free_memory_stages_run_one_by_one():
