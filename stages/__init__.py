@@ -1,9 +1,11 @@
 """The edge of the pipeline: each stage reads declared inputs, calls the library, writes declared outputs."""
 
 import argparse
+import inspect
 import logging
 import sys
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -34,7 +36,7 @@ def run(
                 sys.modules["torch"].set_num_threads(1)
             stage(key)
     except ObjectFolderError as error:
-        sys.exit(f"{stage.__module__.rpartition('.')[2]} {key}: {error}")
+        sys.exit(f"{Path(inspect.getfile(stage)).stem} {key}: {error}")
 
 
 def progress(description: str) -> Callable[[Iterable[Any]], Iterable[Any]]:

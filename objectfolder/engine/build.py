@@ -46,6 +46,7 @@ from objectfolder.workspace.installed import check_installed
 OBJECTS_PER_CORE = 2
 #: Restarts of a stage whose worker was lost, or whose inputs changed while it ran.
 RESTARTS = 3
+LONGEST = 1e8  #: time limit of a stage, s
 _log = logging.getLogger(__name__)
 
 
@@ -82,8 +83,8 @@ class BuildOptions:
             raise ObjectFolderError(
                 f"jobs is {self.jobs}, expected at least 1; use --jobs 1 to run one stage at a time"
             )
-        if self.timeout is not None and not self.timeout >= 0:
-            raise ObjectFolderError(f"timeout is {self.timeout} s, expected 0 (never) or more")
+        if self.timeout is not None and not 0 <= self.timeout <= LONGEST:
+            raise ObjectFolderError(f"timeout is {self.timeout} s, expected 0 (never) to {LONGEST:g}")
 
 
 #: Creates the workers of a build from the number of jobs and the queue for their results.

@@ -23,6 +23,8 @@ from objectfolder.objectfile.file import ObjectFile
 
 PHYSICS, AUDIO = "KHR_physics_rigid_bodies", "KHR_audio_rigid_bodies"
 SAMPLES = 1000  #: most points at which mode shapes are stored
+#: Linear without mipmaps, which would mix the rectangles of faces; clamped to the edge.
+_SAMPLER = {"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}
 _GROWTH = 1.15  # of the cells of the sample surface, until it has few enough points
 
 
@@ -58,6 +60,8 @@ def write_glb(
     """
     with export_folder(file, out, max_hulls, hulls) as (new, body):
         document, buffer = unpacked(_meshes(file, body))
+        for texture in document.get("textures", []):
+            texture["sampler"], document["samplers"] = 0, [_SAMPLER]
         node = _add_body(document, body)
         if "audio" in file.header and file.has_modes and len(file.frequencies):
             node["extensions"][AUDIO] = {"modalModel": 0}

@@ -54,7 +54,11 @@ def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
         visual=trimesh.visual.TextureVisuals(
             uv.reshape(-1, 2),
             trimesh.visual.material.SimpleMaterial(
-                image=Image.fromarray(image), diffuse=[255] * 4, name="visual"
+                image=Image.fromarray(image),
+                diffuse=[255] * 4,
+                ambient=[255] * 4,
+                specular=[0, 0, 0, 255],  # reflections are not in the base colours
+                name="visual",
             ),
         ),
         process=False,

@@ -178,6 +178,9 @@ def test_two_jobs_overlap(workspace):
 def test_wrong_arguments_and_workspaces(workspace, tmp_path):
     with pytest.raises(ObjectFolderError, match="jobs is 0"):
         BuildOptions(jobs=0)
+    for timeout in (-1.0, float("inf"), float("nan")):
+        with pytest.raises(ObjectFolderError, match=r"expected 0 \(never\) to 1e\+08"):
+            BuildOptions(timeout=timeout)
     with pytest.raises(ObjectFolderError, match="not a directory"):
         build(root=tmp_path / "nowhere")
     outside = tmp_path / "outside"

@@ -163,15 +163,17 @@ def test_what_a_dvc_file_names_stays(workspace):
     assert "mug" in (workspace.root / "copy.txt").read_text()
 
 
-def test_a_cache_outside_the_workspace_is_left(workspace, tmp_path):
-    shutil.move(workspace.root / ".dvc/cache", tmp_path / "cache")
-    workspace.dvc("config", "cache.dir", str(tmp_path / "cache"))
-    before = sorted((tmp_path / "cache").rglob("*"))
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_cache_that_others_may_use_is_left(workspace, tmp_path, inside):
+    cache = (workspace.root if inside else tmp_path) / "shared_cache"
+    shutil.move(workspace.root / ".dvc/cache", cache)
+    workspace.dvc("config", "cache.dir", str(cache))
+    before = sorted(cache.rglob("*"))
     remove(workspace, "mug")
     waste = survey(workspace.root)
     assert any("other workspaces may use it" in note for note in waste.left)
     prune(waste, workspace.root)
-    assert sorted((tmp_path / "cache").rglob("*")) == before
+    assert sorted(cache.rglob("*")) == before
     assert not (workspace.root / "build/mug").exists()
     assert not [address for address in workspace.locked() if address.endswith("@mug")]
 

@@ -163,6 +163,13 @@ def test_a_texture_keeps_its_colours(glb):
     assert found.get("baseColorFactor", [1, 1, 1, 1]) == [1, 1, 1, 1]
 
 
+def test_a_texture_is_read_without_mipmaps(glb):
+    """They would mix the rectangles of faces."""
+    document, _ = glb
+    (texture,) = document["textures"]
+    assert document["samplers"][texture["sampler"]]["minFilter"] == 9729  # LINEAR
+
+
 def test_the_same_object_gives_the_same_bytes(brick, body, path, tmp_path):
     assert write_glb(brick, tmp_path, hulls=body.hulls).read_bytes() == path.read_bytes()
 

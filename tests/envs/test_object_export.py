@@ -133,6 +133,14 @@ def test_object_rests_in_pybullet(bullet, urdf, brick):
     assert abs(turn[3]) > 0.9999
 
 
+def test_the_material_of_an_obj_has_no_reflections(mjcf):
+    lines = mjcf.with_name("visual.mtl").read_text().splitlines()
+    found = {
+        name: [float(value) for value in values] for name, *values in map(str.split, lines) if name[0] == "K"
+    }
+    assert found == {"Ka": [1] * 3, "Kd": [1] * 3, "Ks": [0] * 3}
+
+
 def test_texture_has_the_base_colours(brick, mjcf):
     """As OpenGL reads them: the first row of MuJoCo's texture is at 0."""
     model = mujoco.MjModel.from_xml_path(str(mjcf))

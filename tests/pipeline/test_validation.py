@@ -1,10 +1,15 @@
 """Artifacts of the real pipeline are read as their users read them; what is not valid is rebuilt."""
 
+import os
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import stages
 from objectfolder.engine.verify import verify
 from objectfolder.io import read_npz, write_npz
 from objectfolder.workspace.layout import Build
@@ -19,6 +24,14 @@ def test_every_artifact_has_a_check_and_passes_it(built):
     assert {path.name: find_problem(check, path) for path, check in readers(build).items()} == {
         path.name: "" for path in readers(build)
     }
+
+
+def test_a_stage_names_itself_in_its_errors(tmp_path):
+    command = [sys.executable, "-m", "stages.pack", "bell"]
+    env = os.environ | {"PYTHONPATH": str(Path(stages.__file__).parents[1])}
+    stage = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
+    assert stage.returncode == 1
+    assert stage.stderr.startswith("pack bell: build/bell/modal.json does not exist; ")
 
 
 def test_empty_and_torn_artifacts_fail_their_check(built, tmp_path):

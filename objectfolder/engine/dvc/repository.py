@@ -85,8 +85,8 @@ class OpenRepository:
 
     @property
     def owns_cache(self) -> bool:
-        """Whether the cache lies in the workspace, so that no other workspace uses it."""
-        return self.cache_dir.is_relative_to(self.root)
+        """Whether the cache is where a workspace has its own, so that no other workspace uses it."""
+        return self.cache_dir == self.root / ".dvc" / "cache"
 
     def object_path(self, oid: str) -> Path:
         """Path of a cached object by its hash."""
