@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
+from io import BytesIO
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -94,15 +95,24 @@ class MaterialLibraries:
         roughness, metallic = _fraction(lines.get("pr", "")), _fraction(lines.get("pm", ""))
         if file:
             wrap = "clamp" if options.get("clamp", "").lower() == "on" else "repeat"
-            image = self.image(texture_path(self.mesh, self.folders[name], file))
+            image, transparent = self.image(texture_path(self.mesh, self.folders[name], file))
+            dropped |= {"alpha of map_Kd"} if transparent else set()
             surface = SurfaceMaterial(image, None, roughness, metallic, (wrap, wrap))
         else:
             surface = SurfaceMaterial(None, _color(_floats(lines.get("kd", ""))), roughness, metallic)
         scale, offset = _numbers(options.get("s", ""), 1), _numbers(options.get("o", ""), 0)
         return MtlMaterial(surface, scale, offset, frozenset(dropped))
 
-    def _image(self, path: PurePosixPath) -> Image.Image:
-        return read_image(read_referenced(self.mesh, path), self.mesh.parent / path, self.mesh)
+    def _image(self, path: PurePosixPath) -> tuple[Image.Image, bool]:
+        """Return an image without its alpha, and whether that was less than 1 anywhere."""
+        data, name = read_referenced(self.mesh, path), self.mesh.parent / path
+        image = read_image(data, name, self.mesh)
+        with Image.open(BytesIO(data)) as stored:
+            has_alpha = stored.has_transparency_data
+        if not has_alpha:
+            return image, False
+        alpha = np.asarray(read_image(data, name, self.mesh, "RGBA").getchannel("A"))
+        return image, bool((alpha < 255).any())
 
 
 def read_library(mesh: Path, path: PurePosixPath) -> str:

@@ -205,6 +205,19 @@ def test_what_a_material_drops_is_listed(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    ("mode", "alpha", "left_out"), [("RGBA", 0, 1), ("RGBA", 255, 0), ("LA", 254, 1), ("P", 0, 1)]
+)
+def test_alpha_of_a_texture_is_listed(tmp_path, mode, alpha, left_out):
+    image = Image.new("RGBA", (2, 2), (200, 100, 50, 255))
+    image.putpixel((1, 0), (200, 100, 50, alpha))
+    image.convert(mode).save(tmp_path / "leaf.png")
+    mesh = written(
+        tmp_path, QUAD + CORNERS + "usemtl leaf\nf 1/1 2/2 3/3\n", "newmtl leaf\nmap_Kd leaf.png\n"
+    )
+    assert notes(mesh) == ["alpha of map_Kd left out (1)"] * left_out
+
+
 @pytest.mark.parametrize("color", ["Kd 1 0 0", "map_Kd my skin.png", ""])
 def test_roughness_and_metallic_are_kept_and_what_shines_is_listed(tmp_path, color):
     mtl = f"newmtl skin\n{color}\nPr 0.25\nPm 1\nKe 0 2 0\nTf 1 1 1\nPs 0\nPc 0.5\n"
