@@ -60,8 +60,8 @@ def write_glb(
     """
     with export_folder(file, out, max_hulls, hulls) as (new, body):
         document, buffer = unpacked(_meshes(file, body))
-        for texture in document.get("textures", []):
-            texture["sampler"], document["samplers"] = 0, [_SAMPLER]
+        if textures := document.get("textures"):  # of the surface alone
+            textures[0]["sampler"], document["samplers"] = 0, [_SAMPLER]
         node = _add_body(document, body)
         if "audio" in file.header and file.has_modes and len(file.frequencies):
             node["extensions"][AUDIO] = {"modalModel": 0}

@@ -258,10 +258,8 @@ class Hearing:
         turns = data.xmat[numbers].reshape(-1, 3, 3)
         places = np.einsum("kd,kde->ke", loads.point[moving[contact]] - data.xpos[numbers], turns)
         pushes = np.einsum("kd,kde->ke", ((2 * side - 1) * size[contact])[:, None] * along[contact], turns)
-        shaken, gains = (
-            [self._bodies[number] for number in numbers.tolist()],
-            np.zeros((len(numbers), self._stream.modes)),
-        )
+        shaken = [self._bodies[number] for number in numbers.tolist()]
+        gains = np.zeros((len(shaken), self._stream.modes))
         for out, body, place, push in zip(gains, shaken, places, pushes):
             out[: len(body.voice.poles)] = body.voice.rough_gains(place, push)
         self._stream.shake(np.array([body.row for body in shaken]), noise[contact], gains)

@@ -229,11 +229,11 @@ class ContactReader:
         slip = share @ np.einsum("kt,ktd->kd", found.velocity[pushing, 1:], found.frame[pushing, 1:])
         normal = share @ found.frame[pushing, 0]
         normal /= np.sqrt(np.square(normal).sum(1, keepdims=True)).clip(1e-9)
-        of_bodies = np.array([*numbers])
-        first, second = of_bodies.T
+        pairs = np.array([*numbers])
+        first, second = pairs.T
         turn = data.cvel[second, :3] - data.cvel[first, :3]
         turn -= normal * (normal * turn).sum(1, keepdims=True)
-        return Loads(of_bodies, point, normal, total, slip, turn, friction)
+        return Loads(pairs, point, normal, total, slip, turn, friction)
 
     def _jacobians(self, data: mujoco.MjData, found: "_Rows", rows: np.ndarray) -> np.ndarray:
         """Return how velocities of contacts, in their frames, follow from those of the joints; (K, 3, nv)."""
