@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
-from io import BytesIO
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -106,13 +105,8 @@ class MaterialLibraries:
     def _image(self, path: PurePosixPath) -> tuple[Image.Image, bool]:
         """Return an image without its alpha, and whether that was less than 1 anywhere."""
         data, name = read_referenced(self.mesh, path), self.mesh.parent / path
-        image = read_image(data, name, self.mesh)
-        with Image.open(BytesIO(data)) as stored:
-            has_alpha = stored.has_transparency_data
-        if not has_alpha:
-            return image, False
-        alpha = np.asarray(read_image(data, name, self.mesh, "RGBA").getchannel("A"))
-        return image, bool((alpha < 255).any())
+        image = read_image(data, name, self.mesh, "RGBA")
+        return image.convert("RGB"), bool((np.asarray(image.getchannel("A")) < 255).any())
 
 
 def read_library(mesh: Path, path: PurePosixPath) -> str:
