@@ -20,6 +20,7 @@ from objectfolder.workspace.params import (
     ProceduralEntry,
     Record,
     Shared,
+    check_seen,
     checked,
     object_entry,
     require_section,
@@ -77,9 +78,10 @@ def check_own(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
     Raises
     ------
     ObjectFolderError
-        If an object, a procedural object or a choice of benchmarks is wrong or missing, or a name at the top
-        is unknown.
+        If an object, a procedural object or a choice of benchmarks is wrong or missing, a name at the top is
+        unknown, or DVC does not see a parameter.
     """
+    check_seen(values, path)
     known = ("objects", "procedural", "benchmarks", *Shared.model_fields, *SECTIONS)
     for name in values:
         if name not in known:

@@ -6,6 +6,7 @@ Its annotations are the checks (`objectfolder.settings`).
 
 import difflib
 import json
+import logging
 import math
 import os
 import re
@@ -19,7 +20,7 @@ from typing import Any, Generic, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
-from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.errors import ObjectFolderError, quoted, shortened
 from objectfolder.yamlfile import read_yaml
 
 PARAMS_FILE = "params.yaml"
@@ -27,6 +28,10 @@ PARAMS_FILE = "params.yaml"
 HELD_PARAMS = "OBJECTFOLDER_PARAMS"
 KEY = re.compile(r"[a-z][a-z0-9_]*")
 MAX_KEY = 64  #: characters; file names add to a key, and tables show it
+#: Names of parameters that DVC leaves out of the key by which it finds a saved run, at any depth.
+UNSEEN_BY_DVC = ("size", "nfiles")
+#: What the parameter ``size`` of generators has been called since it is seen.
+SIZES = {"die": "edge", "wrench": "flats", "appliance": "span", "electronics": "span", "toy": "span"}
 Bridge = Literal["all", "fem", "off"]
 Config = TypeVar("Config")
 Model = TypeVar("Model", bound=BaseModel)
@@ -35,6 +40,7 @@ Model = TypeVar("Model", bound=BaseModel)
 #: Types of pydantic's errors about a name that is not one of the fields.
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+_log = logging.getLogger(__name__)
 
 #: Dataclass of each section. By name, so that a stage depends on the modules of its own section alone.
 SECTIONS = {
@@ -138,7 +144,7 @@ class StageParams(Generic[Config]):
 
 
 def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
-    """Read ``params.yaml`` without interpreting it.
+    """Read ``params.yaml`` without interpreting it, and parameters of earlier versions by today's names.
 
     A stage that a build runs gets the values that the build recorded, whatever the file says by then.
 
@@ -160,7 +166,39 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
             raise ObjectFolderError(f"{path}: {group} must be a mapping from keys to entries (or {{}})")
         for key in entries:
             check_key(key, f"{path}: {group}")
+    for change in name_as_today(values):
+        if held == path:
+            _warn(f"{path}: {change}")
     return values
+
+
+def name_as_today(values: Any) -> list[str]:
+    """Rename parameters that earlier versions called otherwise, in place.
+
+    Parameters
+    ----------
+    values : any
+        Contents of ``params.yaml``; anything but a mapping with procedural objects is left as it is.
+
+    Returns
+    -------
+    list of str
+        What to write instead, for each of them.
+    """
+    entries = values.get("procedural") if isinstance(values, dict) else None
+    changes = []
+    for key, entry in entries.items() if isinstance(entries, dict) else ():
+        name = SIZES.get(str(entry.get("generator"))) if isinstance(entry, dict) else None
+        if name and "size" in entry and name not in entry:
+            value = entry.pop("size")
+            entry[name] = value
+            changes.append(f"procedural.{key}.size is called {name} now; write {name}: {shortened(value)}")
+    return changes
+
+
+@cache  # once for each text
+def _warn(text: str) -> None:
+    _log.warning("%s", text)
 
 
 def outside_workspace(path: Path) -> ObjectFolderError:
@@ -294,13 +332,42 @@ def _sections() -> dict[str, str]:
 
 
 def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dict[str, Any]]:
-    """Generator name and parameters of a procedural object."""
+    """Return the generator of a procedural object and its parameters.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such object; or if ``dvc repro`` runs this, which would not see a parameter change.
+    """
     values = read(path)
     entry = values["procedural"].get(key)
     if entry is None:
         raise ObjectFolderError(f"{path}: procedural has no {key!r}")
+    if path == PARAMS_FILE and HELD_PARAMS not in os.environ:  # a build would record today's names
+        check_seen({"procedural": {key: read_yaml(path)["procedural"][key]}}, path)
     valid = checked(ProceduralEntry, entry, f"{path}: procedural.{key}")
     return valid.generator, dict(valid.model_extra or {})
+
+
+def check_seen(values: Any, path: str | Path = PARAMS_FILE, where: str = "") -> None:
+    """Check that DVC's run cache sees all parameters, at any depth.
+
+    Raises
+    ------
+    ObjectFolderError
+        If one has a name in `UNSEEN_BY_DVC`.
+    """
+    for name, value in values.items() if isinstance(values, dict) else enumerate(values):
+        if name in UNSEEN_BY_DVC:
+            entry = values if where.startswith("procedural.") else {}
+            today = SIZES.get(str(entry.get("generator")))
+            advice = f"write {today}: {shortened(value)}" if today else "give it another name"
+            raise ObjectFolderError(
+                f"{path}: {where}{name}: DVC ignores parameters of this name when it looks for a saved run, so "
+                f"that it would restore what another value gave; {advice}"
+            )
+        if isinstance(value, dict | list):
+            check_seen(value, path, f"{where}{name}.")
 
 
 def shared(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> Shared:

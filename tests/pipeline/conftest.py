@@ -158,7 +158,7 @@ TINY = {
 CLOSING = {"wall": None, "bridge": "all"}
 TINY_OBJECTS = {
     "procedural": {
-        "cube": {"generator": "die", "size": 0.16, "fillet": 0.02, "texture_size": 64},
+        "cube": {"generator": "die", "edge": 0.16, "fillet": 0.02, "texture_size": 64},
         "bell": {"generator": "bell", "texture_size": 64},
     },
     "objects": {

@@ -39,11 +39,11 @@ def test_size_that_is_edited_and_edited_back_while_an_object_is_generated_is_not
         try:
             wait_for(workspace.root / "started")
             with workspace.edit() as values:
-                values["procedural"]["cube"]["size"] = 0.30
+                values["procedural"]["cube"]["edge"] = 0.30
             (workspace.root / "edited").touch()
             wait_for(mesh)
             with workspace.edit() as values:
-                values["procedural"]["cube"]["size"] = 0.16
+                values["procedural"]["cube"]["edge"] = 0.16
         finally:
             for name in ("edited", "reverted"):
                 (workspace.root / name).touch()
@@ -51,5 +51,5 @@ def test_size_that_is_edited_and_edited_back_while_an_object_is_generated_is_not
     lower, upper = load_mesh(mesh, "y").bounds
     np.testing.assert_allclose(upper - lower, 0.16, rtol=1e-3)
     lock = YAML(typ="safe").load(workspace.root / "dvc.lock")["stages"]
-    assert lock["generate@cube"]["params"]["params.yaml"]["procedural.cube"]["size"] == 0.16
+    assert lock["generate@cube"]["params"]["params.yaml"]["procedural.cube"]["edge"] == 0.16
     assert workspace.build("generate@cube") == set()

@@ -26,6 +26,7 @@ from dvc_objects.fs.utils import relpath
 
 from objectfolder.engine.dvc import emit
 from objectfolder.engine.dvc.lockfile import LockFiles
+from objectfolder.workspace.params import name_as_today
 
 #: Version of DVC whose internals this package knows.
 DVC_VERSION = "3.67.1"
@@ -95,7 +96,9 @@ class _Params:
         info = fs.info(path)
         stamp = info["mtime"], info["size"], info["ino"]
         if path not in self._files or self._files[path][0] != stamp:
-            self._files[path] = stamp, self._read(fs, path, None, **kwargs)
+            values = self._read(fs, path, None, **kwargs)
+            name_as_today(values)  # as stages read them
+            self._files[path] = stamp, values
         return self._files[path][1]
 
 

@@ -9,15 +9,16 @@ from typing import Any
 from dvc.output import Output
 from dvc.repo import Repo
 from dvc.schema import COMPILED_LOCK_FILE_STAGE_SCHEMA
-from dvc.stage import PipelineStage
-from dvc.stage.cache import StageCache, _get_cache_hash
+from dvc.stage import PipelineStage, Stage
+from dvc.stage.cache import StageCache, _can_hash, _get_cache_hash, _get_stage_hash
+from dvc.stage.serialize import to_single_stage_lockfile
 from dvc.utils.serialize import ParseError, load_yaml
 from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.tree import Tree
 from voluptuous import Invalid
 
 from objectfolder.engine.dvc.remote import pull_outputs
-from objectfolder.engine.dvc.savedruns import remove_saved_run
+from objectfolder.engine.dvc.savedruns import recorded_inputs, remove_saved_run, saved_runs_of
 
 _log = logging.getLogger(__name__)
 
@@ -26,7 +27,9 @@ class RunCache(StageCache):
     """Replacement for ``repo.stage_cache``.
 
     DVC trusts a read-only cached file and records the expected hash for the copy without computing it: a
-    damaged object would be restored and recorded as valid. It trusts entries, too.
+    damaged object would be restored and recorded as valid. It trusts entries, too, and the key by which it
+    finds them, which leaves out parameters called ``size`` or ``nfiles``: it would restore what another size
+    gave.
 
     Parameters
     ----------
@@ -58,6 +61,22 @@ class RunCache(StageCache):
             _log.warning("%s: this saved run is damaged and was removed", path)
             remove_saved_run(path)
         return None
+
+    def _load(self, stage: Stage) -> dict[str, Any] | None:
+        """Return the newest saved run of a stage with its command, dependencies and parameters."""
+        key, asked = _get_stage_hash(stage), recorded_inputs(to_single_stage_lockfile(stage))
+        runs = (self._load_cache(key, path.name) for path in saved_runs_of(self, key))
+        return next((run for run in runs if run is not None and recorded_inputs(run) == asked), None)
+
+    def save(self, stage: Stage) -> None:
+        """Save a run, in the place of one of the same name with other parameters, which DVC would keep."""
+        if _can_hash(stage):
+            entry = to_single_stage_lockfile(stage)
+            key, value = _get_stage_hash(stage), _get_cache_hash(entry)
+            run = self._load_cache(key, value)
+            if run is not None and recorded_inputs(run) != recorded_inputs(entry):
+                remove_saved_run(Path(self._get_cache_path(key, value)))
+        super().save(stage)
 
     def _create_stage(self, cache: dict[str, Any], wdir: str | None = None) -> PipelineStage:
         if not self.restores:

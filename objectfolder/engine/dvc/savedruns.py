@@ -1,12 +1,15 @@
 """Entries of DVC's run cache: which outputs a command produced from which inputs."""
 
+import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from dvc.repo import Repo
 from dvc.stage import Stage
-from dvc.stage.cache import _can_hash
+from dvc.stage.cache import StageCache, _can_hash
 from dvc.stage.serialize import to_single_stage_lockfile
 
 
@@ -38,6 +41,21 @@ def saved_run(stage: Stage, changed: bool) -> Stage | None:
 def saved_runs(repo: Repo) -> Iterator[Path]:
     """Yield the files of the run cache, one per saved run."""
     return (path for path in Path(repo.stage_cache.cache_dir).glob("*/*/*") if path.is_file())
+
+
+def saved_runs_of(cache: StageCache, key: str) -> list[Path]:
+    """Return the files of the saved runs of a key, newest first."""
+    found = []
+    for path in Path(cache._get_cache_dir(key)).glob("[!.]*"):
+        with suppress(FileNotFoundError):  # a pruning of a cache that workspaces share
+            found.append((path.stat().st_mtime_ns, path))
+    return [path for _, path in sorted(found, reverse=True)]
+
+
+def recorded_inputs(entry: Mapping[str, Any]) -> str:
+    """Return command, dependencies and parameters of an entry as a text that tells equal types and values."""
+    deps = {dep["path"]: dep.get(dep.get("hash", "md5")) for dep in entry.get("deps", ())}
+    return json.dumps([entry["cmd"], deps, entry.get("params", {})], sort_keys=True, default=str)
 
 
 def saved_outputs(text: str) -> str:

@@ -42,7 +42,7 @@ DARK, METAL = "2e2f33", "b9bdc2"
 
 def appliance(
     kind: str = "toaster",
-    size: float = 0.295,
+    span: float = 0.295,
     plump: float = 1.0,
     finish: str = "plastic",
     color: str | None = None,
@@ -56,7 +56,7 @@ def appliance(
     ----------
     kind : str
         "toaster", "lantern", "iron" or "dryer".
-    size : float
+    span : float
         Length of a toaster or iron along x; height of a lantern or dryer, m.
     plump : float
         Width or diameter relative to the default, 0.8 to 1.25.
@@ -70,7 +70,7 @@ def appliance(
     Returns
     -------
     TexturedMesh
-        One closed surface. Toasters and dryers are hollow and open, with walls of 3 % of the size or more.
+        One closed surface. Toasters and dryers are hollow and open, with walls of 3 % of the span or more.
 
     Raises
     ------
@@ -78,12 +78,12 @@ def appliance(
         If the kind is unknown or a dimension is out of range.
     """
     require_choice("appliance", KINDS, kind=kind)
-    require_positive("appliance", size=size, plump=plump)
+    require_positive("appliance", span=span, plump=plump)
     require_between("appliance", 0.8, 1.25, "usual widths", plump=plump)
     require_texture_size("appliance", texture_size)
 
     body, trim = COLOURS[kind]
-    look = Look(finish, size, color or body, accent or trim, seed)
+    look = Look(finish, span, color or body, accent or trim, seed)
     makers = {"toaster": _toaster, "lantern": _lantern, "iron": _iron, "dryer": _dryer}
     return makers[kind](look, plump).build(look, texture_size)
 

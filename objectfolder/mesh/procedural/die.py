@@ -10,9 +10,9 @@ from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, wood
 from objectfolder.mesh.textured import TexturedMesh
 
 SEED = 6
-PIP_RADIUS = 0.088  #: of the dent's rim, in sizes of the die
-PIP_DEPTH = 0.036  #: in sizes of the die
-PIP_PITCH = 0.24  #: from the middle of a face to its outer pips, in sizes of the die
+PIP_RADIUS = 0.088  #: of the dent's rim, in edges of the die
+PIP_DEPTH = 0.036  #: in edges of the die
+PIP_PITCH = 0.24  #: from the middle of a face to its outer pips, in edges of the die
 FLAT_CELLS, FILLET_CELLS = 18, 5  #: across the flat of a face, and from there to the middle of an edge
 
 #: Right, up and outward axis of each face, as columns; opposite faces sum to seven.
@@ -35,12 +35,12 @@ PIPS: dict[int, list[tuple[int, int]]] = {
 }
 
 
-def die(size: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> TexturedMesh:
+def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> TexturedMesh:
     """Build a wooden die.
 
     Parameters
     ----------
-    size : float
+    edge : float
         Edge of the bounding cube, m.
     fillet : float
         Radius of the rounded edges and corners, m.
@@ -50,27 +50,27 @@ def die(size: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
     Returns
     -------
     TexturedMesh
-        One closed surface of genus 0; x and y from -size / 2 to size / 2, z from 0 to size.
+        One closed surface of genus 0; x and y from -edge / 2 to edge / 2, z from 0 to edge.
 
     Raises
     ------
     ObjectFolderError
         If a dimension is not positive or the fillets would reach the pips.
     """
-    require_positive("die", size=size, fillet=fillet)
+    require_positive("die", edge=edge, fillet=fillet)
     room = 0.5 - PIP_PITCH - 1.08 * PIP_RADIUS
-    require_between("die", 0.01 * size, room * size, "so that the pips stay on the flat", fillet=fillet)
+    require_between("die", 0.01 * edge, room * edge, "so that the pips stay on the flat", fillet=fillet)
     require_texture_size("die", texture_size)
 
     block, charts = [], []
-    lift = np.array([0, 0, size / 2])
-    flat, border = size / 2 - fillet, size / 2 - fillet + fillet * np.pi / 4
-    pips = _pip_centres(size)
+    lift = np.array([0, 0, edge / 2])
+    flat, border = edge / 2 - fillet, edge / 2 - fillet + fillet * np.pi / 4
+    pips = _pip_centres(edge)
 
     def paint(points: np.ndarray) -> np.ndarray:
         nearest = np.min([np.sum((points - centre) ** 2, axis=1) for centre in pips], axis=0)
-        distance = np.sqrt(nearest) / (PIP_RADIUS * size)
-        grain = wood(points - lift, size, SEED)
+        distance = np.sqrt(nearest) / (PIP_RADIUS * edge)
+        grain = wood(points - lift, edge, SEED)
         burnt = over(grain, grain * rgb("c9a98c"), 0.7 * smoothstep(1.22, 1.0, distance))
         return over(burnt, rgb("2a1a12") * (0.8 + 0.4 * grain), smoothstep(1.02, 0.97, distance))
 
@@ -98,7 +98,7 @@ def die(size: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
     solid = weld_patches(block, atlas)
     for k, (value, axes) in enumerate(FACES.items()):
         for place in PIPS[value]:
-            solid -= weld_patches(_drill(size, np.multiply(place, PIP_PITCH * size), axes, border, k), atlas)
+            solid -= weld_patches(_drill(edge, np.multiply(place, PIP_PITCH * edge), axes, border, k), atlas)
     return textured(solid, atlas, roughness=0.55)
 
 
@@ -114,23 +114,23 @@ def _rounded_face(xy: np.ndarray, flat: float, fillet: float) -> np.ndarray:
     return np.concatenate([core, np.full((len(xy), 1), flat)], 1) + fillet * direction
 
 
-def _pip_centres(size: float) -> np.ndarray:
+def _pip_centres(edge: float) -> np.ndarray:
     """Return the centres (21, 3) of the pips' rims, m."""
     return np.array(
         [
-            axes @ [PIP_PITCH * size * x, PIP_PITCH * size * y, size / 2] + [0, 0, size / 2]
+            axes @ [PIP_PITCH * edge * x, PIP_PITCH * edge * y, edge / 2] + [0, 0, edge / 2]
             for value, axes in FACES.items()
             for x, y in PIPS[value]
         ]
     )
 
 
-def _drill(size: float, place: np.ndarray, axes: np.ndarray, border: float, chart: int) -> list[Patch]:
+def _drill(edge: float, place: np.ndarray, axes: np.ndarray, border: float, chart: int) -> list[Patch]:
     """Build the closed tool that cuts one pip: a spherical cap below the face, a flat lid above it.
 
     It is projected to the chart of the face, so that the rim of the pip has no seam.
     """
-    rim, depth = PIP_RADIUS * size, PIP_DEPTH * size
+    rim, depth = PIP_RADIUS * edge, PIP_DEPTH * edge
     ball = (rim**2 + depth**2) / (2 * depth)
     opening = np.arcsin(rim / ball)
     # Seven steps to the rim and one past it, above the face.
@@ -140,7 +140,7 @@ def _drill(size: float, place: np.ndarray, axes: np.ndarray, border: float, char
     tool = []
     for profile in (cap, lid):
         patch, _ = disc(profile, chart, lambda points: points, segments=32)
-        local = patch.vertices + np.append(place, size / 2)
+        local = patch.vertices + np.append(place, edge / 2)
         xy = local[:, :2] + border
-        tool.append(Patch(local @ axes.T + [0, 0, size / 2], patch.faces, xy, chart))
+        tool.append(Patch(local @ axes.T + [0, 0, edge / 2], patch.faces, xy, chart))
     return tool

@@ -39,7 +39,7 @@ DARK, METAL = "2e2f33", "b9bdc2"
 
 def electronics(
     kind: str = "television",
-    size: float = 0.6,
+    span: float = 0.6,
     plump: float = 1.0,
     finish: str = "plastic",
     color: str | None = None,
@@ -53,7 +53,7 @@ def electronics(
     ----------
     kind : str
         "television", "radio" or "clock".
-    size : float
+    span : float
         Width of a television or radio along x; height of a clock, m.
     plump : float
         Depth relative to the default, 0.8 to 1.25.
@@ -68,7 +68,7 @@ def electronics(
     -------
     TexturedMesh
         One closed surface. Televisions and radios are hollow and open through their slots, with walls of
-        4 % of the size; the thinnest bars have 2.5 %, grooves and marks about 2 %.
+        4 % of the span; the thinnest bars have 2.5 %, grooves and marks about 2 %.
 
     Raises
     ------
@@ -76,12 +76,12 @@ def electronics(
         If the kind is unknown or a dimension is out of range.
     """
     require_choice("electronics", KINDS, kind=kind)
-    require_positive("electronics", size=size, plump=plump)
+    require_positive("electronics", span=span, plump=plump)
     require_between("electronics", 0.8, 1.25, "usual depths", plump=plump)
     require_texture_size("electronics", texture_size)
 
     body, trim = COLOURS[kind]
-    look = Look(finish, size, color or body, accent or trim, seed)
+    look = Look(finish, span, color or body, accent or trim, seed)
     return {"television": _television, "radio": _radio, "clock": _clock}[kind](look, plump).build(
         look, texture_size
     )

@@ -29,7 +29,7 @@ CELLS = 60  #: grid cells along the duck for marching cubes
 
 def toy(
     kind: str = "car",
-    size: float = 0.16,
+    span: float = 0.16,
     plump: float = 1.0,
     count: int = 5,
     finish: str = "plastic",
@@ -44,7 +44,7 @@ def toy(
     ----------
     kind : str
         "car", "truck", "duck" or "rings".
-    size : float
+    span : float
         Length of a car, truck or duck along x; height of a tower of rings, m.
     plump : float
         Width relative to the default, 0.75 to 1.3.
@@ -68,18 +68,18 @@ def toy(
         If the kind is unknown or a dimension is out of range.
     """
     require_choice("toy", KINDS, kind=kind)
-    require_positive("toy", size=size, plump=plump)
+    require_positive("toy", span=span, plump=plump)
     require_between("toy", 0.75, 1.3, "usual widths", plump=plump)
     require_count("toy", 3, 8, count=count)
     require_texture_size("toy", texture_size)
 
     if kind == "rings":
-        look = Look(finish, size, color, accent, seed)
-        parts = _rings(look, size, plump, count)
+        look = Look(finish, span, color, accent, seed)
+        parts = _rings(look, span, plump, count)
     else:
         body, trim = COLOURS[kind]
-        look = Look(finish, size, color or body, accent or trim, seed)
-        parts = {"car": _car, "truck": _truck, "duck": _duck}[kind](look, size, plump)
+        look = Look(finish, span, color or body, accent or trim, seed)
+        parts = {"car": _car, "truck": _truck, "duck": _duck}[kind](look, span, plump)
     return assemble(union(parts), parts, look, texture_size)
 
 
@@ -135,9 +135,9 @@ def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar:
     return paint
 
 
-def _car(look: Look, size: float, plump: float) -> list[PaintedPart]:
-    s, width = size, 0.46 * size * plump
-    spacing, r = size / 36, 0.125 * size
+def _car(look: Look, span: float, plump: float) -> list[PaintedPart]:
+    s, width = span, 0.46 * span * plump
+    spacing, r = span / 36, 0.125 * span
     hull = rounded(
         [
             (-0.5 * s, 0.09 * s),
@@ -165,9 +165,9 @@ def _car(look: Look, size: float, plump: float) -> list[PaintedPart]:
     ]
 
 
-def _truck(look: Look, size: float, plump: float) -> list[PaintedPart]:
-    s, width = size, 0.40 * size * plump
-    spacing, r = size / 36, 0.085 * size
+def _truck(look: Look, span: float, plump: float) -> list[PaintedPart]:
+    s, width = span, 0.40 * span * plump
+    spacing, r = span / 36, 0.085 * span
     frame = rounded(
         [(-0.5 * s, 0.08 * s), (0.5 * s, 0.08 * s), (0.5 * s, 0.16 * s), (-0.5 * s, 0.16 * s)], 0.02 * s
     )
@@ -241,7 +241,7 @@ def ramp(first: str | None, last: str | None, count: int) -> list[str]:
     return ["".join(f"{round(255 * c):02x}" for c in step) for step in steps]
 
 
-def _duck(look: Look, size: float, plump: float) -> list[PaintedPart]:
+def _duck(look: Look, span: float, plump: float) -> list[PaintedPart]:
     """Build a duck: blended body, head and tail, with bill and painted eyes."""
     wide = np.array([1.0, plump, 1.0])
 
@@ -266,7 +266,7 @@ def _duck(look: Look, size: float, plump: float) -> list[PaintedPart]:
     feathers = look.dyed(look.color).paint((1, 0, 0))
 
     def paint(points: np.ndarray) -> np.ndarray:
-        at = (points / size + [0, 0, 0.02]) / wide
+        at = (points / span + [0, 0, 0.02]) / wide
         eye = np.linalg.norm(np.abs(at) * [0, 1, 0] + at * [1, 0, 1] - [0.325, 0.115, 0.665], axis=1)
         colour = over(feathers(points), np.array([0.97, 0.97, 0.95]), smoothstep(0.058, 0.054, eye))
         return over(colour, rgb("1c1a1c"), smoothstep(0.040, 0.036, eye))
@@ -275,8 +275,8 @@ def _duck(look: Look, size: float, plump: float) -> list[PaintedPart]:
     upper = ball.scale((0.15, 0.105 * plump, 0.042)).rotate((0, -8, 0)).translate((0.40, 0, 0.565))
     lower = ball.scale((0.115, 0.085 * plump, 0.036)).rotate((0, 10, 0)).translate((0.39, 0, 0.525))
     bill = look.dyed(look.accent).paint((1, 0, 0), 1)
-    return [PaintedPart.of(made.scale([size] * 3), paint)] + [
-        PaintedPart.of(p.scale([size] * 3), bill) for p in (upper, lower)
+    return [PaintedPart.of(made.scale([span] * 3), paint)] + [
+        PaintedPart.of(p.scale([span] * 3), bill) for p in (upper, lower)
     ]
 
 

@@ -23,7 +23,7 @@ SMALL = 0.85  #: relative size of the second of two like ends
 
 def wrench(
     length: float = 0.18,
-    size: float = 0.015,
+    flats: float = 0.015,
     thickness: float = 0.006,
     ends: str = "combination",
     finish: str = "brushed",
@@ -38,7 +38,7 @@ def wrench(
     ----------
     length : float
         Distance between the centres of the heads, m.
-    size : float
+    flats : float
         Width across flats of the matching nut, m; the second of two like ends is smaller.
     thickness : float
         Thickness of the bar outside its recessed panels, m; heads are thicker.
@@ -59,30 +59,32 @@ def wrench(
     ObjectFolderError
         If an option is unknown or a dimension does not fit the others.
     """
-    require_positive("wrench", length=length, size=size, thickness=thickness)
+    require_positive("wrench", length=length, flats=flats, thickness=thickness)
     require_choice("wrench", ENDS, ends=ends)
-    require_between("wrench", 6 * size, 30 * size, "6 to 30 sizes of the nut", length=length)
-    require_between("wrench", 0.2 * size, 0.7 * size, "20 % to 70 % of the nut's size", thickness=thickness)
+    require_between("wrench", 6 * flats, 30 * flats, "6 to 30 widths of the nut", length=length)
+    require_between(
+        "wrench", 0.2 * flats, 0.7 * flats, "20 % to 70 % of the nut's width", thickness=thickness
+    )
     require_texture_size("wrench", texture_size)
 
-    look = Look(finish, length + 2 * size, color, accent, seed)
+    look = Look(finish, length + 2 * flats, color, accent, seed)
     spacing = length / 60
     kinds = {"combination": ("open", "ring"), "open": ("open", "open"), "ring": ("ring", "ring")}[ends]
-    sizes = (size, size if ends == "combination" else SMALL * size)
+    sizes = (flats, flats if ends == "combination" else SMALL * flats)
     middles = (-length / 2, length / 2)
     radii = [(JAW if kind == "open" else RING) * s for kind, s in zip(kinds, sizes)]
 
     # Silhouette: two heads and a tapering bar, hollow corners rounded.
-    half = 0.40 * size, 0.34 * sizes[1]
+    half = 0.40 * flats, 0.34 * sizes[1]
     bar = np.array(
         [[middles[0], -half[0]], [middles[1], -half[1]], [middles[1], half[1]], [middles[0], half[0]]]
     )
     shape = manifold3d.CrossSection([bar])
     for x, radius in zip(middles, radii):
         shape += manifold3d.CrossSection([regular(72, radius) + np.array([x, 0])])
-    fillet = 0.8 * size
+    fillet = 0.8 * flats
     shape = shape.offset(fillet, manifold3d.JoinType.Round, circular_segments=64)
-    shape = shape.offset(-fillet, manifold3d.JoinType.Round, circular_segments=64).simplify(1e-3 * size)
+    shape = shape.offset(-fillet, manifold3d.JoinType.Round, circular_segments=64).simplify(1e-3 * flats)
     lift = (HEAD - 1) / 2 * thickness
     body = prism(_rings(shape), thickness, spacing, 0.22 * thickness).translate((0, 0, lift))
     metal = look.paint((1, 0, 0))

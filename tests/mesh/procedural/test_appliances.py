@@ -34,7 +34,7 @@ NAMES = [name if name in SAMPLE else pytest.param(name, marks=pytest.mark.slow) 
 @cache
 def made(name, size=1.0):
     generator, parameters = APPLIANCES[name]
-    return GENERATORS[generator](**parameters, size=size, texture_size=SMALL)
+    return GENERATORS[generator](**parameters, span=size, texture_size=SMALL)
 
 
 @cache
@@ -171,7 +171,7 @@ def test_bars_and_rings_have_their_volumes():
     ("build", "parameters", "words"),
     [
         (electronics, {"kind": "lantern"}, "kind='lantern'.*television, radio, clock"),
-        (electronics, {"size": 0}, "size=0.*positive"),
+        (electronics, {"span": 0}, "span=0.*positive"),
         (electronics, {"plump": 2}, "plump=2.*expected"),
         (appliance, {"kind": "oven"}, "kind='oven'.*toaster, lantern, iron, dryer"),
         (appliance, {"plump": 0.5}, "plump=0.5.*expected"),
@@ -189,7 +189,7 @@ def test_impossible_requests_are_refused(build, parameters, words):
 @given(st.floats(0.03, 2.0), st.floats(0.8, 1.25))
 def test_any_sane_appliance_is_solid(name, size, plump):
     generator, parameters = APPLIANCES[name]
-    mesh = GENERATORS[generator](**parameters, size=size, plump=plump, texture_size=SMALL)
+    mesh = GENERATORS[generator](**parameters, span=size, plump=plump, texture_size=SMALL)
     check_solid(mesh)
     check_charts(mesh)
     assert welded(mesh).euler_number == 2 - 2 * GENUS[name]

@@ -83,7 +83,7 @@ def test_mug_holds_water_down_to_its_floor():
 
 def test_die_volume_and_size():
     size, fillet = 0.05, 0.006
-    mesh = generate("die", size=size, fillet=fillet, texture_size=SMALL)
+    mesh = generate("die", edge=size, fillet=fillet, texture_size=SMALL)
     half = size / 2
     np.testing.assert_allclose(mesh.bounds, [[-half, -half, 0], [half, half, size]], atol=1e-9)
     core, rim, depth = size - 2 * fillet, PIP_RADIUS * size, PIP_DEPTH * size
@@ -147,8 +147,8 @@ def test_bell_is_open_below_and_as_thick_as_asked():
         ("mug", {"handle_reach": 0.3}, "handle_reach=0.3.*handle"),
         ("mug", {"texture_size": 0}, "texture_size=0.*texels"),
         ("mug", {"texture_size": 100.5}, "texture_size=100.5.*texels"),
-        ("die", {"size": -0.05}, "size=-0.05.*positive"),
-        ("die", {"size": "big"}, "size='big'.*positive"),
+        ("die", {"edge": -0.05}, "edge=-0.05.*positive"),
+        ("die", {"edge": "big"}, "edge='big'.*positive"),
         ("die", {"fillet": 0.02}, "fillet=0.02.*pips"),
         ("bell", {"wall": 0.02}, "wall=0.02.*expected"),
         ("bell", {"radius": 0.2}, "height=0.09.*expected"),
@@ -182,7 +182,7 @@ def test_any_sane_mug_is_closed(radius, slim, thick, deep, far):
 @settings(max_examples=5, deadline=None, derandomize=True)
 @given(st.floats(0.01, 0.2), st.floats(0.02, 0.16))
 def test_any_sane_die_is_closed(size, rounding):
-    check("die", {"size": size, "fillet": rounding * size})
+    check("die", {"edge": size, "fillet": rounding * size})
 
 
 @settings(max_examples=5, deadline=None, derandomize=True)
