@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from objectfolder.engine.dvc.recorded import READ_ONLY, RecordedFile, check_out, file_hash
+from objectfolder.engine.dvc.recorded import READ_ONLY, RecordedFile, check_out, file_hash, records
 from objectfolder.engine.dvc.repository import OpenRepository
 from objectfolder.engine.dvc.savedruns import remove_saved_run, saved_outputs, saved_runs
 from objectfolder.engine.survey import Survey
@@ -66,6 +66,16 @@ def restore_files(survey: Survey) -> set[str]:
             path.unlink(missing_ok=True)
     check_out(checkout.values())  # skips outputs of which another part is rebuilt
     return rebuild
+
+
+def forget_records(repository: OpenRepository, survey: Survey) -> set[str]:
+    """Remove the records of outputs that were made from other inputs; return the stages to run again."""
+    wrong = survey.misrecorded.keys() - survey.blocked
+    for address, path, _ in list(records(repository, ())):
+        if address in wrong:
+            repository.lockfiles.remove(path, address.rpartition(":")[2])
+    repository.lockfiles.flush()
+    return wrong
 
 
 def remove_dead_runs(repository: OpenRepository, bad: set[str]) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from objectfolder.engine.dvc.changes import differences
 from objectfolder.engine.dvc.recorded import (
     RecordedFile,
     cache_hash_name,
@@ -13,10 +14,11 @@ from objectfolder.engine.dvc.recorded import (
     file_hash,
     listing_of,
     recorded_outputs,
+    records,
     with_downstream,
 )
 from objectfolder.engine.dvc.repository import OpenRepository
-from objectfolder.engine.dvc.savedruns import saved_outputs, saved_runs
+from objectfolder.engine.dvc.savedruns import maker, saved_outputs, saved_runs
 from objectfolder.engine.pool import process_pool
 from objectfolder.engine.resources import cores
 from objectfolder.workspace.layout import Build
@@ -47,6 +49,8 @@ class Survey:
         Hashes found; for an unreadable file, the reason instead.
     invalid : dict of Path to str
         Problems of artifacts with the right hash that their reader rejects.
+    misrecorded : dict of str to str
+        Stages whose outputs a saved run made from other inputs than those recorded, with the differences.
     blocked : set of str
         Stages that cannot be rebuilt, because a source upstream is not as recorded.
     sizes : dict
@@ -59,6 +63,7 @@ class Survey:
     others: dict[Path, str] = field(default_factory=dict)
     hashes: dict[Path, str] = field(default_factory=dict)
     invalid: dict[Path, str] = field(default_factory=dict)
+    misrecorded: dict[str, str] = field(default_factory=dict)
     blocked: set[str] = field(default_factory=set)
     sizes: dict[tuple[int, int], int] = field(default_factory=dict)
 
@@ -104,7 +109,7 @@ def take_survey(repository: OpenRepository, targets: Sequence[str], jobs: int | 
     track : callable
         Wraps iterations in a progress bar.
     """
-    survey = Survey(repository.root)
+    survey = Survey(repository.root, misrecorded=_misrecorded(repository, targets))
     for found in recorded_outputs(repository, targets):
         (survey.folders if found.oid.endswith(".dir") else survey.files).append(found)
     with ThreadPoolExecutor(jobs or cores()) as pool:
@@ -141,6 +146,14 @@ def runs_by_object(repository: OpenRepository, survey: Survey) -> dict[str, list
         for oid in bad:
             if f"md5: {oid}\n" in text:
                 found.setdefault(oid, []).append(path)
+    return found
+
+
+def _misrecorded(repository: OpenRepository, targets: Sequence[str]) -> dict[str, str]:
+    found = {}
+    for address, _, record in records(repository, targets):
+        if run := maker(repository.repo.stage_cache, record):
+            found[address] = "; ".join(differences("", run.get("params"), record.get("params")))
     return found
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.dvc.recorded import RecordedFile
 from objectfolder.engine.dvc.repository import open_repository
-from objectfolder.engine.repair import remove_dead_runs, restore_files
+from objectfolder.engine.repair import forget_records, remove_dead_runs, restore_files
 from objectfolder.engine.summary import Addressed, Listener, Summary
 from objectfolder.engine.survey import Survey, Track, runs_by_object, take_survey
 
@@ -97,7 +97,7 @@ def verify(
         if not repair or not defects:
             return _report(survey, defects)
         bad = survey.bad_objects()
-        rebuild = restore_files(survey)
+        rebuild = restore_files(survey) | forget_records(repository, survey)
     summary = build(sorted(rebuild), BuildOptions(jobs=jobs), root, on_event) if rebuild else None
     with open_repository(root) as repository:
         remove_dead_runs(repository, bad)
@@ -115,6 +115,9 @@ def _defects(survey: Survey, references: dict[str, list[Path]]) -> list[Defect]:
     def add(file: RecordedFile, problem: str, remedy: str) -> None:
         found.append(Defect(file.address, os.path.relpath(file.path, survey.root), problem, remedy))
 
+    for address, differences in survey.misrecorded.items():
+        problem = f"a saved run made these outputs of other parameters than it records: {differences}"
+        found.append(Defect(address, "dvc.lock", problem, "--repair runs the stage again"))
     for folder in survey.folders:
         if folder.cached and not survey.matches(folder.cached, folder.oid):
             intact = survey.listing(folder) is not None

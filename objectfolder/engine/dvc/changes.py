@@ -180,14 +180,14 @@ def _changed_params(dep: ParamsDependency) -> list[str]:
     if isinstance(changed, str):
         return [f"{dep} {_words(changed)}"]
     old, new = dep.hash_info.value or {}, dep.read_params()
-    return [reason for name in changed for reason in _differences(name, old.get(name), new.get(name))]
+    return [reason for name in changed for reason in differences(name, old.get(name), new.get(name))]
 
 
-def _differences(name: str, old: Any, new: Any) -> list[str]:
+def differences(name: str, old: Any, new: Any) -> list[str]:
     """List the leaves of nested parameters that differ, with both values."""
     if isinstance(old, dict) and isinstance(new, dict):
-        names = dict.fromkeys([*old, *new])
-        return [text for key in names for text in _differences(f"{name}.{key}", old.get(key), new.get(key))]
+        inner = {key: f"{name}.{key}" if name else key for key in dict.fromkeys([*old, *new])}
+        return [text for key, path in inner.items() for text in differences(path, old.get(key), new.get(key))]
     return [] if old == new else [f"{name}: {_text(old)} -> {_text(new)}"]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import networkx as nx
 from dvc.exceptions import DvcException
+from dvc.stage import PipelineStage
 from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.hash_info import HashInfo
 from dvc_data.hashfile.meta import Meta
@@ -71,6 +72,16 @@ def recorded_outputs(repository: OpenRepository, targets: Sequence[str]) -> Iter
                 oid = out.hash_info.value
                 cached = Path(out.cache.oid_to_path(oid)) if out.use_cache else None
                 yield RecordedFile(address, out, Path(out.fs_path), oid, out.hash_name, cached)
+
+
+def records(repository: OpenRepository, targets: Sequence[str]) -> Iterator[tuple[str, Path, dict[str, Any]]]:
+    """Yield address, lock file and entry of recorded stages of ``dvc.yaml``; targets as `recorded_outputs`."""
+    stages = stage_graph(repository, targets).stages if targets else all_stages(repository)
+    for address, stage in stages.items():
+        if isinstance(stage, PipelineStage):
+            path = Path(stage.dvcfile.path).absolute().with_suffix(".lock")
+            if entry := repository.lockfiles.stages(path).get(stage.name):
+                yield address, path, entry
 
 
 def cached_objects(repository: OpenRepository) -> Iterator[tuple[Path, str]]:

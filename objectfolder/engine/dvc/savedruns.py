@@ -9,7 +9,7 @@ from typing import Any
 
 from dvc.repo import Repo
 from dvc.stage import Stage
-from dvc.stage.cache import StageCache, _can_hash
+from dvc.stage.cache import StageCache, _can_hash, _get_cache_hash
 from dvc.stage.serialize import to_single_stage_lockfile
 
 
@@ -56,6 +56,18 @@ def recorded_inputs(entry: Mapping[str, Any]) -> str:
     """Return command, dependencies and parameters of an entry as a text that tells equal types and values."""
     deps = {dep["path"]: dep.get(dep.get("hash", "md5")) for dep in entry.get("deps", ())}
     return json.dumps([entry["cmd"], deps, entry.get("params", {})], sort_keys=True, default=str)
+
+
+def maker(cache: StageCache, record: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the saved run of a record's outputs if it had other inputs than those recorded; else None.
+
+    `dvc repro` records such outputs if a parameter is called ``size`` or ``nfiles``.
+    """
+    key = _get_cache_hash(dict(record), key=True)
+    runs = (cache._load_cache(key, path.name) for path in saved_runs_of(cache, key))
+    made = [run for run in runs if run is not None and run["outs"] == record["outs"]]
+    inputs = recorded_inputs(record)
+    return made[0] if made and all(recorded_inputs(run) != inputs for run in made) else None
 
 
 def saved_outputs(text: str) -> str:
