@@ -17,8 +17,8 @@ def test_an_edit_of_the_same_size_within_a_second_is_seen(tmp_path, monkeypatch,
     tiny_project.make(root)
     assert build(root=root).ok
     sources = Sources().with_one("versions", name, "2")
-    for path, text in sources.code().items():
-        if text != Sources().code()[path]:
+    for path, text in sources.files().items():
+        if text != Sources().files()[path]:
             info = (root / path).stat()
             assert len(text) == info.st_size
             (root / path).write_text(text)

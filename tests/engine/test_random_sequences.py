@@ -2,6 +2,7 @@
 
 import shutil
 import signal
+import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -26,10 +27,10 @@ from objectfolder.engine.verify import verify
 
 from . import tiny_project
 from .processes import DIE_AT_A_CHANGE
-from .tiny_project import KEYS, LIBRARY, STAGES, VERSIONS, Sources
+from .tiny_project import KEYS, LIBRARY, PROFILES, STAGES, VERSIONS, Sources, parameters
 
 FUZZING = settings.get_current_profile_name() == "fuzz"
-SEQUENCES, STEPS = (200, 20) if FUZZING else (1, 6)
+SEQUENCES, STEPS = (300, 20) if FUZZING else (1, 6)
 MESH = "data/objects/bell.dvc"
 #: Picks one of a list. Neither what is drawn nor which rules apply may depend on files: what a killed build
 #: leaves depends on timing, and hypothesis ends if equal draws are followed by others.
@@ -37,9 +38,9 @@ PICK = st.integers(0, 2**16)
 STRAY = "stray.txt"
 #: Field of `Sources`, its key if it is a mapping, and the new value.
 EDITS = st.one_of(
-    st.tuples(st.just("size"), st.sampled_from(KEYS), st.sampled_from("123")),
-    st.tuples(st.just("material"), st.sampled_from(KEYS), st.sampled_from("123")),
-    st.tuples(st.just("turns"), st.just(""), st.sampled_from("123")),
+    st.sampled_from([("values", path, value) for path, three in parameters().items() for value in three]),
+    st.tuples(st.just("profiles"), st.sampled_from(PROFILES), st.sampled_from("123")),
+    st.tuples(st.just("prose"), st.sampled_from((*STAGES, *LIBRARY)), st.sampled_from("123")),
     st.tuples(st.just("mesh"), st.just(""), st.sampled_from(["mesh 1", "mesh 2", "mesh 3"])),
     st.tuples(st.just("keys"), st.just(""), st.sampled_from([KEYS, KEYS[:1], KEYS[1:]])),
 )
@@ -100,7 +101,11 @@ class Sequence(RuleBasedStateMachine):
         self.said: dict[str, Outlook] = {}
 
     def teardown(self):
-        shutil.rmtree(self.home)
+        try:
+            if sys.exc_info()[0] is None:  # nothing failed before
+                self.check_build_from_nothing()
+        finally:
+            shutil.rmtree(self.home)
 
     @property
     def lock(self):
@@ -133,8 +138,8 @@ class Sequence(RuleBasedStateMachine):
         """Write the files that differ."""
         self.change()
         self.earlier.append(sources)
-        for name, text in sources.code().items():
-            if self.sources.code()[name] != text:
+        for name, text in sources.files().items():
+            if self.sources.files()[name] != text:
                 (self.root / name).write_text(text)
         if sources.params() != self.sources.params():
             (self.root / "params.yaml").write_text(sources.params())
@@ -156,6 +161,8 @@ class Sequence(RuleBasedStateMachine):
         self.set(self.edited(*what))
 
     def edited(self, name, key, value):
+        if name == "values":
+            return self.sources.with_parameter(key, value)
         return self.sources.with_one(name, key, value) if key else replace(self.sources, **{name: value})
 
     @precondition(lambda self: self.changes < 2)
@@ -247,6 +254,15 @@ class Sequence(RuleBasedStateMachine):
         gone = {"bell", "mug"} - set(self.sources.keys)
         self.check_build(() if any(key in what for key in gone) else (what,), BuildOptions(jobs=2))
 
+    @rule(path=st.sampled_from(list(parameters())), jobs=st.sampled_from([1, 2]))
+    def go_back_and_forth(self, path, jobs):
+        first, second, *third = parameters()[path]
+        for value in (first, second, first, *third):
+            self.set(self.edited("values", path, value))
+            self.states()
+            self.check_build((), BuildOptions(jobs=jobs))
+            self.what_is_fresh_is_true()
+
     @rule()
     def build_by_force(self):
         self.check_build((), BuildOptions(jobs=2, force=True))
@@ -294,6 +310,19 @@ class Sequence(RuleBasedStateMachine):
         assert not [path for path in self.root.rglob("*.tmp*") if path.is_file()]
         self.lost = self.lost and (bool(targets) or bool(broken))
         self.locks.append(self.lock.read_bytes())
+
+    def check_build_from_nothing(self):
+        """Build in an empty cache, and compare all bytes."""
+        self.states()
+        self.check_build((), BuildOptions(jobs=2))
+        fresh = self.home / "fresh"
+        made = shutil.ignore_patterns("build", "benchmarks", "metrics", "mug", "cache", "tmp", "dvc.lock")
+        shutil.copytree(self.root, fresh, ignore=made)
+        build(root=fresh)
+        for address, files in self.truth.items():
+            for path in files or ():
+                assert (fresh / path).read_bytes() == (self.root / path).read_bytes(), (address, path)
+        self.counts["compared with a build from nothing"] += 1
 
     @rule(moment=st.integers(1, 150), number=st.sampled_from([signal.SIGKILL, signal.SIGINT]))
     def build_killed_at_a_change_of_a_file(self, moment, number):
