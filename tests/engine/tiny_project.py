@@ -330,20 +330,24 @@ def outputs(sources: Sources) -> dict[str, dict[str, str] | None]:
 
 def make(root: Path) -> None:
     """Make a workspace with the project in it."""
+    texts = {**Sources().files(), "stages/__init__.py": COMMON, "objectfolder/io.py": IO}
+    texts |= {"dvc.yaml": PIPELINE, "params.yaml": Sources().params()}
+    make_workspace(root, texts | {"data/objects/bell/mesh.obj": Sources().mesh})
+
+
+def make_workspace(root: Path, texts: dict[str, str]) -> None:
+    """Make a workspace of files by path, with a tracked mesh of the object "bell"."""
     subprocess.run(["git", "init", "-q", root], check=True)
     with Repo.init(str(root)) as repo, repo.config.edit("repo") as config:
         config["core"].update({"analytics": False, "check_update": False, "remote": "store"})
         config["remote"]["store"] = {"url": str(root.parent / "store")}
-    (root / "dvc.yaml").write_text(PIPELINE)
     shutil.copy(ROOT / ".dvcignore", root)
     shutil.copy(ROOT / ".gitignore", root)
-    texts = {**Sources().files(), "stages/__init__.py": COMMON, "objectfolder/io.py": IO}
+    texts = dict(texts)
     for name in ("errors", "workspace/code_digests", "workspace/installed", "workspace/layout"):
         texts[f"objectfolder/{name}.py"] = (ROOT / "objectfolder" / f"{name}.py").read_text()
     texts["stages/hash_code.py"] = (ROOT / "stages/hash_code.py").read_text()
     texts |= {"objectfolder/__init__.py": "", "objectfolder/workspace/__init__.py": ""}
-    texts["params.yaml"] = Sources().params()
-    texts["data/objects/bell/mesh.obj"] = Sources().mesh
     for name, text in texts.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)

@@ -1,9 +1,12 @@
+import inspect
 import json
+import re
 import subprocess
 import sys
-from dataclasses import FrozenInstanceError, asdict
+from dataclasses import FrozenInstanceError, asdict, is_dataclass
 from datetime import date
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -12,17 +15,24 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import Material
+from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.metrics import ssim
 from objectfolder.vision.dataset import SMALLEST
 from objectfolder.workspace.check import Selection, check_all, check_entries, check_object
 from objectfolder.workspace.params import (
     FIRST_STAGES,
+    HELD_PARAMS,
     OBJECT_STAGES,
     ON_DEMAND,
     ROBOT_STAGES,
     SECTIONS,
     TASKS,
+    UNSEEN_BY_DVC,
+    ObjectEntry,
+    Shared,
     check_key,
+    check_seen,
     object_entry,
     procedural_entry,
     read,
@@ -339,6 +349,69 @@ def test_procedural_entries(write):
         procedural_entry("mug", path)
     with pytest.raises(ObjectFolderError, match=r"procedural\.bad: generator: Field required"):
         procedural_entry("bad", path)
+
+
+OLD = [
+    ("die", {"size": 0.16, "fillet": 0.019}, "edge"),
+    ("toy", {"kind": "duck", "size": 0.2}, "span"),
+    ("appliance", {"size": 0.28}, "span"),
+    ("electronics", {"size": 0.6}, "span"),
+    ("wrench", {"length": 0.2, "size": 0.017}, "flats"),
+]
+
+
+@pytest.mark.parametrize(("generator", "old", "name"), OLD)
+def test_sizes_of_earlier_versions_are_read_with_a_line_that_says_what_to_write(
+    write, monkeypatch, caplog, generator, old, name
+):
+    path = write(procedural={"die": {"generator": generator} | old})
+    monkeypatch.chdir(path.parent)
+    line = f"procedural.die.size is called {name} now; write {name}: {old['size']}"
+    today = {name if field == "size" else field: value for field, value in old.items()}
+    assert procedural_entry("die", path) == (generator, today)
+    assert [record.message for record in caplog.records] == [f"{path}: {line}"]
+    check_entries(read(path), path)
+    # `dvc repro` would not see an edit of it; a build gives its stages what it has recorded.
+    with pytest.raises(ObjectFolderError, match=rf"procedural\.die\.size: DVC ignores.*; write {name}: "):
+        procedural_entry("die")
+    monkeypatch.setenv(HELD_PARAMS, str(path))
+    caplog.clear()
+    assert procedural_entry("die") == (generator, today)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("name", UNSEEN_BY_DVC)
+@pytest.mark.parametrize(
+    "place",
+    [("own",), ("modal", "own"), ("procedural", "own"), ("train_audio", "sizes", 0), ("objects", "mug")],
+)
+def test_names_that_dvc_does_not_see_are_refused_with_the_reason(values, name, place):
+    entry = values
+    for part in place:
+        entry = entry[part] if part != "own" else entry.setdefault(part, {"generator": "mug"})
+    entry[name] = 3
+    words = re.escape(".".join(map(str, [*place, name])))
+    with pytest.raises(ObjectFolderError, match=rf"{words}: DVC ignores .* another name"):
+        check_entries(values)
+
+
+def test_no_parameter_has_a_name_that_dvc_does_not_see():
+    def fields(config):
+        if is_dataclass(config):
+            for field, kind in get_type_hints(config).items():
+                yield field
+                yield from fields(kind)
+        for inner in get_args(config):
+            yield from fields(inner)
+
+    names = {name for section in SECTIONS for name in fields(section_config(section))}
+    assert {"max_modes", "most_features", "branch_depth"} <= names
+    names |= {name for function in GENERATORS.values() for name in inspect.signature(function).parameters}
+    names |= {*ObjectEntry.model_fields, *Selection.model_fields, *Shared.model_fields, *SECTIONS}
+    names |= {*get_type_hints(Material)}
+    assert not names & {*UNSEEN_BY_DVC}
+    for path in (REPOSITORY / "catalogs").glob("*.yaml"):
+        check_seen(YAML(typ="safe").load(path.read_text()), path)
 
 
 @pytest.mark.parametrize("preset", sorted(p.stem for p in (REPOSITORY / "params").glob("*.yaml")))

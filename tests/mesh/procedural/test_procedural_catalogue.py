@@ -57,7 +57,9 @@ def test_every_object_is_generated_and_every_family_appears():
 
 def test_version_1_never_changes():
     entries = {
-        key: {"size" if name == params.SIZES.get(entry["generator"]) else name: v for name, v in entry.items()}
+        key: {
+            "size" if name == params.SIZES.get(entry["generator"]) else name: v for name, v in entry.items()
+        }
         for key, entry in VALUES["procedural"].items()
     }  # by the names of before
     text = json.dumps({"procedural": entries, "objects": VALUES["objects"]}, sort_keys=True)
