@@ -36,14 +36,15 @@ test-slow: .venv/.dev
 test-extras: .venv/.dev
 	@PIP_ARGS="$(PIP_ARGS)" $(BIN)/python tests/extras/run.py
 
-# Ten minutes each; the last are random sequences of edits, faults and builds.
+# Ten minutes each; the last are random sequences of edits, faults and builds, and each parameter alone.
 fuzz: .venv/.dev
 	$(INSTALL) atheris
 	$(BIN)/python fuzz/objectfile.py -max_total_time=600
 	$(BIN)/python fuzz/queryfiles.py -max_total_time=600
 	$(BIN)/python fuzz/released.py -max_total_time=600
 	$(BIN)/pytest --hypothesis-profile=fuzz tests/objectfile/test_hostile_files.py
-	$(BIN)/pytest --hypothesis-profile=fuzz -s tests/engine/test_random_sequences.py
+	$(BIN)/pytest --hypothesis-profile=fuzz -s tests/engine/test_random_sequences.py \
+	  tests/engine/test_every_parameter.py
 
 lint: .venv/.dev
 	$(BIN)/ruff check .
