@@ -1,4 +1,8 @@
-"""Find the project files that a stage runs, from its source, and digest them."""
+"""Find the project files that a stage runs, from its source, and digest what runs of them.
+
+The digest of a module is that of its syntax tree without docstrings: comments, layout and prose make nothing
+stale.
+"""
 
 import ast
 import hashlib
@@ -12,6 +16,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest
 from objectfolder.workspace.installed import INSTALLED, PACKAGE, PROFILES, SENSORS, located, runs_installed
 
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 PACKAGES = (PACKAGE, "stages")  #: packages of the project
 #: Files and folders of the package that stages read; a workspace without the package depends on digests.
 DATA = (
@@ -55,13 +60,13 @@ def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
 
 
 def digests(script: str | Path, root: str | Path = ".") -> str:
-    """Return the SHA-256 of every file that a script runs, one per line, in the format of ``sha256sum``."""
+    """Return the digest and the name of every file that a script runs, one per line."""
     return _digests(imported_files(script, root), root)
 
 
 @cache
 def code_digest(function: Callable[..., Any]) -> str:
-    """Return the SHA-256 of all files of this package that a function's module runs; hexadecimal."""
+    """Return the SHA-256 of what a function's module runs of this package; hexadecimal."""
     script = Path(inspect.getfile(function)).resolve().relative_to(INSTALLED)
     return hashlib.sha256(digests(script, INSTALLED).encode()).hexdigest()
 
@@ -79,7 +84,7 @@ def code_text(name: str, root: str | Path = ".") -> str | None:
     Returns
     -------
     str or None
-        In the format of ``sha256sum``; None if there is no such stage or file.
+        A digest and a name per line; None if there is no such stage or file.
     """
     if "/" not in name:
         script = f"stages/{name}.py"
@@ -90,13 +95,33 @@ def code_text(name: str, root: str | Path = ".") -> str | None:
     return _digests([name] if path.is_file() else _names_below(name, root), root)
 
 
+def content_digest(path: Path) -> str:
+    """Return the SHA-256 of what runs of a module, or of all of another file; hexadecimal.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it does not exist.
+    SyntaxError, ValueError
+        If it should be a module, but is not Python.
+    """
+    if path.suffix != ".py" or not path.is_file():
+        return file_digest(path)
+    return source_digest(path.read_text(encoding="utf-8"))
+
+
+def source_digest(source: str) -> str:
+    """Return the SHA-256 of what runs of a module's source: its syntax tree without docstrings."""
+    return _parsed(source)[0]
+
+
 def data_names(root: str | Path = ".") -> list[str]:
     """List `DATA` and the files in its folders."""
     return sorted({*DATA, *(inner for name in DATA for inner in _names_below(name, root))})
 
 
 def _digests(names: list[str], root: str | Path) -> str:
-    return "".join(f"{file_digest(located(name, root))}  {name}\n" for name in names)
+    return "".join(f"{content_digest(located(name, root))}  {name}\n" for name in names)
 
 
 def _names_below(name: str, root: str | Path) -> list[str]:
@@ -112,7 +137,7 @@ def _names_below(name: str, root: str | Path) -> list[str]:
 def _modules(name: str, root: str | Path) -> set[str]:
     """Return the modules of the project that a file imports."""
     try:
-        modules = _imports(located(name, root).read_text(), ".".join(Path(name).parts[:-1]))
+        modules = _imports(located(name, root).read_text(encoding="utf-8"), ".".join(Path(name).parts[:-1]))
     except (SyntaxError, UnicodeDecodeError) as error:
         line = f", line {error.lineno}: {error.msg}" if isinstance(error, SyntaxError) else f": {error}"
         raise ObjectFolderError(f"{name}{line}; correct it") from error
@@ -121,7 +146,7 @@ def _modules(name: str, root: str | Path) -> set[str]:
     return {module for module in modules if module.partition(".")[0] in PACKAGES}
 
 
-def _require_seen(name: str, modules: frozenset[str], root: str | Path) -> None:
+def _require_seen(name: str, modules: set[str], root: str | Path) -> None:
     for top in sorted({module.partition(".")[0] for module in modules} - {*PACKAGES}):
         if Path(root, f"{top}.py").is_file() or Path(root, top, "__init__.py").is_file():
             raise ObjectFolderError(
@@ -130,23 +155,54 @@ def _require_seen(name: str, modules: frozenset[str], root: str | Path) -> None:
             )
 
 
-@cache  # many stages share most modules
-def _imports(source: str, package: str) -> frozenset[str]:
+def _imports(source: str, package: str) -> set[str]:
     """Return all modules that a source in a package imports, and names in them, which may be modules."""
     modules = set()
-    todo: list[ast.AST] = [ast.parse(source)]
+    for level, name in _parsed(source)[1]:
+        above = package.split(".")[: 1 - level or None] if level else []
+        modules.add(".".join([*above, *([name] if name else [])]))
+    return modules
+
+
+@cache  # many stages share most modules
+def _parsed(source: str) -> tuple[str, frozenset[tuple[int, str]]]:
+    """Return the digest of what runs of a source, and its imports as level of a relative one and name."""
+    tree = ast.parse(source)
+    words: list[str] = []
+    _spell(tree, words)
+    digest = hashlib.sha256("\0".join(words).encode(errors="surrogatepass")).hexdigest()
+    imports: set[tuple[int, str]] = set()
+    todo: list[ast.AST] = [tree]
     while todo:
         node = todo.pop()
         if isinstance(node, ast.If) and getattr(node.test, "id", None) == "TYPE_CHECKING":
             continue  # never runs
         todo += ast.iter_child_nodes(node)
         if isinstance(node, ast.Import):
-            modules |= {alias.name for alias in node.names}
+            imports |= {(0, alias.name) for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: 1 - node.level or None] if node.level else []
-            module = ".".join([*above, *([node.module] if node.module else [])])
-            modules |= {module, *(f"{module}.{alias.name}" for alias in node.names)}
-    return frozenset(modules)
+            module = node.module or ""
+            imports |= {(node.level, name) for name in (module, *(f"{module}.{a.name}" for a in node.names))}
+    return digest, frozenset((level, name.lstrip(".")) for level, name in imports)
+
+
+def _spell(node: ast.AST, words: list[str]) -> None:
+    """Append the words of a syntax tree, alike for all versions of Python, without docstrings."""
+    words += [type(node).__name__, "{"]
+    for name, value in ast.iter_fields(node):
+        values = value if isinstance(value, list) else [value]
+        if name == "body" and isinstance(node, _DOCUMENTED):
+            values = values[ast.get_docstring(node, clean=False) is not None :]
+        if value is None or not values:  # newer versions have more fields, empty in older code
+            continue
+        words += [name, "("]
+        for inner in values:
+            if isinstance(inner, ast.AST):
+                _spell(inner, words)
+            else:
+                words.append(repr(inner))
+        words.append(")")
+    words.append("}")
 
 
 def _files(module: str, root: str | Path = ".") -> list[str]:

@@ -363,8 +363,8 @@ def check_seen(values: Any, path: str | Path = PARAMS_FILE, where: str = "") -> 
             today = SIZES.get(str(entry.get("generator")))
             advice = f"write {today}: {shortened(value)}" if today else "give it another name"
             raise ObjectFolderError(
-                f"{path}: {where}{name}: DVC ignores parameters of this name when it looks for a saved run, so "
-                f"that it would restore what another value gave; {advice}"
+                f"{path}: {where}{name}: DVC ignores parameters of this name when it looks for a saved run, "
+                f"and would restore what another value gave; {advice}"
             )
         if isinstance(value, dict | list):
             check_seen(value, path, f"{where}{name}.")

@@ -19,6 +19,7 @@ from dvc.repo import Repo
 
 from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.workspace import params
+from objectfolder.workspace.code_digests import source_digest
 from objectfolder.workspace.params import SECTIONS
 
 ROOT = Path(__file__).parents[2]
@@ -290,7 +291,7 @@ def outputs(sources: Sources) -> dict[str, dict[str, str] | None]:
         names = [f"stages/{stage}.py", "stages/__init__.py"]
         names += [f"objectfolder/{imports[stage]}.py"] if stage in imports else []
         texts = code | extra
-        return "".join(f"{hashlib.sha256(texts[n].encode()).hexdigest()}  {n}\n" for n in sorted(names))
+        return "".join(f"{source_digest(texts[n])}  {n}\n" for n in sorted(names))
 
     found: dict[str, dict[str, str] | None] = {
         "hash_code": {f"build/.code/{stage}.sha256": listing(stage) for stage in STAGES}

@@ -1,10 +1,16 @@
-import subprocess
+import ast
+from collections import Counter
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.workspace.code_digests import digests, imported_files
+from objectfolder.workspace.code_digests import digests, imported_files, source_digest
 
+ROOT = Path(__file__).parents[2]
+SOURCES = [path for path in sorted((ROOT / "objectfolder").rglob("*.py")) if path.stat().st_size]
+DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 FILES = {
     "objectfolder/__init__.py": '"""Doc."""\n',
     "objectfolder/deep/__init__.py": "",
@@ -49,15 +55,81 @@ def test_digests_change_with_what_is_imported_and_nothing_else(project):
     assert {line.split()[1] for line in changed} == {"objectfolder/deep/leaf.py"}
 
 
-def test_digests_are_those_of_sha256sum(project):
-    checked = subprocess.run(
-        ["sha256sum", "--check", "-"],
-        input=digests("stages/solve.py", project),
-        cwd=project,
-        text=True,
-        capture_output=True,
-    )
-    assert checked.returncode == 0, checked.stdout
+def test_layout_comments_and_docstrings_are_not_what_runs():
+    for path in SOURCES[::6]:
+        source = path.read_text()
+        tree = ast.parse(source)
+        digest = source_digest(source)
+        assert source_digest(ast.unparse(tree)) == digest  # other quotes, lines, brackets, and no comments
+        for node in ast.walk(tree):
+            if isinstance(node, DOCUMENTED) and ast.get_docstring(node) is not None:
+                node.body[0].value.value += " And more."
+        assert source_digest(ast.unparse(tree)) == digest
+
+
+def test_strings_that_are_no_docstrings_are_what_runs():
+    sources = [
+        "def f():\n    pass\n    'one'\n",
+        "def f():\n    return 'one'\n",
+        "if x:\n    'one'\n",
+        "x = 'one'\n",
+        "class C:\n    x: 'one'\n",
+        "class C:\n    b'one'\n",
+    ]
+    for source in sources:
+        assert source_digest(source) != source_digest(source.replace("one", "two"))
+
+
+SWAPS = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.And: ast.Or, ast.Or: ast.And,
+    ast.Pow: ast.Mult, ast.USub: ast.UAdd, ast.Not: ast.Invert, ast.In: ast.NotIn, ast.Is: ast.IsNot,
+    ast.MatMult: ast.Mult,
+}  # fmt: skip
+
+
+def mutate(node, rng):
+    """Change what a node does in place; return whether it could be."""
+    if isinstance(node, ast.Constant) and not isinstance(node.value, bool | None | type(...)):
+        node.value = node.value + (
+            b"x" if isinstance(node.value, bytes) else "x" if isinstance(node.value, str) else 1
+        )
+    elif (
+        isinstance(node, ast.Name | ast.Attribute | ast.arg | ast.keyword)
+        and getattr(node, "arg", "") is not None
+    ):
+        name = {ast.Name: "id", ast.Attribute: "attr"}.get(type(node), "arg")
+        setattr(node, name, f"{getattr(node, name)}_")
+    elif type(getattr(node, "op", None)) in SWAPS:
+        node.op = SWAPS[type(node.op)]()
+    elif isinstance(node, ast.Compare) and type(node.ops[0]) in SWAPS:
+        node.ops[0] = SWAPS[type(node.ops[0])]()
+    elif isinstance(getattr(node, "body", None), list) and len(node.body) > 2:
+        del node.body[rng.integers(1, len(node.body))]
+    else:
+        return False
+    return True
+
+
+def test_no_change_of_a_statement_is_missed():
+    rng = np.random.default_rng(0)
+    counts = Counter()
+    short = [path for path in SOURCES if path.stat().st_size < 6000]
+    while counts.total() < 300:
+        path = short[rng.integers(len(short))]
+        source = path.read_text()
+        tree = ast.parse(source)
+        docstrings = {
+            id(node.body[0].value)
+            for node in ast.walk(tree)
+            if isinstance(node, DOCUMENTED) and ast.get_docstring(node)
+        }
+        nodes = [node for node in ast.walk(tree) if id(node) not in docstrings]
+        node = nodes[rng.integers(len(nodes))]
+        if mutate(node, rng):
+            assert source_digest(ast.unparse(tree)) != source_digest(source), (path, ast.unparse(node))
+            counts[type(node).__name__] += 1
+    assert len(counts) >= 8, counts
 
 
 def test_relative_imports_are_followed(project):

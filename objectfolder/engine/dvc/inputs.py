@@ -15,7 +15,8 @@ from dvc.dependency import ParamsDependency, param
 from dvc.stage import Stage
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, file_digest
+from objectfolder.io import atomic
+from objectfolder.workspace.code_digests import content_digest
 from objectfolder.workspace.installed import INSTALLED, located
 from objectfolder.workspace.layout import CODE
 from objectfolder.workspace.params import HELD_PARAMS, PARAMS_FILE
@@ -160,5 +161,8 @@ def _stamp(path: Path) -> tuple[int, ...] | None:
 
 @cache
 def _digest(path: Path, stamp: tuple[int, ...] | None) -> str | None:
-    """Return the digest of a file, which is read once for every stamp."""
-    return None if stamp is None else file_digest(path)
+    """Return the digest of a file, which is read once for every stamp; None if it cannot be read."""
+    try:
+        return None if stamp is None else content_digest(path)
+    except (ObjectFolderError, SyntaxError, ValueError):  # while it is edited
+        return None

@@ -75,7 +75,7 @@ def recorded_outputs(repository: OpenRepository, targets: Sequence[str]) -> Iter
 
 
 def records(repository: OpenRepository, targets: Sequence[str]) -> Iterator[tuple[str, Path, dict[str, Any]]]:
-    """Yield address, lock file and entry of recorded stages of ``dvc.yaml``; targets as `recorded_outputs`."""
+    """Yield address, lock file and entry of each recorded stage; targets as in `recorded_outputs`."""
     stages = stage_graph(repository, targets).stages if targets else all_stages(repository)
     for address, stage in stages.items():
         if isinstance(stage, PipelineStage):
