@@ -12,6 +12,8 @@ from dvc.stage import Stage
 from dvc.stage.cache import StageCache, _can_hash, _get_cache_hash
 from dvc.stage.serialize import to_single_stage_lockfile
 
+from objectfolder.workspace.params import UNSEEN_BY_DVC
+
 
 def saved_run(stage: Stage, changed: bool) -> Stage | None:
     """Find the run whose outputs `steps.restore_run` would restore; None if missing or incomplete.
@@ -63,11 +65,21 @@ def maker(cache: StageCache, record: Mapping[str, Any]) -> dict[str, Any] | None
 
     `dvc repro` records such outputs if a parameter is called ``size`` or ``nfiles``.
     """
+    if not _has_unseen(record.get("params")):  # the key tells all others apart
+        return None
     key = _get_cache_hash(dict(record), key=True)
     runs = (cache._load_cache(key, path.name) for path in saved_runs_of(cache, key))
     made = [run for run in runs if run is not None and run["outs"] == record["outs"]]
     inputs = recorded_inputs(record)
     return made[0] if made and all(recorded_inputs(run) != inputs for run in made) else None
+
+
+def _has_unseen(value: Any) -> bool:
+    if isinstance(value, list):
+        return any(map(_has_unseen, value))
+    return isinstance(value, dict) and (
+        any(name in value for name in UNSEEN_BY_DVC) or _has_unseen(list(value.values()))
+    )
 
 
 def saved_outputs(text: str) -> str:
