@@ -60,7 +60,8 @@ def load(source: str, up: str, texture_size: int) -> TexturedMesh:
 
 def measure(key: str, source: str, up: str) -> dict:
     """Measure one object in this process."""
-    from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
+    from objectfolder.fem.settings import VoxelizeConfig
+    from objectfolder.fem.voxelize import voxelize
 
     values = params.read(ROOT / "params.yaml")
     row: dict = {"object": key}

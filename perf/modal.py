@@ -20,11 +20,12 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder.audio.synthesis import sinusoid_bank
-from objectfolder.fem.adaptive import FineGrids, refined
+from objectfolder.fem.adaptive import refined
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.fem.modal import MIN_FREQUENCY, refined_analysis
+from objectfolder.fem.settings import FineGrids
 from objectfolder.io import read_npz
 from objectfolder.materials import material
 from objectfolder.mesh.ply import read_surface

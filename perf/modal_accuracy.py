@@ -21,12 +21,12 @@ from numpy.polynomial import legendre
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.fem.adaptive import FineGrids
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import Modes, solve_modes
 from objectfolder.fem.elements import discretize
 from objectfolder.fem.modal import refined_analysis
+from objectfolder.fem.settings import FineGrids
 from objectfolder.materials import Material, material
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import generate

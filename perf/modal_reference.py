@@ -28,7 +28,8 @@ from scipy.optimize import linear_sum_assignment
 
 from objectfolder.fem.eigen import FreeVibration
 from objectfolder.fem.elements import discretize
-from objectfolder.fem.modal import ModalConfig, refined_analysis
+from objectfolder.fem.modal import refined_analysis
+from objectfolder.fem.settings import ModalConfig
 from objectfolder.fem.tetrahedra import Tetrahedra, quadratic
 from objectfolder.io import read_json, read_npz, write_npz
 from objectfolder.materials import material

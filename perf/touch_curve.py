@@ -22,12 +22,15 @@ from torch.nn import functional as F
 
 from objectfolder.benchmarks.collect import LoadedFile, collect_observations, load_object_files
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.datasets.sampling import ObserveConfig, ask, draw_queries
+from objectfolder.benchmarks.datasets.observe_config import ObserveConfig
+from objectfolder.benchmarks.datasets.sampling import ask, draw_queries
 from objectfolder.benchmarks.models.classifier import Classifier
-from objectfolder.benchmarks.models.inputs import InputSizes, encoder_inputs, shifted
+from objectfolder.benchmarks.models.encode_config import InputSizes
+from objectfolder.benchmarks.models.inputs import encoder_inputs, shifted
 from objectfolder.benchmarks.run import BenchmarkOptions
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.recognition import FLAT, RECOGNIZE, RecognizeConfig
+from objectfolder.benchmarks.tasks.recognition import FLAT, RECOGNIZE
+from objectfolder.benchmarks.tasks.recognition_config import RecognizeConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
 from objectfolder.engine.pool import in_processes
 from objectfolder.io import write_npz

@@ -42,9 +42,10 @@ from objectfolder.objectfile.vision import view_images
 from objectfolder.seeding import numpy_generator, torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
 from objectfolder.vision.color import COVERED, lit_foreground, on_white
-from objectfolder.vision.dataset import RenderViewsConfig, Shots, render_split
+from objectfolder.vision.dataset import Shots, render_split
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.settings import RenderViewsConfig
 from objectfolder.vision.trace import weighted_rows
 from objectfolder.vision.view import draw as draw_surface
 from objectfolder.vision.volume import Rays

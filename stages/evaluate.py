@@ -6,7 +6,6 @@ from objectfolder.audio.figures import show_sounds
 from objectfolder.figures import page, save_page, show_views
 from objectfolder.io import file_digest, read_json, read_npz, write_json
 from objectfolder.objectfile.evaluation import (
-    EvaluateConfig,
     Strikes,
     evaluate_gains,
     evaluate_sounds,
@@ -18,6 +17,7 @@ from objectfolder.objectfile.evaluation import (
     view_answers,
 )
 from objectfolder.objectfile.placed import load_placed
+from objectfolder.objectfile.settings import EvaluateConfig
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params

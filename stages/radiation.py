@@ -1,6 +1,7 @@
 """radiation: surface, modes, scale -> radiation.safetensors."""
 
-from objectfolder.acoustics.radiation import RadiationConfig, radiate, stored_radiation
+from objectfolder.acoustics.radiation import radiate, stored_radiation
+from objectfolder.acoustics.settings import RadiationConfig
 from objectfolder.io import read_npz, write_safetensors
 from objectfolder.mesh.ply import read_surface
 from objectfolder.workspace.layout import Build

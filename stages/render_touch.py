@@ -4,8 +4,9 @@ from objectfolder.figures import tile
 from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.ply import read_surface
 from objectfolder.seeding import numpy_generator
-from objectfolder.touch.dataset import RenderTouchConfig, contact_places, render_contacts
+from objectfolder.touch.dataset import contact_places, render_contacts
 from objectfolder.touch.profiles import load_profile
+from objectfolder.touch.settings import RenderTouchConfig
 from objectfolder.workspace.installed import sensor_file
 from objectfolder.workspace.layout import SPLITS, Build
 from objectfolder.workspace.params import stage_params

@@ -9,9 +9,10 @@ from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.seeding import numpy_generator
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import RenderViewsConfig, Shots, render_split
+from objectfolder.vision.dataset import Shots, render_split
 from objectfolder.vision.renderers.registry import make_renderer
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.settings import RenderViewsConfig
 from objectfolder.workspace.layout import SPLITS, Build
 from objectfolder.workspace.params import stage_params
 from stages import progress, run

@@ -2,7 +2,8 @@
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.params import object_keys, task_params
-from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
+from objectfolder.benchmarks.tasks.retrieval import RETRIEVE
+from objectfolder.benchmarks.tasks.retrieval_config import RetrieveConfig
 from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
 from objectfolder.workspace.layout import Benchmarks
 from stages import run

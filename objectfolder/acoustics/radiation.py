@@ -1,22 +1,14 @@
 """Sound that each vibration mode of an object sends out."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from annotated_types import Ge
 
 from objectfolder.acoustics.boundary import Boundary
 from objectfolder.acoustics.farfield import MAX_ORDER, FarField, pack_far_field
 from objectfolder.acoustics.harmonics import Radiator, degrees
-from objectfolder.acoustics.meshing import (
-    carried,
-    even_surface,
-    finer_surface,
-    interpolated,
-    outward_motion,
-)
+from objectfolder.acoustics.meshing import carried, even_surface, finer_surface, interpolated, outward_motion
 from objectfolder.acoustics.triangles import Triangles
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.mesh.topology import face_areas, outer_shells
@@ -31,14 +23,6 @@ _STEP = 0.5  # between wavenumbers, times the radius, among which the fields of 
 _NODES = np.arange(-1, 3)  # of these wavenumbers, those around a mode: cubic polynomials
 _WORTH = 1.5  # times as many matrices, at least, that interpolation must save
 _DOUBT = 0.0075  # least difference of cubic and quadratic interpolation, relative, for which a mode is solved
-
-
-@dataclass(frozen=True, kw_only=True)
-class RadiationConfig:
-    """Section ``radiation`` of ``params.yaml``."""
-
-    triangles: Annotated[int, Ge(100)]  #: at most, of the surface on which the sound is solved
-    kilobytes: Annotated[int, Ge(1)]  #: that the Object File may grow by
 
 
 def radiate(

@@ -9,12 +9,8 @@ import torch
 
 from objectfolder.benchmarks.datasets import grasps, observations
 from objectfolder.benchmarks.datasets.glances import glance_request, is_glanced, sample_glances
-from objectfolder.benchmarks.datasets.sampling import (
-    ObserveConfig,
-    is_sampled,
-    observation_request,
-    sample_observations,
-)
+from objectfolder.benchmarks.datasets.observe_config import ObserveConfig
+from objectfolder.benchmarks.datasets.sampling import is_sampled, observation_request, sample_observations
 from objectfolder.benchmarks.tasks.running import Report
 from objectfolder.engine.pool import in_processes
 from objectfolder.errors import ObjectFolderError

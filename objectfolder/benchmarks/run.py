@@ -20,7 +20,7 @@ from objectfolder.benchmarks.collect import (
 )
 from objectfolder.benchmarks.datasets.glances import Glances
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.datasets.sampling import ObserveConfig
+from objectfolder.benchmarks.datasets.observe_config import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import label_order, named_split
 from objectfolder.benchmarks.models.encoders import check_encoder, read_weights
 from objectfolder.benchmarks.params import RobotParams, TaskParams, robot_params, splits_of, task_params

@@ -3,7 +3,6 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from objectfolder.envs.solid import merge_meshes, missing_library, simplify
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.settings import Count
 
 MAX_HULLS = 16
 MAX_VERTICES = 128  #: of a hull; the time per simulation step hardly depends on it
@@ -26,13 +24,6 @@ _DETAIL = 0.003  # tolerance of the simplification before, fraction of the longe
 # A shallow search: three times the iterations take twice as long for hulls a tenth smaller.
 _SEARCH = {"mcts_iterations": 20, "mcts_nodes": 10, "mcts_max_depth": 2, "resolution": 1000}
 _FLAT = 1e-6  # height below which points are coplanar, fraction of the longest side
-
-
-@dataclass(frozen=True, kw_only=True)
-class DecomposeConfig:
-    """Section ``decompose`` of ``params.yaml``."""
-
-    hulls: Count  #: greatest number of hulls of an object
 
 
 def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[trimesh.Trimesh, ...]:

@@ -1,12 +1,9 @@
 """Choice of the cut-cell grid: limited by model size, refined until the lowest modes are accurate."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cache
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, MinLen
 
 from objectfolder.fem.accuracy import ORDER, Discretisation
 from objectfolder.fem.blocks import merge_full_blocks
@@ -14,10 +11,10 @@ from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.local import locally_refined
 from objectfolder.fem.occupancy import MARGIN
+from objectfolder.fem.settings import FineGrids
 from objectfolder.materials import Material
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, signed_volume
-from objectfolder.settings import Count, Even, Positive
 
 _SAMPLES, _MORE_SAMPLES = 100_000, 400_000  # surface points, to find the cells that the surface touches
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
@@ -28,17 +25,6 @@ _FINEST = 192, 160, 128, 96  # cells along the longest side where sizes are mixe
 _SUBDIVISIONS = 4  # of its cells: eight columns through each suffice, and cutting costs less than half
 _CELLS = 60_000  # at the surface, and eight times as many inside, that may be cut for it
 _CHEAP, _SURE = 1 / 5, 1 / 3  # grids of this share of the size limit refine to this share of the error
-
-
-@dataclass(frozen=True, kw_only=True)
-class FineGrids:
-    """Finer grids for solids whose first grid is too coarse."""
-
-    #: Cells along the longest side, coarsest first; even, since errors are estimated on half of them
-    resolutions: Annotated[tuple[Even, ...], MinLen(1)]
-    subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell
-    max_degrees_of_freedom: Count  #: grids beyond this size are not used
-    max_error: Positive  #: accepted estimated relative error of the lowest frequencies
 
 
 def adaptive_cut_cells(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -10,11 +10,9 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.adaptive import adaptive_cut_cells
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.elasticity import Solid
+from objectfolder.fem.settings import Element
 from objectfolder.fem.tetrahedra import Tetrahedra, tetrahedra
 from objectfolder.fem.voxel import Voxels, voxels
-
-#: Kinds of finite elements.
-Element = Literal["cut_cell_hex20", "hex8", "hex8_incompatible", "tet10"]
 
 
 def discretize(

@@ -2,39 +2,26 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from annotated_types import Ge, Gt
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.accuracy import ESTIMATED, Discretisation, resolved_frequency
-from objectfolder.fem.adaptive import FineGrids, refined
+from objectfolder.fem.adaptive import refined
 from objectfolder.fem.cutcell import CUT_CELLS
 from objectfolder.fem.elasticity import Solid
+from objectfolder.fem.settings import FineGrids
 from objectfolder.materials import Material
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh
-from objectfolder.settings import Count
 
 MAX_RESIDUAL = 1e-8
 MAX_RIGID = 1e-3  #: frequency of rigid modes, over the lowest elastic one
 CERTAIN, REFUSED = 0.1, 0.3  #: uncertainty of frequencies that needs no warning; that is refused
 MAX_VERTICES = 20_000  #: of a surface at which shapes are stored; furniture has hundreds of thousands
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModalConfig:
-    """Section ``modal`` of ``params.yaml``."""
-
-    fine: FineGrids  #: used where the error of the first grid is large
-    max_frequency: Annotated[float, Gt(20)]  #: Hz
-    max_modes: Count
-    surface_points: Annotated[int, Ge(0)]  #: random points, besides the surface's vertices
-    damping: Literal["rayleigh", "loss_factor"]  #: law of objects whose entry gives none
-    allow_uncertain: bool  #: whether to keep modes whose estimated error exceeds `REFUSED`
 
 
 @dataclass(frozen=True)

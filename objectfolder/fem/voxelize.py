@@ -1,39 +1,17 @@
 """Voxelization: finite elements of the solid for sound, distance grid of the surface for the rest."""
 
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from annotated_types import Ge, Interval, MinLen
 
 from objectfolder.fem.elasticity import Solid
-from objectfolder.fem.elements import Element, discretize
+from objectfolder.fem.elements import discretize
+from objectfolder.fem.settings import VoxelizeConfig
 from objectfolder.mesh.featurecodec import Features
 from objectfolder.mesh.scanline import check_winding
-from objectfolder.mesh.sdf import FINEST, fitting_grid
+from objectfolder.mesh.sdf import fitting_grid
 from objectfolder.mesh.topology import Mesh, signed_volume
-from objectfolder.settings import Count
-
-
-@dataclass(frozen=True, kw_only=True)
-class VoxelizeConfig:
-    """Section ``voxelize`` of ``params.yaml``."""
-
-    element: Element  #: finite element of the solid (docs/modal.md)
-    resolutions: Annotated[tuple[Count, ...], MinLen(1)]  #: cells along the longest side, finest first
-    subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell; fewer lose walls
-    max_degrees_of_freedom: Count  #: the first resolution within this size is used, else the last
-    #: Samples of the distance grid along each axis, or more where walls are thin (`fitting_grid`)
-    sdf_resolution: Annotated[int, Interval(ge=16, le=FINEST)]
-
-    def __post_init__(self) -> None:
-        """Refuse grids on half of which no error can be estimated."""
-        odd = [resolution for resolution in self.resolutions if resolution % 2]
-        if odd and self.element == "cut_cell_hex20":
-            raise ValueError(
-                f"resolutions: {odd[0]} is odd, expected even numbers: the errors of cut cells are "
-                "estimated on half of them"
-            )
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from objectfolder.fetch.layout import collect, find_mesh
 from objectfolder.fetch.local import find_local
 from objectfolder.fetch.polyhaven import download_polyhaven
 from objectfolder.io import check_writable, file_digest
-from objectfolder.mesh.normalize import NormalizeConfig
 from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.workspace import params
 from objectfolder.workspace.objects import add_mesh
 

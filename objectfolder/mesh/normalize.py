@@ -11,18 +11,10 @@ from objectfolder.mesh.closing.piercing import self_intersections
 from objectfolder.mesh.closing.surface import ClosedSurface, Rung, close_surface
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
 from objectfolder.mesh.topology import Mesh
-from objectfolder.settings import Count
 
 OUTSIDE = 4e-5  #: of the size; a closed surface that reaches beyond the mesh's box by more is centred anew
 MOST_CLOSINGS = 5
 SHORT = 0.01  #: of the size; a closed surface further from a side of the mesh's box lost a piece there
-
-
-@dataclass(frozen=True, kw_only=True)
-class NormalizeConfig:
-    """Section ``normalize`` of ``params.yaml``."""
-
-    texture_size: Count  #: longest side of the kept texture, pixels
 
 
 @dataclass(frozen=True)

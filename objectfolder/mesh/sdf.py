@@ -11,11 +11,11 @@ from objectfolder.mesh.featurecodec import Features
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.gridcodec import BOUND, band_width, quantise
 from objectfolder.mesh.scanline import inside
+from objectfolder.mesh.settings import FINEST
 from objectfolder.mesh.sharpen import stored_triangles
 from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh, signed_volume
 
-FINEST = 384  #: samples along each axis; finer grids make files and queries of megabytes and seconds
 REFINEMENTS = (1.0, 4 / 3, 5 / 3, 2.0)  #: of the asked resolution, where walls are thin
 #: Walls have at least this many voxels, up to `FINEST`. Distances are interpolated linearly, but have a kink
 #: midway through a wall: in walls under two voxels it moves the surface inward, under one it tears it.

@@ -16,19 +16,11 @@ from objectfolder.metrics import SpectrogramErrors, gain_errors, psnr, ssim
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.truncation import lost_energy
-from objectfolder.settings import Count
 from objectfolder.vision.cameras import image_intrinsics
 from objectfolder.vision.color import lit_foreground, on_white
 
 BATCH = 16  # sounds per spectrogram batch
 MIN_PIXELS = 50  #: contact pixels that a touch needs to count in ``psnr_contact``
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluateConfig:
-    """Section ``evaluate`` of ``params.yaml``."""
-
-    impacts: Count  #: random impacts whose spectrograms are scored
 
 
 def evaluate_vision(view: Callable[..., np.ndarray], views: dict[str, np.ndarray]) -> dict[str, Any]:

@@ -1,8 +1,7 @@
 """Ground-truth touches of an object: contacts on its exact surface."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import igl
 import numpy as np
@@ -10,41 +9,15 @@ import torch
 
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface, split_rows
-from objectfolder.settings import Count, NonNegative
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, require_renderer
+from objectfolder.touch.settings import RenderTouchConfig
 from objectfolder.touch.simulate import press, touch_images
 from objectfolder.touch.tacto_rays import TactoRays
 
 _BATCH = 16
 _MEASURED = ("obstructed", "max_penetration", "area", "force")
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderTouchConfig:
-    """Section ``render_touch`` of ``params.yaml``."""
-
-    locations: Literal["surface", "vertices"]  #: random points by area, or vertices (as the paper)
-    normals: Literal[
-        "contact", "vertex"
-    ]  #: of the pressed surface (`objectfolder.touch.contact.contact_normals`), or the mesh's (the paper)
-    train: Count | None  #: contacts; with ``vertices`` at most, and null: every vertex of the split
-    val: Count | None
-    test: Count | None
-    renderer: Literal["gel", "tacto"]  #: the deformed gel, or TACTO's rendering (sensor: tacto_digit)
-    depth: NonNegative | None  #: of every contact, metres; null: random up to the sensor's press_depth
-    angle: float | None  #: of every contact, radians; null: random
-
-    def __post_init__(self) -> None:
-        """Refuse what random points do not have."""
-        missing = [name for name in ("train", "val", "test") if getattr(self, name) is None]
-        if missing and self.locations == "surface":
-            raise ValueError(
-                f"{missing[0]} is null, expected a number of contacts; null is for locations: vertices"
-            )
-        if self.normals == "vertex" and self.locations == "surface":
-            raise ValueError("normals is vertex, which needs locations: vertices; expected contact")
 
 
 def contact_places(

@@ -2,13 +2,11 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
-from annotated_types import Ge, MultipleOf
 
-from objectfolder.settings import Count, NonNegative
 from objectfolder.vision.cameras import (
     CAMERA_RADIUS,
     LIGHT_RADIUS,
@@ -20,33 +18,8 @@ from objectfolder.vision.cameras import (
 from objectfolder.vision.color import lit_foreground, on_white
 from objectfolder.vision.renderers.registry import Renderer
 
-RendererName = Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]
 BRIGHTEST = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
-SMALLEST = 11  #: pixels along a side of a whole view: the window of the SSIM that ``evaluate`` takes
 TILES_PER_LIGHT = 4  # a new light costs training as much as a few tiles
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderViewsConfig:
-    """Section ``render_views`` of ``params.yaml``."""
-
-    renderer: RendererName  #: docs/pipeline.md compares them
-    ambient: NonNegative  #: radiance from every direction, beside the point light
-    resolution: Count  #: pixels along a side of a whole view
-    tile: Annotated[int, Ge(3)] | None  #: pixels along a side of a tile; null: train and val are whole views
-    train: Count  #: tiles or views
-    val: Count
-    test: Count  #: always whole views
-    train_samples: Count  #: per pixel; Mitsuba rounds up to a product of two nearly equal numbers
-    test_samples: Annotated[int, Ge(2), MultipleOf(2)]  #: per pixel, validation and test: two halves
-
-    def __post_init__(self) -> None:
-        """Refuse views that could be built but not evaluated."""
-        if self.resolution < SMALLEST:
-            raise ValueError(
-                f"resolution is {self.resolution}, expected at least {SMALLEST}: the SSIM that evaluates the "
-                f"views looks through a window of {SMALLEST} x {SMALLEST} pixels"
-            )
 
 
 @dataclass(frozen=True)

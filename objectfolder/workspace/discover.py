@@ -14,9 +14,11 @@ from rich.table import Table
 
 from objectfolder import materials
 from objectfolder.errors import ObjectFolderError, plural, quoted
-from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
-from objectfolder.mesh.normalize import NormalizeConfig, normalize
+from objectfolder.fem.settings import VoxelizeConfig
+from objectfolder.fem.voxelize import voxelize
+from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
+from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new, object_files
 from objectfolder.workspace.params import settings
 from objectfolder.yamlfile import read_yaml

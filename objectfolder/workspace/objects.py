@@ -9,9 +9,9 @@ from typing import Any
 from ruamel.yaml.comments import CommentedMap
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.normalize import NormalizeConfig
 from objectfolder.mesh.reading.load import default_up, load_mesh
 from objectfolder.mesh.reading.references import references
+from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_object
 from objectfolder.workspace.document import edited

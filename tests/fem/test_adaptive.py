@@ -6,9 +6,10 @@ from solids import box, join, sphere
 
 from objectfolder.fem import adaptive
 from objectfolder.fem.accuracy import Discretisation
-from objectfolder.fem.adaptive import FineGrids, adaptive_cut_cells, refined
+from objectfolder.fem.adaptive import adaptive_cut_cells, refined
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
+from objectfolder.fem.settings import FineGrids
 from objectfolder.fem.voxel import voxels
 from objectfolder.materials import Material
 

@@ -4,9 +4,10 @@ from solids import box, join
 
 from objectfolder.fem import adaptive
 from objectfolder.fem.accuracy import Discretisation, coarser
-from objectfolder.fem.adaptive import FineGrids, refined
+from objectfolder.fem.adaptive import refined
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.local import locally_refined
+from objectfolder.fem.settings import FineGrids
 from objectfolder.materials import Material
 
 STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)

@@ -6,7 +6,8 @@ import pytest
 from solids import box, join, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
+from objectfolder.fem.settings import VoxelizeConfig
+from objectfolder.fem.voxelize import voxelize
 from objectfolder.io import write_json, write_npz
 
 SIDES = (1.0, 0.5, 0.25)

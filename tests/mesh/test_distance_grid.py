@@ -13,14 +13,8 @@ from objectfolder.mesh.gridcodec import BAND_VOXELS, BOUND, band_width, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
-from objectfolder.mesh.sdf import (
-    FINEST,
-    VOLUME_ERROR,
-    WALL_VOXELS,
-    distance_grid,
-    fitting_grid,
-    kept_volume,
-)
+from objectfolder.mesh.sdf import VOLUME_ERROR, WALL_VOXELS, distance_grid, fitting_grid, kept_volume
+from objectfolder.mesh.settings import FINEST
 from objectfolder.touch.contact import NORMAL_RADIUS
 
 RESOLUTION = 64

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from solids import sphere
 
-from objectfolder.touch.dataset import RenderTouchConfig, contact_places, render_contacts
+from objectfolder.touch.dataset import contact_places, render_contacts
 from objectfolder.touch.profiles import load_profile
+from objectfolder.touch.settings import RenderTouchConfig
 
 BALL = sphere(0.4, 4)
 VERTICES = RenderTouchConfig(

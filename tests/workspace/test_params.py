@@ -18,7 +18,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.metrics import ssim
-from objectfolder.vision.dataset import SMALLEST
+from objectfolder.vision.settings import SMALLEST
 from objectfolder.workspace.check import Selection, check_all, check_entries, check_object
 from objectfolder.workspace.params import (
     FIRST_STAGES,

@@ -4,22 +4,13 @@ import hashlib
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from annotated_types import Ge, MultipleOf
 
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
-from objectfolder.benchmarks.datasets.observations import (
-    QUERIES,
-    RECORD,
-    RELIEF,
-    SOURCE,
-    UNTOUCHED,
-    VERSION,
-)
+from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, RELIEF, SOURCE, UNTOUCHED, VERSION
 from objectfolder.benchmarks.datasets.relief import surface_relief
 from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
@@ -45,14 +36,6 @@ log = logging.getLogger(__name__)
 
 #: Query arrays by name: (N, 3) or (N,) float64.
 Queries = dict[str, np.ndarray]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObserveConfig:
-    """Section ``observe`` of ``params.yaml``."""
-
-    observations: Annotated[int, Ge(10), MultipleOf(10)]  #: per modality
-    resolution: Annotated[int, Ge(8)]  #: side of the views, pixels
 
 
 def sample_observations(

@@ -4,46 +4,24 @@ import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
 from runpy import run_path
-from typing import Annotated
 
 import torch
-from annotated_types import Ge
 from torch import nn
 
-from objectfolder.benchmarks.models.inputs import CHANNELS, InputSizes
+from objectfolder.benchmarks.models.encode_config import EncodeConfig
+from objectfolder.benchmarks.models.inputs import CHANNELS
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, torch_problem
-from objectfolder.settings import Precision
 
 Factory = Callable[[int], nn.Module]
 _FACTORIES: dict[str, Factory] = {}
 _IMPORTED: dict[Path, dict[str, Path]] = {}  # own modules that an encoder's file imported, and their files
 _PACKAGE = Path(__file__).parents[2]
-
-
-@dataclass(frozen=True, kw_only=True)
-class EncodeConfig:
-    """Section ``encode`` of ``params.yaml``."""
-
-    encoder: str  #: registered name, or FILE.py:NAME
-    image: Annotated[int, Ge(8)]  #: side of the crop of a view, pixels
-    spectrogram: tuple[int, int]  #: bins and frames; the paper's: 257, 201
-    touch: tuple[int, int]  #: height and width, pixels; the paper's: 160, 120
-    subtract: bool  #: the median touch from touches, before recognition and retrieval (`Ground`)
-    shift: Annotated[int, Ge(0)]  #: pixels by which these touches are moved at most in training
-    flip: bool  #: half of the views in training, left to right, before recognition and retrieval
-    precision: Precision  #: of training on a CPU; `objectfolder.benchmarks.models.training.train`
-
-    @property
-    def sizes(self) -> InputSizes:
-        """Sizes of encoder inputs."""
-        return InputSizes(self.image, self.spectrogram, self.touch)
 
 
 def register_encoder(name: str) -> Callable[[Factory], Factory]:

@@ -7,6 +7,7 @@ import torch
 from torch import nn
 
 from objectfolder.audio.spectrogram import spectrogram
+from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.errors import ObjectFolderError
 
 CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of `encoder_inputs`
@@ -14,19 +15,6 @@ SUMMED = 65535 // 255  #: pixels at most whose sum fits into 16 bits
 FLOOR = 80.0  #: range of spectrograms below their maximum, dB
 #: Of ImageNet, sRGB in [0, 1].
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-
-
-@dataclass(frozen=True)
-class InputSizes:
-    """Sizes of encoder inputs, pixels."""
-
-    image: int  #: side of the crop of a view
-    spectrogram: tuple[int, int]  #: frequencies, times
-    touch: tuple[int, int]  #: height, width
-
-    def of(self, modality: str) -> tuple[int, int]:
-        """Return height and width of the inputs of a modality."""
-        return {"vision": (self.image, self.image), "audio": self.spectrogram, "touch": self.touch}[modality]
 
 
 def encoder_inputs(

@@ -6,16 +6,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from annotated_types import Ge
 from torch import nn
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, torch_problem
-from objectfolder.settings import Count, NonNegative, Positive, Precision
+from objectfolder.settings import Precision
 
 WARM_UP = 20  #: steps of linear learning rate warm-up
 RISE = 0.2  #: share of a cycle in which the learning rate rises
@@ -25,17 +24,6 @@ REMOVE = "delete it to restart this training"
 
 Batch = TypeVar("Batch")
 Norm = nn.modules.batchnorm._BatchNorm
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainingConfig:
-    """Settings that the sections of all trained tasks share."""
-
-    epochs: Count  #: at most
-    batch: Annotated[int, Ge(2)]
-    learning_rate: Positive
-    weight_decay: NonNegative
-    patience: Count  #: epochs without a better validation score after which training stops
 
 
 @dataclass(frozen=True)

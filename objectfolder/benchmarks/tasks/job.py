@@ -12,9 +12,11 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, without_rows
+from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder
-from objectfolder.benchmarks.models.inputs import Ground, InputSizes, encoder_inputs, flipped, shifted
-from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, TrainingConfig, train
+from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flipped, shifted
+from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, train
+from objectfolder.benchmarks.models.training_config import TrainingConfig
 from objectfolder.io import read_json, write_json
 from objectfolder.settings import Precision
 from objectfolder.workspace.layout import SPLITS

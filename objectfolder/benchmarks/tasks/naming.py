@@ -9,7 +9,8 @@ import torch
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.models.classifier import Classifier
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.training_config import TrainingConfig
 from objectfolder.benchmarks.scoring.scores import mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.seeding import numpy_generator, seeded

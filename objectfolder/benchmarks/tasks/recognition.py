@@ -8,25 +8,24 @@ from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
-from annotated_types import Interval
 from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models.classifier import Classifier, Inputs, join_classifiers
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
 from objectfolder.benchmarks.reporting.confusion import draw_confusion
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
 from objectfolder.benchmarks.scoring.together import accuracy_together, bound_alone, bound_together
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.recognition_config import RecognizeConfig
 from objectfolder.benchmarks.tasks.running import Objects, Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
-from objectfolder.settings import Count
 
 LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
 #: V, A, T, VA, VT, AT, VAT: input modalities; the rows of the main paper's Table 2.
@@ -36,16 +35,6 @@ TOUCHES = (1, 2, 4, 8, 16)  #: numbers of touches of one object that answer toge
 FLAT = 20e-6  #: relief in metres below which a touch is on flat ground, and tells nothing
 PANELS = ("V", "A", "T", "VAT")  #: of the figure of confusion
 FUSION_RATE = 0.1  #: learning rate of trained encoders relative to new ones
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecognizeConfig(TrainingConfig):
-    """Section ``recognize`` of ``params.yaml``."""
-
-    seeds: Count  #: runs whose mean is the result
-    fusion_epochs: Count  #: of several modalities together, after each was trained alone
-    schedule: Literal["cosine", "one_cycle"]  #: `objectfolder.benchmarks.models.training.train`
-    label_smoothing: Annotated[float, Interval(ge=0, lt=1)]
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,20 @@
 """Cross-sensory retrieval: find observations of the same object in another modality (supplementary I.2)."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from itertools import combinations, product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
-from annotated_types import Ge
 from torch import nn
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models import cca
-from objectfolder.benchmarks.models.training import EpochPoint, TrainingConfig, batch_count
+from objectfolder.benchmarks.models.training import EpochPoint, batch_count
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
@@ -26,10 +25,10 @@ from objectfolder.benchmarks.tasks.naming import (
     train_namer,
     validation_gallery,
 )
+from objectfolder.benchmarks.tasks.retrieval_config import RetrieveConfig
 from objectfolder.benchmarks.tasks.running import Objects, Task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
-from objectfolder.settings import Count, Positive
 from objectfolder.workspace.layout import MODALITIES
 
 Pair = tuple[str, str]  #: two modalities
@@ -51,18 +50,6 @@ DIMENSIONS = (
     512,
 )  #: candidate numbers of components and of variates of CCA
 FINE_RATE = 0.25  #: learning rate with pre-trained encoders, relative to that of the settings
-
-
-@dataclass(frozen=True, kw_only=True)
-class RetrieveConfig(TrainingConfig):
-    """Section ``retrieve`` of ``params.yaml``."""
-
-    seeds: Count  #: runs whose mean is the result
-    batch: Annotated[int, Ge(3)]  #: pairs; each batch needs negatives
-    margin: Positive  #: of the triplet losses, cosine distance
-    embedding: Count  #: size of the compared embeddings
-    pretrain_epochs: Annotated[int, Ge(0)]  #: in which each encoder learns to name the training objects first
-    schedule: Literal["cosine", "one_cycle"]  #: `objectfolder.benchmarks.models.training.train`
 
 
 def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]:

@@ -62,7 +62,7 @@ def _raster(scene: Scene) -> Renderer:
     return RasterRenderer(scene)
 
 
-#: Constructor of each renderer; ``RendererName`` of `objectfolder.vision.dataset` lists the same names.
+#: Constructor of each renderer; ``RendererName`` of `objectfolder.vision.settings` lists the same names.
 RENDERERS: dict[str, Callable[[Scene], Renderer]] = {
     "mitsuba": _mitsuba("scalar_rgb"),
     "mitsuba-llvm": _mitsuba("llvm_ad_rgb"),

@@ -7,8 +7,8 @@ from pretend_device import pretend_device
 from torch import nn
 
 from objectfolder.benchmarks.models import encoders
+from objectfolder.benchmarks.models.encode_config import EncodeConfig, InputSizes
 from objectfolder.benchmarks.models.encoders import (
-    EncodeConfig,
     check_encoder,
     make_encoder,
     own_code,
@@ -16,7 +16,7 @@ from objectfolder.benchmarks.models.encoders import (
     register_encoder,
     registered,
 )
-from objectfolder.benchmarks.models.inputs import InputSizes, encoder_inputs
+from objectfolder.benchmarks.models.inputs import encoder_inputs
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.errors import ObjectFolderError
 

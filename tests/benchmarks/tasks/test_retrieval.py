@@ -8,8 +8,8 @@ import torch
 from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
+from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
-from objectfolder.benchmarks.models.inputs import InputSizes
 from objectfolder.benchmarks.models.two_stream import (
     TwoStream,
     cross_sensory_loss,
@@ -22,7 +22,8 @@ from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import repeated_objects, retrieved_within
 from objectfolder.benchmarks.tasks.recognition import recognize
 from objectfolder.benchmarks.tasks.reconstruction import reconstruct
-from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, RetrieveConfig, check_objects, retrieve
+from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, check_objects, retrieve
+from objectfolder.benchmarks.tasks.retrieval_config import RetrieveConfig
 from objectfolder.benchmarks.tasks.running import Objects
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator

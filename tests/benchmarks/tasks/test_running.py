@@ -14,10 +14,11 @@ from threadpoolctl import threadpool_info
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets import splits
 from objectfolder.benchmarks.models import encoders
-from objectfolder.benchmarks.models.encoders import EncodeConfig
+from objectfolder.benchmarks.models.encode_config import EncodeConfig
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks import localization, running
-from objectfolder.benchmarks.tasks.retrieval import RETRIEVE, RetrieveConfig
+from objectfolder.benchmarks.tasks.retrieval import RETRIEVE
+from objectfolder.benchmarks.tasks.retrieval_config import RetrieveConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json

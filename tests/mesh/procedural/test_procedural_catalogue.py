@@ -9,7 +9,8 @@ import pytest
 from procedural_cases import CATALOGUE, SMALL, THIN
 from ruamel.yaml import YAML
 
-from objectfolder.fem.voxelize import VoxelizeConfig, voxelize
+from objectfolder.fem.settings import VoxelizeConfig
+from objectfolder.fem.voxelize import voxelize
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.textured import TexturedMesh

@@ -1,0 +1,14 @@
+"""Settings of sound in the air: section ``radiation`` of ``params.yaml``."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Ge
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadiationConfig:
+    """Section ``radiation`` of ``params.yaml``."""
+
+    triangles: Annotated[int, Ge(100)]  #: at most, of the surface on which the sound is solved
+    kilobytes: Annotated[int, Ge(1)]  #: that the Object File may grow by

@@ -1,0 +1,12 @@
+"""Settings of the scores: section ``evaluate`` of ``params.yaml``."""
+
+from dataclasses import dataclass
+
+from objectfolder.settings import Count
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateConfig:
+    """Section ``evaluate`` of ``params.yaml``."""
+
+    impacts: Count  #: random impacts whose spectrograms are scored

@@ -1,0 +1,32 @@
+"""Settings of tactile images: section ``render_touch`` of ``params.yaml``."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from objectfolder.settings import Count, NonNegative
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderTouchConfig:
+    """Section ``render_touch`` of ``params.yaml``."""
+
+    locations: Literal["surface", "vertices"]  #: random points by area, or vertices (as the paper)
+    normals: Literal[
+        "contact", "vertex"
+    ]  #: of the pressed surface (`objectfolder.touch.contact.contact_normals`), or the mesh's (the paper)
+    train: Count | None  #: contacts; with ``vertices`` at most, and null: every vertex of the split
+    val: Count | None
+    test: Count | None
+    renderer: Literal["gel", "tacto"]  #: the deformed gel, or TACTO's rendering (sensor: tacto_digit)
+    depth: NonNegative | None  #: of every contact, metres; null: random up to the sensor's press_depth
+    angle: float | None  #: of every contact, radians; null: random
+
+    def __post_init__(self) -> None:
+        """Refuse what random points do not have."""
+        missing = [name for name in ("train", "val", "test") if getattr(self, name) is None]
+        if missing and self.locations == "surface":
+            raise ValueError(
+                f"{missing[0]} is null, expected a number of contacts; null is for locations: vertices"
+            )
+        if self.normals == "vertex" and self.locations == "surface":
+            raise ValueError("normals is vertex, which needs locations: vertices; expected contact")
