@@ -1,7 +1,7 @@
 """decompose: ObjectFile.safetensors -> hulls.npz: the surface as a few convex hulls."""
 
+from objectfolder.benchmarks.datasets.decompose_config import DecomposeConfig
 from objectfolder.envs.hulls import convex_hulls, write_hulls
-from objectfolder.envs.settings import DecomposeConfig
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params

@@ -61,7 +61,7 @@ SECTIONS = {
     "reconstruct": "objectfolder.benchmarks.tasks.reconstruction_config:ReconstructConfig",
     "localize": "objectfolder.benchmarks.tasks.localization_config:LocalizeConfig",
     "vision_to_touch": "objectfolder.benchmarks.tasks.vision_to_touch_config:VisionToTouchConfig",
-    "decompose": "objectfolder.envs.settings:DecomposeConfig",
+    "decompose": "objectfolder.benchmarks.datasets.decompose_config:DecomposeConfig",
     "grasp_data": "objectfolder.benchmarks.datasets.grasp_config:GraspDataConfig",
     "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability_config:GraspStabilityConfig",
     "grasp_policy": "objectfolder.benchmarks.models.trpo_config:GraspPolicyConfig",

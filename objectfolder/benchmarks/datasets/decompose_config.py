@@ -1,4 +1,4 @@
-"""Settings of collision hulls: section ``decompose`` of ``params.yaml``."""
+"""Section ``decompose`` of ``params.yaml``."""
 
 from dataclasses import dataclass
 
