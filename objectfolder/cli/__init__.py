@@ -5,8 +5,7 @@ import sys
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
 from objectfolder.cli import (
     bench,
@@ -34,6 +33,8 @@ from objectfolder.cli.files import SAMPLE
 from objectfolder.disk import is_shortage
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import installed_version
+from objectfolder.terminal import Terminal, guard_stderr
+from objectfolder.text import visible
 
 __all__ = ["app", "main"]
 
@@ -102,17 +103,16 @@ app.add_typer(listening.listening_app, name="listening")
 
 def main() -> None:
     """Run the command line; print user errors in one line without a traceback."""
+    guard_stderr()
     try:
         try:
-            app()
+            typer.main.get_command(app)()  # calling `app` would replace the hook for uncaught errors
         finally:
             if sys.stdout is not None:  # closed
                 sys.stdout.flush()  # here, where a full device can be reported
     except ObjectFolderError as error:
-        # Messages hold lists in brackets, which rich would take for markup.
-        Console(stderr=True, emoji=False).print(
-            f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True
-        )
+        lines = str(error).replace("\n", "\n  ")  # what follows is no message of its own
+        Terminal(stderr=True).print(Text.assemble(("error:", "bold red"), f" {lines}"), soft_wrap=True)
         sys.exit(1)
     except OSError as error:
         full = is_shortage(error)
@@ -120,7 +120,7 @@ def main() -> None:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what Python writes at its end
         advice = "make space, or write elsewhere" if full else "check the path and its permissions"
-        sys.exit(f"error: {error.filename or 'the output'}: {error.strerror}; {advice}")
+        sys.exit(f"error: {visible(error.filename or 'the output')}: {error.strerror}; {advice}")
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "objectfolder":
             raise

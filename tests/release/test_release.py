@@ -329,8 +329,8 @@ def test_scores_of_an_earlier_file_are_not_released(built):
         ("41.235", "inf", "object 1: vision_psnr is 'inf', expected a number"),
         ("41.235", "9" * 400, "expected a number"),
         ("41.235", "4l.235", "object 1: vision_psnr is '4l.235', expected a number"),
-        ("\ndie,", "\nmug,", "is damaged: mug is listed twice"),
-        ("licence,source", "licence,origin", "object 1: lacks source"),
+        ("\ndie,", "\nmug,", "object 2: key is 'mug', expected another than that of object 1"),
+        ("licence,source", "licence,origin", "objects.csv lacks source, expected columns"),
     ],
 )
 def test_a_damaged_index_is_refused(dataset, find, replace, message):
