@@ -386,13 +386,10 @@ class _Inside:
         path = self.folder / name
         if path.parent not in self._folders:
             self._folders[path.parent] = _real(path.parent)
-        folder = self._folders[path.parent]
-        if path.is_symlink():
-            path = _real(path)
-            folder = path.parent
-        if not folder.is_relative_to(self.root) and folder != self.blobs:
+        target = _real(path) if path.is_symlink() else self._folders[path.parent] / path.name
+        if not target.is_relative_to(self.root) and target.parent != self.blobs:
             raise ObjectFolderError(
-                f"{place} {quoted(name)} leads to {path}, expected a file in the release; download it again"
+                f"{place} {quoted(name)} leads to {target}, expected a file in the release; download it again"
             )
 
 

@@ -22,7 +22,7 @@ RADIATION = "radiation"  #: part that only sound at a listener needs
 NAMES = {
     "key": "a letter, then letters, digits or underscores, all lower case, at most 100",
     "material": "a name such as steel or unknown: letters and digits of ASCII, between them also spaces and "
-    "any of . _ + -, at most 100",
+    "any of . _ + -, at most 100 characters",
 }
 
 
