@@ -3,10 +3,9 @@
 import csv
 import json
 import re
-from html.parser import HTMLParser
 
 import pytest
-from hostile import CONTROLS, LINES, WORDS
+from hostile import CONTROLS, LINES, WORDS, Elements
 from markdown_it import MarkdownIt
 
 from objectfolder.checks import is_web_address
@@ -67,22 +66,6 @@ def test_markdown_shows_a_text_and_nothing_else(text, around):
     found, expected = parsed(in_markdown(text)), parsed("x")
     assert found[0] == expected[0]
     assert found[1] == expected[1].replace("x", visible(text).strip())
-
-
-class Elements(HTMLParser):
-    """Elements with the names of their attributes, and the texts of a page."""
-
-    def __init__(self, page):
-        super().__init__()
-        self.elements, self.values, self.texts = [], [], []
-        self.feed(page)
-
-    def handle_starttag(self, tag, attrs):
-        self.elements.append((tag, *(name for name, _ in attrs)))
-        self.values += [value for _, value in attrs]
-
-    def handle_data(self, data):
-        self.texts.append(data)
 
 
 @pytest.mark.parametrize("text", WORDS)

@@ -1,5 +1,7 @@
 """Words that a spreadsheet, a page, a terminal or a parser would obey."""
 
+from html.parser import HTMLParser
+
 LINES = (
     '=HYPERLINK("http://a.b","x")',
     "+1;=2,@SUM(3)",
@@ -36,3 +38,19 @@ CONTROLS = (
     "a\u200bb\ufeffc\U000e0041",
 )
 WORDS = (*LINES, *CONTROLS)
+
+
+class Elements(HTMLParser):
+    """Elements with the names of their attributes, and the texts of a page."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.elements, self.values, self.texts = [], [], []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, *(name for name, _ in attrs)))
+        self.values += [value for _, value in attrs]
+
+    def handle_data(self, data):
+        self.texts.append(data)

@@ -82,6 +82,14 @@ async function live(page) {
   await page.locator("#body button").click();
   const frame = await (await page.locator("iframe").elementHandle()).contentFrame();
   await frame.waitForFunction(() => window.objectfolder?.times.coloured, null, WAIT);
+  const reached = await frame.evaluate(() => {
+    try {
+      return parent.document.title;
+    } catch {
+      return null;
+    }
+  });
+  assert.equal(reached, null, "the frame does not reach the report");
   await frame.locator("#view").press("Enter");
   await frame.waitForFunction(
     () => window.objectfolder.lastSound && window.objectfolder.lastTouch,
