@@ -60,7 +60,7 @@ const writePage = (name, source, style, scripts, styles, more) => {
     ...more,
     "base-uri 'none'",
     "form-action 'none'",
-  ].join("; ");
+  ].join(";");
   const filled = { policy, style };
   const page = readFileSync(source, "utf8").replace(/\/\* (policy|style) \*\//g, (_, part) => filled[part]);
   writeFileSync(`${out}/${name}`, page);

@@ -123,7 +123,7 @@ def sources(page):
     """Sources that the policy of a page allows, by directive."""
     policy = re.search('<meta http-equiv="Content-Security-Policy" content="([^"]*)">\n', page)
     assert policy.end() < min(page.index("<style"), page.index("<script"))
-    return {name: allowed for name, *allowed in map(str.split, policy[1].split("; "))}
+    return {name: allowed for name, *allowed in map(str.split, policy[1].split(";"))}
 
 
 @pytest.mark.parametrize("name", ["page", "report", "listening"])
