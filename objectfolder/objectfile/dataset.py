@@ -172,6 +172,8 @@ class Dataset(Sequence[ObjectFile]):
             A ValueError, if it is not in the dataset, or not from ``start`` to ``stop``.
         """
         key = _key(value)
+        if value in self and start == 0 and stop is None:
+            return self._numbers[key]
         try:
             return self.keys.index(key, start, sys.maxsize if stop is None else stop)
         except ValueError:

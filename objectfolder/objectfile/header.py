@@ -90,6 +90,9 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
             f"{path} has format {header['format']}, this version reads {FORMAT[0]}.x; "
             + ("update objectfolder" if version > FORMAT else "rebuild it with `objectfolder build`")
         )
+    for name in NAMES:
+        if isinstance(header.get(name), str):
+            checked_name(name, header[name], f"{path}: {name}")
     problem = min(_validator().iter_errors(header), key=lambda e: (len(e.path), str(e.path)), default=None)
     if problem is not None:
         place = ".".join(map(str, problem.path)) or "its header"
@@ -97,8 +100,6 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
             f"{path}: {place}: {shortened(problem.message, 300)}; see objectfile.schema.json for what is "
             "expected"
         )
-    for name in NAMES:  # Python's $ overlooks a line break at the end
-        checked_name(name, header[name], f"{path}: {name}")
     for part in (*PARTS, RADIATION):
         kinds = known_kinds(part)
         if version <= FORMAT and part in header and header[part]["kind"] not in kinds:
