@@ -66,7 +66,7 @@ def _visible_errors() -> Iterator[None]:
         yield
     except Exception as error:
         if isinstance(message := getattr(error, "message", None), str):  # of a usage error
-            error.message = visible(message)  # type: ignore[attr-defined]
+            error.message = visible(message, lines=True)  # type: ignore[attr-defined]
         raise
 
 

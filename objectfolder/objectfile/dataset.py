@@ -112,7 +112,7 @@ class Dataset(Sequence[ObjectFile]):
     def __init__(self, folder: str | Path, device: Device = "cpu"):
         self.folder, self.device = Path(folder), device
         self.entries = self._released = read_index(self.folder / INDEX)
-        self._numbers = _numbers(self.entries)
+        self._numbers = self._rows = _numbers(self.entries)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -145,7 +145,7 @@ class Dataset(Sequence[ObjectFile]):
         path = self.folder / entry.path
         if not path.is_file():
             raise ObjectFolderError(f"{path} is missing, though the index names it; download it again")
-        place = f"{self.folder / INDEX}, object {self._released.index(entry) + 1}"
+        place = f"{self.folder / INDEX}, object {self._rows[entry.key] + 1}"
         _Inside(self.folder).check(entry.path, f"{place}: path")
         file = ObjectFile.load(path, self.device)
         for name in NAMES:
@@ -277,7 +277,8 @@ class Dataset(Sequence[ObjectFile]):
 
     def _with(self, entries: tuple[IndexEntry, ...]) -> "Dataset":
         part = object.__new__(type(self))
-        part.folder, part.device, part._released = self.folder, self.device, self._released
+        part.folder, part.device = self.folder, self.device
+        part._released, part._rows = self._released, self._rows
         part.entries, part._numbers = entries, _numbers(entries)
         return part
 
