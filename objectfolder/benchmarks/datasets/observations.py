@@ -21,7 +21,6 @@ from objectfolder.benchmarks.datasets.samples import (
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, read_npz
-from objectfolder.objectfile.header import checked_name
 from objectfolder.workspace.layout import MODALITIES
 
 VERSION = 1  #: of the sampling procedure and the format; other versions are refused
@@ -55,8 +54,6 @@ def find_folders(paths: Iterable[str | Path]) -> dict[str, Path]:
         for folder in folders:
             record = read_json(folder / RECORD)
             key = str(record.get("key")) if isinstance(record, dict) else ""
-            if key:  # names files of exports
-                checked_name("key", key, f"{folder / RECORD}: key")
             if found.setdefault(key, folder) != folder:
                 raise ObjectFolderError(
                     f"{key}: both {found[key]} and {folder} hold its observations; pass only one"
