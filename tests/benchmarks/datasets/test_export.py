@@ -138,11 +138,11 @@ def test_existing_folder_is_refused(observations, tmp_path, write):
 @pytest.mark.parametrize("key", ["../own", "<b>", "a\x1b[2J"])
 def test_a_record_with_another_key_than_a_name_is_refused(root, tmp_path, write, key):
     """Keys name files of archives, and stand in the card."""
-    shutil.copytree(root / KEYS[0], tmp_path / "observations")
-    record = tmp_path / "observations/observations.json"
+    shutil.copytree(root, tmp_path / "observations")
+    record = tmp_path / "observations" / KEYS[0] / "observations.json"
     record.write_text(json.dumps(json.loads(record.read_text()) | {"key": key}))
     observations = Observations(find_folders([tmp_path]))
-    with pytest.raises(ObjectFolderError, match="key of observations is .*, expected a letter, then"):
+    with pytest.raises(ObjectFolderError, match=r"key of observations is .*, expected a letter, then"):
         write(observations, split_of(observations), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
