@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 from collections.abc import Sequence
 from numbers import Integral, Real
 from typing import Any
@@ -9,9 +10,16 @@ from typing import Any
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.text import visible
 
 #: Why a query of tensors that torch has wrapped is refused.
 TRANSFORMED = "torch.func and vmap are not supported; use torch.autograd.grad with ObjectFile.torch()"
+
+#: An address of the web without a user's name or password, of the characters that RFC 3986 allows.
+_WEB_ADDRESS = re.compile(
+    r"https?://(?:[A-Za-z0-9](?:[A-Za-z0-9.-]*[A-Za-z0-9])?|\[[0-9A-Fa-f:.]+\])(?::[0-9]{1,5})?"
+    r"(?:[/?#][A-Za-z0-9._~:/?#\[\]@!$&'()*+,;=%-]*)?"
+)
 
 
 def finite_number(name: str, value: object) -> float:
@@ -104,6 +112,26 @@ def one_of(name: str, value: object, choices: Sequence[str]) -> str:
     if isinstance(value, str) and value in choices:
         return value
     raise ObjectFolderError(f"{name} {quoted(value)} is not one of {', '.join(choices)}")
+
+
+def is_web_address(text: str) -> bool:
+    """Return whether it is an http or https address with a host, and nothing that hides where it leads."""
+    return len(text) <= 2000 and _WEB_ADDRESS.fullmatch(text) is not None
+
+
+def one_line(name: str, value: str, most: int = 200) -> str:
+    """Return a text that people will read: not blank, one line, without control characters.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is another, or longer.
+    """
+    if not value.strip() or len(value) > most or visible(value) != value:
+        raise ObjectFolderError(
+            f"{name} {quoted(value)}, expected a line of 1 to {most} characters without control characters"
+        )
+    return value
 
 
 def require_memory(what: str, needed: int, remedy: str) -> None:

@@ -3,6 +3,8 @@
 import reprlib
 from typing import Any
 
+from objectfolder.text import visible
+
 MAX_MESSAGE = 4000  #: characters
 
 _SHORT = reprlib.Repr()
@@ -14,11 +16,11 @@ class ObjectFolderError(ValueError):
     """An error that the user can fix.
 
     The message names the object or file, the offending value, what was expected and what to do next. Its
-    middle is left out if it is very long.
+    middle is left out if it is very long. Control characters in it, such as of a file's name, are shown.
     """
 
     def __init__(self, message: object = ""):
-        super().__init__(shortened(message, MAX_MESSAGE))
+        super().__init__(visible(shortened(message, MAX_MESSAGE), lines=True))
 
 
 def shortened(value: object, most: int = 60) -> str:

@@ -1,9 +1,15 @@
-"""Read YAML files whose authors may mean harm: bombs of aliases, deep nesting and long values are refused."""
+"""YAML: files whose authors may mean harm are read, and words of strangers are written.
 
+Bombs of aliases, deep nesting and long values are refused.
+"""
+
+import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.text import visible
 
 MAX_YAML = 2**24  #: size limit of a YAML file, characters, with a copy for each alias
 MAX_SCALAR = 2000  #: length limit of a value in it, characters
@@ -25,6 +31,33 @@ def read_yaml(path: str | Path) -> Any:
         return YAML(typ="safe").load(text)
     except Exception as error:  # of a value's own type as well
         raise _no_yaml(path, error) from error
+
+
+def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
+    """Return a mapping as YAML; lists of texts take one line.
+
+    Parameters
+    ----------
+    values : mapping
+    in_quotes : str
+        Names of texts that are written in quotes whether they need them or not.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.comments import CommentedSeq
+    from ruamel.yaml.scalarstring import DoubleQuotedScalarString
+
+    written: dict[str, Any] = {}
+    for name, value in values.items():
+        if name in in_quotes:
+            value = DoubleQuotedScalarString(visible(value))
+        elif isinstance(value, list) and all(isinstance(each, str) for each in value):
+            value = CommentedSeq(value)
+            value.fa.set_flow_style()
+        written[name] = value
+    yaml, stream = YAML(), io.StringIO()
+    yaml.width = MAX_YAML  # a line is never broken
+    yaml.dump(written, stream)
+    return stream.getvalue()
 
 
 def checked_yaml(path: str | Path) -> str:

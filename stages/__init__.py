@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.progress import track
 from threadpoolctl import threadpool_limits
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.terminal import Terminal, guard_stderr
 from objectfolder.workspace.installed import check_installed
 
-_console = Console(stderr=True)
+_console = Terminal(stderr=True)
 
 
 def run(
@@ -28,7 +28,8 @@ def run(
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("key", help=of)
     key = parser.parse_args().key
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    logging.basicConfig(level=logging.INFO)
+    guard_stderr()
     try:
         check_installed()
         with threadpool_limits(1):

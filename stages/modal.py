@@ -14,6 +14,7 @@ from objectfolder.io import keep, read_npz, write_json, write_npz
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import split_rows
 from objectfolder.seeding import numpy_generator
+from objectfolder.text import visible
 from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params
 from stages import run
@@ -44,7 +45,7 @@ def main(key: str) -> None:
         )
     uncertain = uncertainty_warning(data.report, settings.allow_uncertain, key)
     for warning in filter(None, (uncertain, solver_warning(data.report, key))):
-        print(f"warning: {warning}")
+        print(f"warning: {visible(warning)}")
     write_npz(
         build.modes,
         points=points,

@@ -5,6 +5,7 @@ from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.ply import write_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.settings import NormalizeConfig
+from objectfolder.text import visible
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
 from stages import run
@@ -19,7 +20,7 @@ def main(key: str) -> None:
     normalized = normalize(mesh, key, wall, bridging, params.entry.scale)
     seen, solid = normalized.seen(params.entry.bridge), normalized.surface.mesh
     for warning in normalized.surface.warnings:
-        print(f"warning: {key}: {warning}")
+        print(f"warning: {key}: {visible(warning)}")
     with atomic(build.visual) as path:
         normalized.visual.write_glb(path)
     for target, surface in ((build.surface, seen), (build.solid_surface, solid)):

@@ -7,6 +7,12 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import MATERIALS, Material, material, own_material
+from objectfolder.objectfile.header import checked_name
+
+
+@pytest.mark.parametrize("name", [*MATERIALS, "unknown", "Stainless steel 304", "PVC+ABS", "a", "x_1-2.5"])
+def test_names_of_materials_are_those_of_object_files(name):
+    assert checked_name("material", name, "material") == name
 
 
 def test_table_is_that_of_the_supplement():

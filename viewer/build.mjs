@@ -1,4 +1,5 @@
 // Build the script and the page that the Python package ships: node build.mjs [OUT]
+import { createHash } from "node:crypto";
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { build } from "esbuild";
 
@@ -42,19 +43,35 @@ const shaders = {
 mkdirSync(out, { recursive: true });
 const script = await text("page/main.ts", { plugins: [inline, shaders] });
 
+const hash = (content) => `'sha256-${createHash("sha256").update(content).digest("base64")}'`;
 // Within a page, </script would end the script.
-const write = (name, content) =>
-  writeFileSync(`${out}/${name}`, `${content.replaceAll("</script", "<\\/script")}\n`);
-const writePage = async (name, source, style) => {
-  const styled = await text(style);
-  writeFileSync(
-    `${out}/${name}`,
-    readFileSync(source, "utf8").replace("/* style */", () => styled),
-  );
+const write = (name, content) => {
+  const written = `${content.replaceAll("</script", "<\\/script")}\n`;
+  writeFileSync(`${out}/${name}`, written);
+  return hash(written);
 };
-write("viewer.js", script);
-write("report.js", await text("report/main.ts"));
-write("listening.js", await text("listening/main.ts"));
-await writePage("page.html", "page/page.html", "page/style.css");
-await writePage("report.html", "report/report.html", "report/report.css");
-await writePage("listening.html", "listening/listening.html", "listening/listening.css");
+// Whatever else gets into a page is not run, and loads and sends nothing.
+const writePage = (name, source, style, scripts, styles, more) => {
+  const policy = [
+    "default-src 'none'",
+    `script-src ${scripts.join(" ")}`,
+    `style-src ${[style, ...styles].map(hash).join(" ")}`,
+    "img-src data:",
+    ...more,
+    "base-uri 'none'",
+    "form-action 'none'",
+  ].join(";");
+  const filled = { policy, style };
+  const page = readFileSync(source, "utf8").replace(/\/\* (policy|style) \*\//g, (_, part) => filled[part]);
+  writeFileSync(`${out}/${name}`, page);
+};
+const viewer = write("viewer.js", script);
+const style = await text("page/style.css");
+writePage("page.html", "page/page.html", style, [viewer], [], ["worker-src blob:"]);
+// The live viewer in its frame takes over the report's policy besides its own. The report loads scripts beside it.
+const scripts = [write("report.js", await text("report/main.ts")), viewer, "'self' file:"];
+const reading = ["media-src data:", "worker-src blob:"];
+writePage("report.html", "report/report.html", await text("report/report.css"), scripts, [style], reading);
+const listening = [write("listening.js", await text("listening/main.ts"))];
+const listeningStyle = await text("listening/listening.css");
+writePage("listening.html", "listening/listening.html", listeningStyle, listening, [], ["media-src data:"]);

@@ -1,7 +1,7 @@
 """Collect the samples of benchmarks from Object Files, several objects at a time."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -45,10 +45,8 @@ def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
     ObjectFolderError
         If a place has none, one is invalid, or two are of the same object.
     """
-    paths = [path for place in places or [Build("any").dir.parent] for path in _files_in(place)]
     sources: dict[str, LoadedFile] = {}
-    for path in paths:
-        file = ObjectFile.load(path)
+    for path, file in (found for place in places or [Build("any").dir.parent] for found in _files_in(place)):
         if file.key in sources:
             raise ObjectFolderError(
                 f"{path} and {sources[file.key].path} are both of {file.key}; give each object once"
@@ -57,12 +55,14 @@ def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
     return sources
 
 
-def _files_in(place: Path) -> list[Path]:
+def _files_in(place: Path) -> Iterator[tuple[Path, ObjectFile]]:
     if (place / INDEX).is_file():
         dataset = Dataset(place)
-        return [dataset.path(key) for key in dataset.keys]
+        yield from zip(map(dataset.path, dataset.keys), dataset)
+        return
     if place.is_file():
-        return [place]
+        yield place, ObjectFile.load(place)
+        return
     name = Build("any").object_file.name
     # Skip the copies in folders of observations, which queries are written to first.
     found = [path for path in sorted(place.rglob(name)) if not (path.parent / observations.QUERIES).exists()]
@@ -70,7 +70,7 @@ def _files_in(place: Path) -> list[Path]:
         raise ObjectFolderError(
             f"no Object Files in {place}: no {name} in it or below; run `objectfolder build`, or name others"
         )
-    return found
+    yield from ((path, ObjectFile.load(path)) for path in found)
 
 
 def collect_observations(

@@ -2,11 +2,13 @@
 
 import os
 import sys
-from typing import Annotated
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
+from typer.core import TyperGroup
 
 from objectfolder.cli import (
     bench,
@@ -34,6 +36,8 @@ from objectfolder.cli.files import SAMPLE
 from objectfolder.disk import is_shortage
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import installed_version
+from objectfolder.terminal import Terminal, guard_stderr
+from objectfolder.text import visible
 
 __all__ = ["app", "main"]
 
@@ -44,7 +48,30 @@ def _show_version(asked: bool) -> None:
         raise typer.Exit
 
 
+class _Commands(TyperGroup):
+    """Commands whose usage errors show control characters of what was given."""
+
+    def make_context(self, *arguments: Any, **options: Any) -> Any:
+        with _visible_errors():
+            return super().make_context(*arguments, **options)
+
+    def invoke(self, ctx: Any) -> Any:
+        with _visible_errors():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _visible_errors() -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        if isinstance(message := getattr(error, "message", None), str):  # of a usage error
+            error.message = visible(message, lines=True)  # type: ignore[attr-defined]
+        raise
+
+
 app = typer.Typer(
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -102,17 +129,16 @@ app.add_typer(listening.listening_app, name="listening")
 
 def main() -> None:
     """Run the command line; print user errors in one line without a traceback."""
+    guard_stderr()
     try:
         try:
-            app()
+            typer.main.get_command(app)()  # calling `app` would replace the hook for uncaught errors
         finally:
             if sys.stdout is not None:  # closed
                 sys.stdout.flush()  # here, where a full device can be reported
     except ObjectFolderError as error:
-        # Messages hold lists in brackets, which rich would take for markup.
-        Console(stderr=True, emoji=False).print(
-            f"[bold red]error:[/] {escape(str(error))}", highlight=False, soft_wrap=True
-        )
+        lines = str(error).replace("\n", "\n  ")  # what follows is no message of its own
+        Terminal(stderr=True).print(Text.assemble(("error:", "bold red"), f" {lines}"), soft_wrap=True)
         sys.exit(1)
     except OSError as error:
         full = is_shortage(error)
@@ -120,7 +146,7 @@ def main() -> None:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what Python writes at its end
         advice = "make space, or write elsewhere" if full else "check the path and its permissions"
-        sys.exit(f"error: {error.filename or 'the output'}: {error.strerror}; {advice}")
+        sys.exit(f"error: {visible(error.filename or 'the output')}: {error.strerror}; {advice}")
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "objectfolder":
             raise

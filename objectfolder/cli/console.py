@@ -8,23 +8,26 @@ from rich.measure import Measurement
 from rich.progress import track
 from rich.table import Table
 
-console = Console(emoji=False)
+from objectfolder.terminal import Terminal
+from objectfolder.text import visible
+
+console = Terminal()
 
 
 def tracked(items: Iterable[Any], description: str, total: int) -> Iterable[Any]:
     """Iterate with a progress bar, shown only on a terminal."""
-    screen = Console(stderr=True, emoji=False)
+    screen = Terminal(stderr=True)
     return track(items, description, total, console=screen, transient=True, disable=not screen.is_terminal)
 
 
 def print_line(text: str) -> None:
-    """Print a line as it is: paths may hold brackets, and programs may read it."""
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    """Print one line, whatever is in it; programs may read it."""
+    console.print(visible(text), highlight=False, soft_wrap=True)
 
 
 def print_wide(table: Table, console: Console = console) -> None:
     """Print a table, at its full width unless the output is a terminal."""
     if not console.is_terminal:
         wide = Measurement.get(console, console.options.update(max_width=10_000), table).maximum
-        console = Console(file=console.file, emoji=False, width=max(wide, console.width))
+        console = Terminal(file=console.file, width=max(wide, console.width))
     console.print(table)

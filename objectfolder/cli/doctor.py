@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
 
 from packaging.requirements import Requirement
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from objectfolder.cli.console import console, print_wide
 from objectfolder.installation import install_command, installed_version
@@ -80,9 +80,8 @@ def doctor() -> None:
     console.print(f"objectfolder {installed_version()} in {INSTALLED}, Python {python}", soft_wrap=True)
     table = Table("part", "found", "brings", "if missing", box=None)
     for part in examine():
-        color = "green" if part.usable else "yellow"
-        found = f"[{color}]{escape(part.found or 'missing')}[/]"
-        table.add_row(part.name, found, part.brings, "" if part.usable else escape(part.get))
+        found = Text(part.found or "missing", style="green" if part.usable else "yellow")
+        table.add_row(part.name, found, part.brings, "" if part.usable else part.get)
     print_wide(table, console)
 
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from objectfolder.cli.console import console, print_line
@@ -74,7 +73,7 @@ def info(file: FileArgument) -> None:
     rows[RADIATION] = obj.header[RADIATION]["kind"] if heard else "none: no listener hears it"
     rows["format"] = obj.header["format"]
     for name, value in rows.items():
-        table.add_row(name, escape(value))
+        table.add_row(name, value)
     console.print(table)
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
-from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
 from objectfolder.cli.console import console, tracked
 from objectfolder.errors import ObjectFolderError
+from objectfolder.terminal import Terminal
 
 if TYPE_CHECKING:
     from objectfolder.workspace.discover import Examination
@@ -22,7 +22,7 @@ def _metres(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        number = re.fullmatch(rf"(\d+(?:\.\d+)?) *({'|'.join(UNITS)})", text)
+        number = re.fullmatch(rf"([0-9]+(?:\.[0-9]+)?) *({'|'.join(UNITS)})", text)
         example = float(number[1]) * UNITS[number[2]] if number else 0.112
         raise typer.BadParameter(f"{text!r} is not a number of metres, such as {example:g}") from None
 
@@ -143,7 +143,7 @@ def _print_notes(findings: "list[Examination]") -> None:
     for finding in findings:
         if finding.notes:
             text = f"{finding.candidate.key}: {'; '.join(finding.notes)}"
-            console.print(escape(text), soft_wrap=True, highlight=False)
+            console.print(text, soft_wrap=True, highlight=False)
 
 
 def _add_folder(
@@ -187,8 +187,8 @@ def _add_folder(
         except ObjectFolderError as error:
             refused.append((candidate.key, str(error)))
     for key, reason in dict.fromkeys(refused):
-        text = f"[bold red]refused[/] {key}: {escape(reason.removeprefix(f'{key}: '))}"
-        console.print(text, soft_wrap=True, highlight=False)
+        refusal = f" {key}: {reason.removeprefix(f'{key}: ')}"
+        console.print(Text.assemble(("refused", "bold red"), refusal), soft_wrap=True)
     text = f"{len(accepted)} can be added" if dry_run else f"{len(added)} added"
     text += f", {len(refused)} refused" if refused else ""
     console.print(text + ("; next: objectfolder build" if added else ""), highlight=False)
@@ -242,7 +242,7 @@ def fetch(
     report.print_licences(published, [key for key in keys if key not in present], console)
     if directory is not None:
         check_directory(directory)
-    with report.download_progress(Console(stderr=True, emoji=False)) as progress:
+    with report.download_progress(Terminal(stderr=True)) as progress:
         results = fetch_all(
             keys,
             published,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from objectfolder.checks import is_web_address, one_line
 from objectfolder.cli.console import console, print_line
 from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 
@@ -44,19 +45,27 @@ def release(
 
     Example: objectfolder release dataset --name "Kitchen" --creator "A. Smith" --licence CC0-1.0
     """
+    from objectfolder.objectfile.dataset import MAX_CATEGORY, MAX_TEXT
     from objectfolder.release.entries import entry_of, notices_of, released_keys
     from objectfolder.release.words import described
     from objectfolder.release.write import write_release
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_own
 
-    if not re.fullmatch(r"\d+\.\d+\.\d+", version):
+    if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]{1,9}){2}", version):
         raise ObjectFolderError(f"--version {quoted(version)}, expected three numbers such as 1.0.0")
+    if not is_web_address(url):
+        raise ObjectFolderError(
+            f"--url {quoted(url)}, expected an address such as https://example.org/kitchen, without password"
+        )
+    one_line("--name", name)
+    one_line("--creator", creator)
     if out.exists():
         raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
     check_own(values := params.read())
     keys = released_keys(objects or (), values)
-    licences, categories = _by_key("--licence", licence, keys), _by_key("--category", category, keys)
+    licences = _by_key("--licence", licence, keys, MAX_TEXT)
+    categories = _by_key("--category", category, keys, MAX_CATEGORY)
     with console.status("reading objects") as status:
         entries = [entry_of(key, values, licences, categories) for key in keys]
         words = described(entries, name=name, creator=creator, version=version, date=_day(date), url=url)
@@ -88,7 +97,7 @@ def _day(date: str | None) -> str:
         raise ObjectFolderError(f"--date {quoted(date)}, expected a day such as 2026-11-24") from error
 
 
-def _by_key(option: str, texts: list[str] | None, keys: list[str]) -> dict[str, str]:
+def _by_key(option: str, texts: list[str] | None, keys: list[str], most: int) -> dict[str, str]:
     """Split OBJECT=TEXT; a text without an object has the key ""."""
     from objectfolder.workspace.params import KEY
 
@@ -106,5 +115,5 @@ def _by_key(option: str, texts: list[str] | None, keys: list[str]) -> dict[str, 
             problem = "is given twice" if key in found else "is empty"
             of = key or "all objects without one"
             raise ObjectFolderError(f"{option} {quoted(text)}: that of {of} {problem}, expected one text")
-        found[key] = value.strip()
+        found[key] = one_line(f"{option} {key}".rstrip(), value.strip(), most)
     return found

@@ -25,6 +25,7 @@ from objectfolder.engine.summary import (
     Summary,
 )
 from objectfolder.errors import plural
+from objectfolder.terminal import Terminal
 
 ENOUGH = 0.1  # of the planned work, after which the rest is estimated
 MAX_ROWS = 60  # of the summary table; with more results, one row per stage and outcome
@@ -52,7 +53,7 @@ class Progress:
 
     def __init__(self, console: Console | None = None, task: str = "reading the pipeline"):
         self.task = task
-        self.console = console or Console(stderr=True, emoji=False)
+        self.console = console or Terminal(stderr=True)
         self.total = 0
         self.counts = dict.fromkeys(StageOutcome, 0)
         self.running: dict[str, float] = {}
@@ -169,7 +170,7 @@ class Progress:
 
 def print_summary(summary: Summary, console: Console | None = None) -> None:
     """Print the stages that ran or were restored, the failures with the end of their logs, and the totals."""
-    console = console or Console(emoji=False)
+    console = console or Terminal()
     shown = [
         result
         for result in summary.stages.values()

@@ -9,6 +9,7 @@ from urllib.parse import quote, urlsplit
 
 from pydantic import Field, ValidationError, field_validator
 
+from objectfolder.checks import is_web_address
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import material
 from objectfolder.workspace import params
@@ -63,7 +64,7 @@ class Catalogue(params.Record):
 
     def url(self, key: str) -> str:
         """Return the URL of an object."""
-        return object_url(self.source(key).url, self.objects[key])
+        return object_url(self.source(key).url, self.objects[key].source_model)
 
     def archive_name(self, key: str) -> str:
         """Return the file name in an object's URL."""
@@ -71,12 +72,12 @@ class Catalogue(params.Record):
 
     def page(self, key: str) -> str:
         """Return the URL of an object's web page."""
-        return object_url(self.source(key).page, self.objects[key])
+        return object_url(self.source(key).page, self.objects[key].source_model)
 
 
-def object_url(template: str, entry: Entry) -> str:
-    """Insert an object's id into a template."""
-    return template.replace("{model}", quote(entry.source_model, safe=""))
+def object_url(template: str, model: str) -> str:
+    """Insert an object's id at its source into a template."""
+    return template.replace("{model}", quote(model, safe=""))
 
 
 def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
@@ -126,10 +127,14 @@ def _with_urls(sources: Mapping[str, MeshSource], urls: Sequence[str]) -> dict[s
             )
         changed[name] = sources[name].model_copy(update={"url": template})
     for name, source in (result := {**sources, **changed}).items():
-        if not re.match("https?://", source.url) or "{model}" not in source.url:
+        if "{model}" not in source.url or not is_web_address(object_url(source.url, "model")):
             raise ObjectFolderError(
-                f"URL of source {name} is {source.url!r}, expected http:// or https:// and {{model}} "
+                f"URL of source {name} is {quoted(source.url)}, expected http:// or https:// and {{model}} "
                 "in place of the object's id; for files on this computer use --from DIR"
+            )
+        if not is_web_address(object_url(source.page, "model")):
+            raise ObjectFolderError(
+                f"page of source {name} is {quoted(source.page)}, expected an address with http:// or https://"
             )
     return result
 

@@ -5,7 +5,8 @@ import json
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.checks import is_web_address
+from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.fetch.archive import safe_path
 from objectfolder.fetch.download import MAX_DOWNLOAD, ProgressFactory, download_to
 
@@ -71,6 +72,6 @@ def _files(index: Path, url: str, resolution: str) -> dict[str, tuple[str, int, 
             f"({type(error).__name__}: {error}); check the list, and `resolution` in the catalogue"
         ) from error
     for name, (address, *_) in result.items():
-        if not address.startswith(("http://", "https://")):
-            raise ObjectFolderError(f"{url}: {name} is at {address!r}, expected http:// or https://")
+        if not is_web_address(address):
+            raise ObjectFolderError(f"{url}: {name} is at {quoted(address)}, expected http:// or https://")
     return result

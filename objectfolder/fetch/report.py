@@ -5,8 +5,8 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
+from rich.text import Text
 
 from objectfolder.errors import plural
 from objectfolder.fetch.catalogue import Catalogue
@@ -22,7 +22,7 @@ def print_catalogue(catalogue: Catalogue, present: Collection[str], console: Con
     for key, entry in catalogue.objects.items():
         mark = "✓" if key in present else " "
         line = f"{mark} {key:{width}}  {entry.material:13}  {entry.scale:6.4g} m  {entry.name}"
-        console.print(escape(line), soft_wrap=True, highlight=False)
+        console.print(line, soft_wrap=True, highlight=False)
     print_overview(catalogue, present, console)
 
 
@@ -40,17 +40,13 @@ def print_licences(catalogue: Catalogue, keys: Sequence[str], console: Console) 
     for name in dict.fromkeys(catalogue.objects[key].source for key in keys):
         source = catalogue.sources[name]
         text = f"{source.title}: {source.licence}. {source.attribution}."
-        console.print(escape(text), soft_wrap=True, highlight=False)
+        console.print(text, soft_wrap=True, highlight=False)
 
 
 def print_result(result: FetchResult, console: Console) -> None:
     """Print one result."""
-    style = STYLES[result.status]
-    console.print(
-        f"[{style}]{result.status:<7}[/] {result.key}: {escape(result.detail)}",
-        soft_wrap=True,
-        highlight=False,
-    )
+    status = f"{result.status:<7}", STYLES[result.status]
+    console.print(Text.assemble(status, f" {result.key}: {result.detail}"), soft_wrap=True)
 
 
 def print_totals(results: Sequence[FetchResult], console: Console) -> None:
@@ -68,11 +64,12 @@ def print_totals(results: Sequence[FetchResult], console: Console) -> None:
 @contextmanager
 def download_progress(console: Console) -> Iterator[ProgressFactory]:
     """Show a bar for each download, on a terminal only; yields the ``progress`` argument of `fetch_all`."""
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    name = TextColumn("{task.description}", markup=False)
+    columns = (name, BarColumn(), DownloadColumn(), TransferSpeedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
 
         def progress(name: str) -> ProgressCallback:
-            task = bars.add_task(escape(name), total=None)
+            task = bars.add_task(name, total=None)
 
             def report(done: int, total: int | None) -> None:
                 bars.update(task, completed=done, total=total, visible=done != total)

@@ -22,6 +22,7 @@ from objectfolder.fetch.polyhaven import download_polyhaven
 from objectfolder.io import check_writable, file_digest
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.settings import NormalizeConfig
+from objectfolder.text import visible
 from objectfolder.workspace import params
 from objectfolder.workspace.objects import add_mesh
 
@@ -113,7 +114,7 @@ def fetch_object(
             if not accept_changed:
                 checksums.check_unchanged(recorded, digests, key, lock)
             notice = scratch / SOURCE_FILE
-            notice.write_text(source_text(key, catalogue, obtained.origin))
+            notice.write_text(source_text(key, catalogue, obtained.origin), encoding="utf-8")
             most = params.settings(NormalizeConfig, values, root / params.PARAMS_FILE).texture_size
             own_size = float(np.ptp(load_mesh(mesh, texture_size=most).bounds, axis=0).max())
             # The source's up axis applies to its own format only.
@@ -172,16 +173,20 @@ def fetch_all(
 def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
     """Return the notice stored with a mesh: origin, licence, attribution and changes."""
     entry, source = catalogue.objects[key], catalogue.source(key)
-    return (
-        f"{entry.name}, object {entry.id} of ObjectFolder 1.0\n\n"
-        f"Mesh and textures: {source.title}, {catalogue.page(key)}\n"
-        f"Taken from: {origin}\n"
-        f"Licence: {source.licence}\n"
-        f"Attribution: {source.attribution}\n"
-        "Changes: the mesh is renamed; files that it does not refer to are omitted.\n\n"
-        "Name, material and size: ObjectFolder, Gao et al., CoRL 2021, CC BY 4.0\n"
-        "(https://creativecommons.org/licenses/by/4.0/)" + (f"; {entry.note}" if entry.note else "") + "\n"
+    lines = (
+        f"{entry.name}, object {entry.id} of ObjectFolder 1.0",
+        "",
+        f"Mesh and textures: {source.title}, {catalogue.page(key)}",
+        f"Taken from: {origin}",
+        f"Licence: {source.licence}",
+        f"Attribution: {source.attribution}",
+        "Changes: the mesh is renamed; files that it does not refer to are omitted.",
+        "",
+        "Name, material and size: ObjectFolder, Gao et al., CoRL 2021, CC BY 4.0",
+        "(https://creativecommons.org/licenses/by/4.0/)" + (f"; {entry.note}" if entry.note else ""),
     )
+    # A line break in a name would begin a line of its own, such as another licence.
+    return "".join(f"{visible(line)}\n" for line in lines)
 
 
 def _obtain(

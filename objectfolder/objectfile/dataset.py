@@ -1,12 +1,13 @@
 """A released dataset: a folder of Object Files with an index."""
 
 import csv
-import math
 import operator
+import os
+import re
 import sys
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import NoneType
 from typing import Any, get_args
 
@@ -14,8 +15,10 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError, quoted, shortened
-from objectfolder.io import file_digest
+from objectfolder.io import MAX_BYTES, file_digest
 from objectfolder.objectfile.file import Device, ObjectFile
+from objectfolder.objectfile.header import NAMES, checked_name
+from objectfolder.text import from_csv, visible
 
 INDEX = "objects.csv"  #: in a release's folder
 OBJECTS = "objects"  #: folder of the Object Files
@@ -45,6 +48,30 @@ class IndexEntry:
 #: Type of each column of the index, in order: str, int or float.
 COLUMNS: dict[str, type] = {
     field.name: (get_args(field.type) or (field.type,))[0] for field in fields(IndexEntry)
+}
+_WHOLE = re.compile("[0-9]{1,19}")
+_NUMBER = re.compile(r"-?[0-9]{1,30}(\.[0-9]{0,30})?([eE][-+]?[0-9]{1,3})?")
+#: Least and greatest value of the columns of numbers.
+_RANGES = {
+    "size": (1e-12, 1e6),
+    "modes": (0, 10**6),
+    "lowest_hz": (1e-6, 1e9),
+    "vision_psnr": (-1000.0, 1000.0),
+    "gain_error": (0.0, 1e9),
+    "touch_psnr": (-1000.0, 1000.0),
+    "bytes": (1, MAX_BYTES),
+}
+MAX_TEXT, MAX_CATEGORY = 1000, 100  #: characters
+_MAX_NAME = 255  # bytes of a file's name
+_IN_RELEASE = f"one in the release, of at most {MAX_TEXT} characters and names of at most {_MAX_NAME} bytes"
+#: Test and description of the columns of texts that are no names of a header.
+_TEXTS: dict[str, tuple[Callable[[str], object], str]] = {
+    "path": (lambda text: len(text) <= MAX_TEXT and _is_inside(PurePosixPath(text)), _IN_RELEASE),
+    "category": (lambda text: len(text) <= MAX_CATEGORY, f"a text of at most {MAX_CATEGORY} characters"),
+    "split": (("train", "val", "test").__contains__, "train, val or test"),
+    "sha256": (re.compile("[0-9a-f]{64}").fullmatch, "64 hexadecimal digits"),
+    "licence": (lambda text: 0 < len(text) <= MAX_TEXT, f"a text of 1 to {MAX_TEXT} characters"),
+    "source": (lambda text: len(text) <= MAX_TEXT, f"a text of at most {MAX_TEXT} characters"),
 }
 #: Columns that may be empty, since the figure may be unknown.
 _OPTIONAL = frozenset(field.name for field in fields(IndexEntry) if NoneType in get_args(field.type))
@@ -85,6 +112,7 @@ class Dataset(Sequence[ObjectFile]):
     def __init__(self, folder: str | Path, device: Device = "cpu"):
         self.folder, self.device = Path(folder), device
         self.entries = self._released = read_index(self.folder / INDEX)
+        self._numbers = self._rows = _numbers(self.entries)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -104,7 +132,8 @@ class Dataset(Sequence[ObjectFile]):
         TypeError
             If it is none of these.
         ObjectFolderError
-            If there is no object of a key, or its file is missing or damaged.
+            If there is no object of a key, or its file is missing, damaged, or of another object or material
+            than the index says.
         """
         if isinstance(which, slice):
             return self._with(self.entries[which])
@@ -112,16 +141,27 @@ class Dataset(Sequence[ObjectFile]):
             which = which.tolist()
         if isinstance(which, list):
             return self._with(self._several(which))
-        path = self.path(which)
+        entry = self.entry(which)
+        path = self.folder / entry.path
         if not path.is_file():
             raise ObjectFolderError(f"{path} is missing, though the index names it; download it again")
-        return ObjectFile.load(path, self.device)
+        place = f"{self.folder / INDEX}, object {self._rows[entry.key] + 1}"
+        _Inside(self.folder).check(entry.path, f"{place}: path")
+        file = ObjectFile.load(path, self.device)
+        for name in NAMES:
+            said, found = getattr(entry, name), getattr(file, name)
+            if said != found:
+                raise ObjectFolderError(
+                    f"{place}: {name} is {said!r}, expected {found!r} as in {path}; download it again"
+                )
+        return file
 
     def __iter__(self) -> Iterator[ObjectFile]:
         return (self[number] for number in range(len(self)))
 
     def __contains__(self, item: object) -> bool:
-        return _key(item) in self.keys
+        key = _key(item)
+        return isinstance(key, str) and key in self._numbers
 
     def index(self, value: ObjectFile | str, start: int = 0, stop: int | None = None) -> int:
         """Return the number of an object, given by itself or its key; no file is read.
@@ -132,6 +172,8 @@ class Dataset(Sequence[ObjectFile]):
             A ValueError, if it is not in the dataset, or not from ``start`` to ``stop``.
         """
         key = _key(value)
+        if value in self and start == 0 and stop is None:
+            return self._numbers[key]
         try:
             return self.keys.index(key, start, sys.maxsize if stop is None else stop)
         except ValueError:
@@ -147,10 +189,9 @@ class Dataset(Sequence[ObjectFile]):
     def entry(self, which: int | str) -> IndexEntry:
         """Return what the index says of an object, by number or key."""
         if isinstance(which, str):
-            found = [entry for entry in self.entries if entry.key == which]
-            if not found:
+            if which not in self._numbers:
                 raise self._unknown(which)
-            return found[0]
+            return self.entries[self._numbers[which]]
         try:
             number = operator.index(which)
         except TypeError:
@@ -236,13 +277,15 @@ class Dataset(Sequence[ObjectFile]):
 
     def _with(self, entries: tuple[IndexEntry, ...]) -> "Dataset":
         part = object.__new__(type(self))
-        part.folder, part.device, part.entries, part._released = (
-            self.folder,
-            self.device,
-            entries,
-            self._released,
-        )
+        part.folder, part.device = self.folder, self.device
+        part._released, part._rows = self._released, self._rows
+        part.entries, part._numbers = entries, _numbers(entries)
         return part
+
+
+def _numbers(entries: Sequence[IndexEntry]) -> dict[str, int]:
+    """Return where each key is first."""
+    return {entry.key: number for number, entry in reversed([*enumerate(entries)])}
 
 
 def _key(item: object) -> Any:
@@ -256,47 +299,102 @@ def read_index(path: Path) -> tuple[IndexEntry, ...]:
     Raises
     ------
     ObjectFolderError
-        If it is missing or damaged, or names a file outside the release.
+        If it is missing, damaged or empty, or a row breaks a rule of its columns, has the key of another, or
+        names a file outside the release; the message names the row.
     """
+    inside = _Inside(path.parent)
+    inside.check(path.name, "the index")
+    entries: list[IndexEntry] = []
+    rows_by_key: dict[str, int] = {}
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(csv.DictReader(stream, strict=True))
+            reader = csv.DictReader(stream, strict=True)
+            _check_columns(reader.fieldnames or (), path)
+            for number, row in enumerate(reader, 1):
+                place = f"{path}, object {number}"
+                entry = _entry(row, place)
+                first = rows_by_key.setdefault(entry.key, number)
+                if first != number:
+                    raise ObjectFolderError(
+                        f"{place}: key is {entry.key!r}, expected another than that of object {first}"
+                    )
+                inside.check(entry.path, f"{place}: path")
+                entries.append(entry)
     except OSError as error:
         raise ObjectFolderError(
             f"{path.parent} is not a release: cannot read {path}: {error.strerror}; "
             "`objectfolder release DIR` writes one"
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ObjectFolderError(f"{path} is damaged: {error}") from error
-    entries = tuple(_entry(row, f"{path}, object {number}") for number, row in enumerate(rows, 1))
-    keys = [entry.key for entry in entries]
-    if len(set(keys)) < len(keys):
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise ObjectFolderError(f"{path} is damaged: {twice} is listed twice")
-    return entries
+        raise ObjectFolderError(f"{path}, after object {len(entries)}, is damaged: {error}") from error
+    if not entries:
+        raise ObjectFolderError(f"{path} holds no objects, expected at least one; download it again")
+    return tuple(entries)
+
+
+def _check_columns(names: Sequence[str], path: Path) -> None:
+    """Columns of newer versions are left alone."""
+    if missing := [name for name in COLUMNS if name not in names]:
+        raise ObjectFolderError(f"{path} lacks {', '.join(missing)}, expected columns of these names")
+    if twice := [name for name in COLUMNS if names.count(name) > 1]:
+        raise ObjectFolderError(f"{path} has the column {twice[0]} twice, expected it once")
 
 
 def _entry(row: dict[str, Any], place: str) -> IndexEntry:
-    # Columns of newer versions are left alone.
-    if missing := [name for name in COLUMNS if row.get(name) is None]:
+    if missing := [name for name in COLUMNS if row[name] is None]:
         raise ObjectFolderError(f"{place}: lacks {', '.join(missing)}")
-    values = {name: _value(row[name], name, kind, place) for name, kind in COLUMNS.items()}
-    path = Path(values["path"])
-    if path.is_absolute() or ".." in path.parts:
-        raise ObjectFolderError(f"{place}: path is {quoted(values['path'])}, expected one in the release")
-    return IndexEntry(**values)
+    if more := row.get(None):  # type: ignore[call-overload]
+        raise ObjectFolderError(f"{place}: {quoted(more)} is beyond the last column, expected nothing there")
+    return IndexEntry(**{name: _value(row[name], name, kind, place) for name, kind in COLUMNS.items()})
 
 
-def _value(text: str, name: str, kind: type, place: str) -> Any:
+def _value(cell: str, name: str, kind: type, place: str) -> Any:
     if kind is str:
-        return text
-    if not text and name in _OPTIONAL:
+        text = from_csv(cell)
+        if name in NAMES:
+            return checked_name(name, text, f"{place}: {name}")
+        holds, expected = _TEXTS[name]
+        if visible(text) != text:
+            expected += ", without control characters"
+        elif holds(text):
+            return text
+        raise ObjectFolderError(f"{place}: {name} is {quoted(text)}, expected {expected}")
+    if not cell and name in _OPTIONAL:
         return None
-    try:
-        number = kind(text)
-        finite = math.isfinite(number)
-    except (ValueError, OverflowError):
-        finite = False
-    if not finite:
-        raise ObjectFolderError(f"{place}: {name} is {quoted(text)}, expected a number")
-    return number
+    least, most = _RANGES[name]
+    if (_WHOLE if kind is int else _NUMBER).fullmatch(cell) and least <= (number := kind(cell)) <= most:
+        return number
+    expected = f"a {'whole number' if kind is int else 'number'} from {least:g} to {most:g}"
+    raise ObjectFolderError(f"{place}: {name} is {quoted(cell)}, expected {expected}")
+
+
+def _is_inside(path: PurePosixPath) -> bool:
+    names = path.parts
+    short = all(len(name.encode(errors="surrogatepass")) <= _MAX_NAME for name in names)
+    return short and bool(names) and not path.is_absolute() and ".." not in names
+
+
+class _Inside:
+    """Refuses files that a link takes out of a release."""
+
+    def __init__(self, folder: Path):
+        self.folder, self.root = folder, _real(folder)
+        # A snapshot in the cache of the Hugging Face Hub consists of links into a folder of its repository.
+        in_hub = self.root.parent.name == "snapshots"
+        self.blobs = self.root.parents[1] / "blobs" if in_hub else None
+        self._folders: dict[Path, Path] = {}  # resolved once each
+
+    def check(self, name: str, place: str) -> None:
+        """Check the file of a name; ``place`` begins the message."""
+        path = self.folder / name
+        if path.parent not in self._folders:
+            self._folders[path.parent] = _real(path.parent)
+        target = _real(path) if path.is_symlink() else self._folders[path.parent] / path.name
+        if not target.is_relative_to(self.root) and target.parent != self.blobs:
+            raise ObjectFolderError(
+                f"{place} {quoted(name)} leads to {target}, expected a file in the release; download it again"
+            )
+
+
+def _real(path: Path) -> Path:
+    return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError for links in a circle

@@ -9,7 +9,7 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.errors import ObjectFolderError, quoted, shortened
 
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
@@ -18,6 +18,12 @@ FORMAT = (1, 4)  #: major, minor; a reader accepts every file of its major versi
 MODALITIES = ("vision", "audio", "touch")
 PARTS = ("geometry", *MODALITIES)
 RADIATION = "radiation"  #: part that only sound at a listener needs
+#: Names in a header, and what they consist of: the patterns of the schema in words.
+NAMES = {
+    "key": "a letter, then letters, digits or underscores, all lower case, at most 100",
+    "material": "a name such as steel or unknown: letters and digits of ASCII, between them also spaces and "
+    "any of . _ + -, at most 100 characters",
+}
 
 
 def format_name() -> str:
@@ -84,6 +90,9 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
             f"{path} has format {header['format']}, this version reads {FORMAT[0]}.x; "
             + ("update objectfolder" if version > FORMAT else "rebuild it with `objectfolder build`")
         )
+    for name in NAMES:
+        if isinstance(header.get(name), str):
+            checked_name(name, header[name], f"{path}: {name}")
     problem = min(_validator().iter_errors(header), key=lambda e: (len(e.path), str(e.path)), default=None)
     if problem is not None:
         place = ".".join(map(str, problem.path)) or "its header"
@@ -91,14 +100,25 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
             f"{path}: {place}: {shortened(problem.message, 300)}; see objectfile.schema.json for what is "
             "expected"
         )
-    if header["key"].endswith("\n"):  # which Python's $ overlooks
-        raise ObjectFolderError(f"{path}: key: {header['key']!r} ends with a line break, expected a name")
     for part in (*PARTS, RADIATION):
         kinds = known_kinds(part)
         if version <= FORMAT and part in header and header[part]["kind"] not in kinds:
             expected = " or ".join(map(repr, kinds))
             raise ObjectFolderError(f"{path}: {part} of kind {header[part]['kind']!r}, expected {expected}")
     return header
+
+
+def checked_name(name: str, value: str, place: str) -> str:
+    """Return one of the `NAMES` in a header.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is not as the schema's pattern says; ``place`` begins the message.
+    """
+    if not re.fullmatch(schema()["properties"][name]["pattern"], value):
+        raise ObjectFolderError(f"{place} is {quoted(value)}, expected {NAMES[name]}")
+    return value
 
 
 @cache

@@ -14,6 +14,7 @@ from objectfolder.materials import own_material
 from objectfolder.objectfile.dataset import COLUMNS, OBJECTS, IndexEntry
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.release.notices import SOURCE, Notice, licence_name, read_notice
+from objectfolder.text import in_csv
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import object_entry
 
@@ -116,7 +117,9 @@ def index_text(entries: Iterable[IndexEntry]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(COLUMNS), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(asdict(entry) for entry in entries)
+    for entry in entries:
+        values = asdict(entry).items()
+        writer.writerow({name: in_csv(value) if isinstance(value, str) else value for name, value in values})
     return text.getvalue()
 
 

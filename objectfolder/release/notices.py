@@ -6,6 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.dataset import MAX_TEXT
+from objectfolder.text import in_markdown, visible
+
 SOURCE = "SOURCE.txt"  #: that ``objectfolder fetch`` writes beside a mesh
 # Identifiers of SPDX. In lower case they are those of the Hugging Face Hub.
 _LICENCES = (
@@ -17,6 +21,7 @@ _LICENCES = (
     "CC0-1.0",
     "MIT",
 )
+MAX_NOTICE = 2**16  #: bytes
 
 
 @dataclass(frozen=True)
@@ -31,11 +36,25 @@ class Notice:
 
 
 def read_notice(mesh: Path) -> Notice | None:
-    """Read the notice beside a mesh; None if there is none."""
+    """Read the notice beside a mesh; None if there is none.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it is too long for a notice, or a link to another place than the folder of the mesh or a DVC cache:
+        a release copies it, and the file may be private.
+    """
     path = mesh.parent / SOURCE
     if not path.is_file():
         return None
-    text = path.read_text(errors="replace")
+    target = path.resolve()
+    if target.parent != mesh.parent.resolve() and target.parts[-4:-2] != ("files", "md5"):
+        raise ObjectFolderError(f"{path} is a link to {target}, expected a file of its own; copy it there")
+    with path.open("rb") as stream:
+        content = stream.read(MAX_NOTICE + 1)
+    if len(content) > MAX_NOTICE:
+        raise ObjectFolderError(f"{path} has more than {MAX_NOTICE:,} bytes, expected a notice; shorten it")
+    text = content.decode(errors="replace")
     fields = {
         "licence": "Licen[cs]e",
         "source": "Mesh and textures",
@@ -43,10 +62,15 @@ def read_notice(mesh: Path) -> Notice | None:
         "changes": "Changes",
     }
     found = {
-        name: match[1].strip()
+        name: visible(match[1].strip())
         for name, title in fields.items()
         if (match := re.search(rf"^\s*{title}\s*:\s*(\S.*)$", text, re.MULTILINE | re.IGNORECASE))
     }
+    for name, value in found.items():
+        if len(value) > MAX_TEXT:
+            raise ObjectFolderError(
+                f"{path}: its {name} has {len(value)} characters, expected at most {MAX_TEXT}; shorten it"
+            )
     return Notice(path, **found)
 
 
@@ -72,7 +96,7 @@ def attributions(notices: Mapping[str, Notice]) -> str:
         if notice.attribution:
             keys[notice.attribution, notice.licence, notice.changes].append(key)
     return "\n".join(
-        f"- {attribution}{f'; {licence}' if licence else ''}: {', '.join(held)}."
-        + (f" Changes: {changes}" if changes else "")
+        f"- {in_markdown(attribution)}{f'; {in_markdown(licence)}' if licence else ''}: {', '.join(held)}."
+        + (f" Changes: {in_markdown(changes)}" if changes else "")
         for (attribution, licence, changes), held in keys.items()
     )

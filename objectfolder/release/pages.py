@@ -1,10 +1,13 @@
 """README.md, a dataset card of the Hugging Face Hub, and DATASHEET.md of a release."""
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 
 from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
 from objectfolder.release.notices import Notice, attributions, hub_licence
 from objectfolder.release.words import Words, counted, spread
+from objectfolder.text import in_markdown
+from objectfolder.yamlfile import yaml_text
 
 LICENCES = "licences"  #: folder of the notices
 _NAMED = "Name these with what you make from the objects; the Object Files were made from their meshes."
@@ -16,24 +19,22 @@ def card(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Noti
     named = attributions(notices)
     attribution = f"## Attribution\n\n{_NAMED}\n\n{named}\n\n" if named else ""
     copies = f"| `{LICENCES}/` | where each mesh is from: licence, authors, changes |\n" if notices else ""
+    metadata = {
+        "pretty_name": words.name,
+        "license": hub_licence({entry.licence for entry in entries}),
+        "tags": ["multisensory", "robotics", "3d", "audio", "tactile", "safetensors"],
+        "size_categories": [_size_category(len(entries))],
+        "configs": [{"config_name": "default", "data_files": [{"split": "objects", "path": INDEX}]}],
+    }
     return f"""---
-pretty_name: {_yaml(words.name)}
-license: {hub_licence({entry.licence for entry in entries})}
-tags: [multisensory, robotics, 3d, audio, tactile, safetensors]
-size_categories: [{_size_category(len(entries))}]
-configs:
-- config_name: default
-  data_files:
-  - split: objects
-    path: {INDEX}
----
+{yaml_text(metadata, "pretty_name")}---
 
-# {words.name}
+# {in_markdown(words.name)}
 
 {words.summary}{_SITE if site else ""}
 
-Version {words.version}, {words.date}, by {words.creator}.
-Licences: {counted(entry.licence for entry in entries)}; {INDEX} gives that of each object.
+Version {words.version}, {words.date}, by {in_markdown(words.creator)}.
+Licences: {_counted(entry.licence for entry in entries)}; {INDEX} gives that of each object.
 
 ## Load it
 
@@ -41,9 +42,9 @@ Licences: {counted(entry.licence for entry in entries)}; {INDEX} gives that of e
 from objectfolder import Dataset  # pip install CLONE, a clone of the repository of objectfolder
 
 dataset = Dataset(".")  # this folder
-for entry in dataset.filter(material="{entries[0].material}").entries:
+for entry in dataset.filter(material={json.dumps(entries[0].material)}).entries:
     print(entry.key, entry.size, "m")
-item = dataset["{entries[0].key}"]
+item = dataset[{json.dumps(entries[0].key)}]
 image = item.view([2.0, 1.0, 1.2], lights="studio")
 sound = item.impact(item.sample_surface(1), [0, 0, 1.0])
 touch = item.touch(item.sample_surface(1), depth=0.001)
@@ -69,8 +70,8 @@ touch = item.touch(item.sample_surface(1), depth=0.001)
 | error of gains at held-out points | {spread([entry.gain_error for entry in entries])} |
 | PSNR of held-out touches, dB | {spread([entry.touch_psnr for entry in entries])} |
 
-Categories: {counted(entry.category for entry in entries)}.
-Materials: {counted(entry.material for entry in entries)}.
+Categories: {_counted(entry.category for entry in entries)}.
+Materials: {_counted(entry.material for entry in entries)}.
 Split by object, for tests on unseen objects: {counted(entry.split for entry in entries)}.
 
 {attribution}## Cite
@@ -82,7 +83,7 @@ Split by object, for tests on unseen objects: {counted(entry.split for entry in 
 def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice]) -> str:
     """Return DATASHEET.md, after Gebru et al., Datasheets for Datasets, 2021."""
     named = attributions(notices)
-    sources = counted(entry.source or "not stated" for entry in entries)
+    sources = _counted(entry.source or "not stated" for entry in entries)
     answers = (
         ("Motivation", words.uses),
         (
@@ -104,17 +105,17 @@ def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str,
         ("Social impact", words.impact),
         (
             "Distribution",
-            f"Licences: {counted(entry.licence for entry in entries)}. Each object has that of its mesh."
+            f"Licences: {_counted(entry.licence for entry in entries)}. Each object has that of its mesh."
             + (f" {_NAMED}\n\n{named}" if named else ""),
         ),
-        ("Maintenance", f"{words.maintenance} By {words.creator}."),
+        ("Maintenance", f"{words.maintenance} By {in_markdown(words.creator)}."),
     )
     sections = "\n".join(f"## {title}\n\n{text}\n" for title, text in answers)
-    return f"# Datasheet of {words.name}, version {words.version}\n\n{sections}"
+    return f"# Datasheet of {in_markdown(words.name)}, version {words.version}\n\n{sections}"
 
 
-def _yaml(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+def _counted(values: Iterable[str]) -> str:
+    return counted(map(in_markdown, values))
 
 
 def _size_category(count: int) -> str:

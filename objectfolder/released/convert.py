@@ -11,7 +11,7 @@ import numpy as np
 
 from objectfolder import materials
 from objectfolder.checks import finite_number
-from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, read_rows
 from objectfolder.nets.released.gains import ReleasedGains
 from objectfolder.nets.released.kilo import ReleasedKilo
@@ -20,7 +20,7 @@ from objectfolder.nets.released.spectrogram import ReleasedSpectrogram
 from objectfolder.nets.released.touch import DEPTH_SIZE, ReleasedDepth, ReleasedImage
 from objectfolder.nets.released.vision import ReleasedNerf
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.header import format_name
+from objectfolder.objectfile.header import checked_name, format_name
 from objectfolder.released.audio import box, gains_net, spectrogram_net
 from objectfolder.released.checkpoint import ReleasedDict, read_released
 from objectfolder.released.touch import depth_net, image_net
@@ -32,9 +32,7 @@ SENSOR = "gelsight_r15"  #: default sensor that renders images from the depth ma
 RESOLUTION = 192  #: of a mesh's distance grid
 ASSUMED_SCALE = 1.0  #: longest side of an object whose size nothing tells, metres
 SIZE_MISMATCH = 0.1  #: greatest, between a mesh and the bounds that a file stores
-MAX_NAME = 100  #: characters of a key or a material in an Object File
 
-_KEY = re.compile(rf"[a-z][a-z0-9_]{{0,{MAX_NAME - 1}}}")
 _NAMES = {"vision": "VisionNet", "audio": "AudioNet", "touch": "TouchNet"}
 _KINDS = {
     ReleasedNerf: "released_nerf",
@@ -138,16 +136,9 @@ def _check_names(options: ImportOptions) -> None:
 
     `objectfolder.workspace.params.check_key` needs the build extra, which an import does without.
     """
-    if options.key is not None and not _KEY.fullmatch(options.key):
-        raise ObjectFolderError(
-            f"key is {quoted(options.key)}, expected a letter, then letters, digits or underscores, all "
-            f"lower case, at most {MAX_NAME}"
-        )
-    if not options.material.strip() or len(options.material) > MAX_NAME:
-        raise ObjectFolderError(
-            f"material is {quoted(options.material)}, expected a name such as steel or unknown, at most "
-            f"{MAX_NAME} characters"
-        )
+    if options.key is not None:
+        checked_name("key", options.key, "key")
+    checked_name("material", options.material, "material")
 
 
 def _vision(part: ReleasedDict, options: ImportOptions) -> ReleasedNerf | ReleasedKilo:

@@ -7,7 +7,6 @@ import io
 import json
 from collections import defaultdict
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import soundfile
 
 from objectfolder.audio.recordings import at_rate, loudest_channel
 from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.text import from_csv, in_script
 from objectfolder.viewer.page import filled_page, static_text
 
 PAIRS = 16  #: of the paper's study
@@ -97,8 +97,8 @@ def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> st
     return filled_page(
         "listening.html",
         {
-            "title": escape("Which sounds more real?"),
-            "study": json.dumps(study, separators=(",", ":")).replace("<", "\\u003c"),
+            "title": "Which sounds more real?",
+            "study": in_script(study),
             "script": static_text("listening.js"),
         },
     )
@@ -136,7 +136,10 @@ def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
     for path in paths:
         try:
             with path.open(encoding="utf-8-sig", newline="") as file:
-                table = list(csv.DictReader(file))
+                table = [
+                    {name: from_csv(cell) if isinstance(cell, str) else cell for name, cell in row.items()}
+                    for row in csv.DictReader(file)
+                ]
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             raise ObjectFolderError(f"{path} cannot be read as CSV ({shortened(error, 200)})") from error
         for number, row in enumerate(table, 2):

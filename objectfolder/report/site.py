@@ -1,8 +1,6 @@
 """A static site about Object Files that works from disk and offline."""
 
-import json
 from collections.abc import Callable, Iterable, Mapping
-from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,6 +15,7 @@ from objectfolder.report.facts import (
     missing_object,
     object_report,
 )
+from objectfolder.text import in_html, in_script
 from objectfolder.viewer.page import filled_page, page_parts, static_text
 
 
@@ -110,7 +109,7 @@ def write_site(
             names.append(name)
 
         page = report(lambda found: keep(f"objects/{found.row['key']}.js", _script(found)))
-        keep("viewer.js", static_text("viewer.js"))
+        keep("viewer.js", f"objectfolderViewer({in_script(static_text('viewer.js'))});\n")
         keep("index.html", page)
         for name in names:
             (out / name).parent.mkdir(exist_ok=True)
@@ -124,10 +123,10 @@ def _page(title: str, rows: list[dict[str, Any]], held: list[str], single_file: 
         "page.html", page_parts({}, "{{title}}") | {"objects": "{{objects}}", "script": "{{script}}"}
     )
     content = {
-        "title": escape(title),
-        "data": _json({"rows": rows, "scores": SCORES, "frame": frame}),
+        "title": in_html(title),
+        "data": in_script({"rows": rows, "scores": SCORES, "frame": frame}),
         "objects": "\n".join(held),
-        "viewer": _json(static_text("viewer.js")) if single_file else "null",
+        "viewer": in_script(static_text("viewer.js")) if single_file else "null",
         "script": static_text("report.js"),
     }
     return filled_page("report.html", content)
@@ -135,15 +134,11 @@ def _page(title: str, rows: list[dict[str, Any]], held: list[str], single_file: 
 
 def _script(report: ObjectReport) -> str:
     """Return the file that the page loads when an object is opened; scripts load from disk, data does not."""
-    return f"objectfolderReport({_json(report.detail)});\n"
+    return f"objectfolderReport({in_script(report.detail)});\n"
 
 
 def _embedded(report: ObjectReport) -> str:
     return (
-        f'<script type="application/json" data-report="{report.row["key"]}">{_json(report.detail)}</script>'
+        f'<script type="application/json" data-report="{in_html(report.row["key"])}">'
+        f"{in_script(report.detail)}</script>"
     )
-
-
-def _json(value: Any) -> str:
-    """Return JSON that may stand in a script element."""
-    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

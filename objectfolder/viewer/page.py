@@ -1,7 +1,6 @@
 """One page that answers from Object Files in a browser, without a server."""
 
 import base64
-import json
 from collections.abc import Mapping
 from functools import cache
 from html import escape
@@ -9,6 +8,7 @@ from importlib.resources import files
 from typing import Any
 
 from objectfolder.materials import MATERIALS, material
+from objectfolder.text import in_html, in_script
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.viewer.background import packed_background
 
@@ -32,7 +32,7 @@ def viewer_page(objects: Mapping[str, bytes], title: str = "Object File") -> str
 def page_parts(objects: Mapping[str, bytes], title: str) -> dict[str, str]:
     """Return what `filled_page` puts into page.html, but for the program."""
     return {
-        "title": escape(title),
+        "title": in_html(title),
         "settings": _settings(),
         "objects": "\n".join(_embedded(name, content) for name, content in objects.items()),
     }
@@ -47,8 +47,8 @@ def filled_page(name: str, parts: Mapping[str, str]) -> str:
 
 def viewer_frame(objects: Mapping[str, bytes], height: int = 640) -> str:
     """Return `viewer_page` in a frame, for notebooks; its height is in pixels."""
-    page = escape(viewer_page(objects))
-    return f'<iframe srcdoc="{page}" style="width:100%;height:{height}px;border:0" allow="autoplay"></iframe>'
+    page, style = escape(viewer_page(objects)), f"width:100%;height:{height}px;border:0"
+    return f'<iframe srcdoc="{page}" sandbox="allow-scripts" style="{style}" allow="autoplay"></iframe>'
 
 
 @cache
@@ -59,7 +59,7 @@ def static_text(name: str) -> str:
 
 def _embedded(name: str, content: bytes) -> str:
     text = base64.b64encode(content).decode()
-    return f'<script type="text/plain" data-object="{escape(name)}">{text}</script>'
+    return f'<script type="text/plain" data-object="{in_html(name)}">{text}</script>'
 
 
 @cache
@@ -69,7 +69,7 @@ def _settings() -> str:
         "materials": {law: {name: _material(name, law) for name in MATERIALS} for law in LAWS},
         "sensors": {name: page_sensor(name) for name in available_profiles()},
     }
-    return json.dumps(settings, separators=(",", ":")).replace("<", "\\u003c")
+    return in_script(settings)
 
 
 def _material(name: str, law: str) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from objectfolder import materials
 from objectfolder.errors import ObjectFolderError, plural, quoted
@@ -309,9 +309,9 @@ def examination_table(examinations: Sequence[Examination], up_given: bool) -> Ta
         )
     for shown in examinations:
         candidate = shown.candidate
-        row = [candidate.key, escape(candidate.material or "?")]
+        row: list[str | Text] = [candidate.key, candidate.material or "?"]
         if shown.refusal is not None:
-            row.append("[bold red]refused[/]")
+            row.append(Text("refused", style="bold red"))
         else:
             row += [
                 _digits(shown.scale),

@@ -1,16 +1,21 @@
 """The catalogue of the paper's objects, and finding objects in it by name."""
 
 import csv
+import json
 from collections import Counter
 from pathlib import Path
 
 import pytest
+from hostile import WORDS
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.catalogue import read_catalogue, select_objects
 from objectfolder.fetch.run import source_text
 from objectfolder.materials import MATERIALS
+from objectfolder.release.notices import read_notice
+from objectfolder.text import visible
 from objectfolder.workspace import params
+from objectfolder.yamlfile import read_yaml
 
 ROOT = Path(__file__).parents[2]
 PATH = ROOT / "catalogs/objectfolder1.yaml"
@@ -102,6 +107,40 @@ def test_the_notice_names_licence_and_authors(catalogue):
     ):
         assert fact in text
     assert "CC0 1.0" in source_text("polyhaven_lantern", catalogue, "x")
+
+
+@pytest.mark.parametrize("text", WORDS)
+def test_no_word_begins_a_line_of_the_notice(catalogue, tmp_path, text):
+    """Such as a licence before that of the source."""
+    entry = catalogue.objects["ycb_mug"].model_copy(update={"name": text, "note": text, "model": "m"})
+    source = catalogue.sources["ycb"].model_copy(update={"title": text, "attribution": text})
+    held = {"objects": {"ycb_mug": entry}, "sources": {"ycb": source}}
+    notice = source_text("ycb_mug", catalogue.model_copy(update=held), f"the archive {text}")
+    (tmp_path / "SOURCE.txt").write_text(notice, encoding="utf-8")
+    assert notice.count("\n") == source_text("ycb_mug", catalogue, "x").count("\n")
+    assert all(line.isprintable() for line in notice.splitlines())
+    found = read_notice(tmp_path / "mesh.glb")
+    assert (found.licence, found.attribution) == (source.licence, visible(text).strip())
+
+
+@pytest.mark.parametrize(
+    ("field", "address"),
+    [
+        ("url", "https://me:secret@a.b/{model}"),
+        ("url", "ftp://a.b/{model}"),
+        ("url", "https:///{model}"),
+        ("page", "javascript:alert(1)"),
+        ("page", "https://a.b/\x1b[2J"),
+    ],
+)
+def test_addresses_of_a_catalogue_are_those_of_the_web(tmp_path, field, address):
+    values = read_yaml(PATH)
+    values["sources"]["ycb"][field] = address
+    path = tmp_path / "catalogue.yaml"
+    path.write_text(json.dumps(values), encoding="utf-8")
+    with pytest.raises(ObjectFolderError, match=r"of source ycb is .*, expected .*http://") as error:
+        read_catalogue(path)
+    assert str(error.value).isprintable()
 
 
 def test_objects_are_found_by_key_and_name_in_any_case(catalogue):

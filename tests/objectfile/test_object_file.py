@@ -163,9 +163,25 @@ def test_a_header_without_a_field(edit, field):
         ("scale", "big", "scale: 'big' is not of type 'number'"),
         ("scale", math.nan, "nor another readable safetensors file: its header holds NaN"),
         ("scale", True, "scale: True is not of type 'number'"),
-        ("key", "../../etc/passwd", "key: '../../etc/passwd' does not match"),
-        ("key", "a" * 1000, "key: .* does not match"),
-        ("key", "mug\n", "key: 'mug.n' ends with a line break"),
+        ("key", "../../etc/passwd", "key is '../../etc/passwd', expected a letter, then"),
+        ("key", "a" * 1000, "key is .*, expected a letter, then"),
+        ("key", "mug\n", "key is 'mug.n', expected a letter, then"),
+        ("key", 3, "key: 3 is not of type 'string'"),
+        *(
+            ("material", name, r"material is .*, expected a name such as steel or unknown: letters")
+            for name in (
+                "",
+                " ",
+                "steel\n",
+                "=steel",
+                "<b>steel</b>",
+                "a|b",
+                "a\x1b[2J",
+                "acier\u202e",
+                "a" * 101,
+            )
+        ),
+        ("material", None, "material: None is not of type 'string'"),
         ("geometry", {}, "geometry: 'kind' is a required property"),
     ],
 )

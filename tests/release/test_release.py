@@ -259,6 +259,17 @@ def test_spellings_of_a_licence_are_one(fetched):
         (("out", "--licence", "MIT", "--licence", "CC0-1.0"), "all objects without one is given twice"),
         (("out", "--licence", "MIT", "--licence", "mug="), "--licence 'mug=': that of mug is empty"),
         (("out", "--licence", "MIT", "--version", "one"), "--version 'one', expected three numbers"),
+        (("out", "--licence", "MIT", "--version", "1.٢.0"), "expected three numbers"),
+        (("out", "--licence", "MIT", "--version", "1.0.0\n"), "expected three numbers"),
+        (("out", "--licence", "MIT", "--url", "javascript:alert(1)"), "expected an address such as https://"),
+        (("out", "--licence", "MIT", "--url", "https://me:secret@a.b"), "without password"),
+        (
+            ("out", "--licence", "MIT", "--name", "a\nb"),
+            "--name 'a\\nb', expected a line of 1 to 200 characters",
+        ),
+        (("out", "--licence", "MIT", "--creator", " "), "--creator ' ', expected a line"),
+        (("out", "--licence", "mug=M\x1bIT"), "--licence mug 'M\\x1bIT', expected a line of 1 to 1000"),
+        (("out", "--licence", "MIT", "--category", "c" * 101), "expected a line of 1 to 100 characters"),
         (("out", "--licence", "MIT", "--date", "today"), "--date 'today', expected a day"),
     ],
 )
@@ -317,33 +328,6 @@ def test_scores_of_an_earlier_file_are_not_released(built):
     with pytest.raises(ObjectFolderError, match=r"mug\.json has the scores of another .* build mug"):
         release("out", *OPTIONS)
     assert not (built / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("find", "replace", "message"),
-    [
-        ("objects/mug", "../mug", "object 1: path is '../mug.safetensors', expected one in the release"),
-        ("0.112", "wide", "object 1: size is 'wide', expected a number"),
-        ("0.112", "", "object 1: size is '', expected a number"),
-        ("0.112", "nan", "object 1: size is 'nan', expected a number"),
-        ("41.235", "inf", "object 1: vision_psnr is 'inf', expected a number"),
-        ("41.235", "9" * 400, "expected a number"),
-        ("41.235", "4l.235", "object 1: vision_psnr is '4l.235', expected a number"),
-        ("\ndie,", "\nmug,", "is damaged: mug is listed twice"),
-        ("licence,source", "licence,origin", "object 1: lacks source"),
-    ],
-)
-def test_a_damaged_index_is_refused(dataset, find, replace, message):
-    index = dataset.folder / "objects.csv"
-    index.write_text(index.read_text().replace(find, replace, 1))
-    with pytest.raises(ObjectFolderError) as error:
-        Dataset("out")
-    assert message in str(error.value)
-
-
-def test_a_folder_that_is_no_release_is_named(tmp_path):
-    with pytest.raises(ObjectFolderError, match="is not a release"):
-        Dataset(tmp_path)
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
 import base64
+import hashlib
 import json
 import lzma
 import re
@@ -8,14 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import soundfile
+from hostile import WORDS, Elements
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import LOSS_FACTORS, MATERIALS
+from objectfolder.report.listening import study_page
+from objectfolder.report.site import write_site
+from objectfolder.text import visible
 from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.viewer.background import STEP
-from objectfolder.viewer.page import static_text, viewer_page
+from objectfolder.viewer.page import filled_page, static_text, viewer_frame, viewer_page
 
 VIEWER = Path(__file__).parents[2] / "viewer"
 BUILT = Path(viewer_page.__code__.co_filename).parent / "static"
@@ -97,6 +103,54 @@ def test_view_refuses_two_files_of_one_object(brick_path):
         app(["view", str(brick_path), str(brick_path), "--no-open"], standalone_mode=False)
 
 
+@pytest.mark.parametrize("text", WORDS)
+def test_pages_show_words_and_do_not_obey_them(tmp_path, text):
+    def pages(words):
+        missing = {"cup": {"material": words, "scale": 0.1}}
+        report = write_site([], tmp_path / "site", missing, title=words)
+        return Elements(viewer_page({words: b""}, words)), Elements(report.read_text(encoding="utf-8"))
+
+    for page, plain in zip(pages(text), pages("plain")):
+        assert page.elements == plain.elements
+        expected = "".join(plain.texts).replace("plain", visible(text), 1)
+        assert expected.partition(visible(text))[0] in "".join(page.texts)
+        assert visible(text) in "".join(page.texts)
+    rows = json.loads(next(shown for shown in pages(text)[1].texts if shown.startswith('{"rows"')))["rows"]
+    assert [row["material"] for row in rows] == [text]
+
+
+def sources(page):
+    """Sources that the policy of a page allows, by directive."""
+    policy = re.search('<meta http-equiv="Content-Security-Policy" content="([^"]*)">\n', page)
+    assert policy.end() < min(page.index("<style"), page.index("<script"))
+    return {name: allowed for name, *allowed in map(str.split, policy[1].split(";"))}
+
+
+@pytest.mark.parametrize("name", ["page", "report", "listening"])
+def test_a_page_runs_its_own_program_alone(name):
+    names = re.findall(r"{{(\w+)}}", static_text(f"{name}.html"))
+    program = static_text("viewer.js" if name == "page" else f"{name}.js")
+    page = filled_page(f"{name}.html", dict.fromkeys(names, "") | {"script": program})
+    allowed = sources(page)
+    assert {directive: allowed[directive] for directive in ("default-src", "base-uri", "form-action")} == {
+        directive: ["'none'"] for directive in ("default-src", "base-uri", "form-action")
+    }
+    inline = re.findall(r"<(script|style)>(.*?)</\1>", page, re.S)
+    assert len(inline) == 2
+    for kind, content in inline:
+        digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+        assert f"'sha256-{digest}'" in allowed[f"{kind}-src"]
+    assert "unsafe" not in str(allowed)
+    assert not {"http:", "https:", "*"} & {source for found in allowed.values() for source in found}
+
+
+def test_frames_are_sandboxes():
+    [frame] = Elements(viewer_frame({"a": b"b"})).elements
+    assert frame == ("iframe", "srcdoc", "sandbox", "style", "allow")
+    assert 'sandbox="allow-scripts"' in viewer_frame({})
+    assert 'sandbox:"allow-scripts"' in static_text("report.js")
+
+
 @has_node
 def test_the_program_is_what_its_sources_give(tmp_path):
     subprocess.run(["node", "build.mjs", str(tmp_path)], cwd=VIEWER, check=True)
@@ -111,5 +165,35 @@ def test_the_page_in_chromium(brick_path, tmp_path):
     page.write_text(viewer_page({"brick": brick_path.read_bytes()}))
     done = subprocess.run(
         ["node", "tests/drive.mjs", str(page), str(tmp_path)], cwd=VIEWER, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def study(folder):
+    for name in ("=a", "[b]"):
+        (folder / name).mkdir()
+        soundfile.write(folder / name / "<b>_1.wav", np.sin(np.arange(8000) / 5), 16000)
+    page = folder / "listening.html"
+    page.write_text(study_page(folder / "=a", folder / "[b]", pairs=1))
+    return page
+
+
+def shown(folder):
+    page = folder / "view.html"
+    page.write_text(viewer_page({" ".join(WORDS): b"no file"}, " ".join(WORDS)), encoding="utf-8")
+    return page
+
+
+def report(folder):
+    missing = {"cup": {"material": " ".join(WORDS), "scale": 0.1}}
+    return write_site([], folder / "site", missing, title=" ".join(WORDS))
+
+
+@pytest.mark.slow
+@has_node
+@pytest.mark.parametrize("make", [study, shown, report])
+def test_what_gets_into_a_page_is_not_run_in_chromium(make, tmp_path):
+    done = subprocess.run(
+        ["node", "tests/policy.mjs", str(make(tmp_path))], cwd=VIEWER, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr

@@ -42,8 +42,11 @@ export function plan(pairs: number, listener: string, seed: number): Trial[] {
   return order.map((pair, n) => ({ pair, swapped: sides[n] }));
 }
 
+/** Where spreadsheets would take a text for a formula; objectfolder/text.py takes the apostrophes away again. */
+const FORMULA = /(^|[,;])(?=['"\s]*[=+\-@\t\r\n＝＋－＠])/g;
+
 const cell = (value: string | number) => {
-  const text = String(value);
+  const text = typeof value === "string" ? value.replace(FORMULA, "$1'") : String(value);
   return /[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
 };
 

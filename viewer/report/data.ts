@@ -48,6 +48,7 @@ export interface Data {
 declare global {
   interface Window {
     objectfolderReport: (detail: Detail) => void;
+    objectfolderViewer: (program: string) => void;
   }
 }
 
@@ -57,37 +58,44 @@ function json<T>(id: string): T {
 
 export const data = json<Data>("data");
 
-/** The program of the live viewer in a single page; null if it lies beside the page. */
-export const viewerScript = () => json<string | null>("viewer");
+/** What a script beside the page brings, by its path. */
+const waiting = new Map<string, (brought: never) => void>();
 
-const waiting = new Map<string, (detail: Detail) => void>();
+window.objectfolderReport = (detail) => waiting.get(`objects/${detail.key}.js`)?.(detail as never);
+window.objectfolderViewer = (program) => waiting.get("viewer.js")?.(program as never);
 
-window.objectfolderReport = (detail) => waiting.get(detail.key)?.(detail);
+/** Return what a script beside the page brings: from disk, pages may load no data. */
+function beside<T>(path: string): Promise<T> {
+  return new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    script.src = path;
+    const done = () => {
+      waiting.delete(path);
+      script.remove();
+    };
+    waiting.set(path, (brought: T) => {
+      done();
+      resolve(brought);
+    });
+    script.onerror = () => {
+      done();
+      reject(new Error(`${path} is missing: copy the whole folder of the report`));
+    };
+    script.onload = () => {
+      if (!waiting.has(path)) return;
+      done();
+      reject(new Error(`${path} is damaged: write the report again, or copy it again`));
+    };
+    document.head.append(script);
+  });
+}
+
+/** Return the program of the live viewer: from the page, or from a script beside it. */
+export const viewerProgram = async () => json<string | null>("viewer") ?? (await beside<string>("viewer.js"));
 
 /** Return what the report says of an object: from the page, or from a script beside it. */
 export function detailOf(key: string): Promise<Detail> {
   const held = document.querySelector(`script[data-report="${key}"]`);
   if (held) return Promise.resolve(JSON.parse(held.textContent!) as Detail);
-  return new Promise((resolve, reject) => {
-    const script = document.createElement("script");
-    script.src = `objects/${key}.js`;
-    const done = () => {
-      waiting.delete(key);
-      script.remove();
-    };
-    waiting.set(key, (detail) => {
-      done();
-      resolve(detail);
-    });
-    script.onerror = () => {
-      done();
-      reject(new Error(`objects/${key}.js is missing: copy the whole folder of the report`));
-    };
-    script.onload = () => {
-      if (!waiting.has(key)) return;
-      done();
-      reject(new Error(`objects/${key}.js is damaged: write the report again, or copy it again`));
-    };
-    document.head.append(script);
-  });
+  return beside<Detail>(`objects/${key}.js`);
 }

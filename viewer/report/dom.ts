@@ -24,6 +24,10 @@ export function draw(tag: string, attributes: Attributes = {}, ...children: (Nod
 
 export const byId = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
 
+/** What is shown in place of what cannot be read. */
+export const failure = (error: Error): HTMLElement =>
+  make("p", { class: "bad", role: "alert" }, error.message);
+
 const LONG = 40; // rows of a table that scrolls in its box
 
 /** A table with numbers on the right. */

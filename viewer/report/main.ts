@@ -1,7 +1,7 @@
 /** The report: an overview, and a page for each object behind its fragment of the address. */
 
 import { data, detailOf } from "./data.ts";
-import { byId, make } from "./dom.ts";
+import { byId, failure, make } from "./dom.ts";
 import { objectPage } from "./object.ts";
 import { Overview } from "./overview.ts";
 
@@ -47,7 +47,7 @@ async function route(): Promise<void> {
     body.querySelector("h1")!.focus({ preventScroll: true });
   } catch (error) {
     if (asked() !== key) return;
-    body.replaceChildren(make("p", { class: "bad", role: "alert" }, (error as Error).message));
+    body.replaceChildren(failure(error as Error));
   }
 }
 

@@ -1,7 +1,7 @@
 /** The page of one object. */
 
-import { type Data, type Detail, data, type Row, type Strip, viewerScript } from "./data.ts";
-import { column, draw, length, make, measure, short, table } from "./dom.ts";
+import { type Data, type Detail, data, type Row, type Strip, viewerProgram } from "./data.ts";
+import { column, draw, failure, length, make, measure, short, table } from "./dom.ts";
 
 const THREE = ["ground truth", "Object File", "difference"];
 const ENLARGED = " × 4"; // differences of pictures
@@ -89,17 +89,18 @@ function place(row: Row, [name, title, unit, more]: Data["scores"][number]): HTM
 }
 
 /** The live viewer of the object. */
-function live(detail: Detail): HTMLIFrameElement {
-  const script = viewerScript();
+async function live(detail: Detail): Promise<HTMLElement> {
   const parts: Record<string, string> = {
     title: detail.key,
     objects: `<script type="text/plain" data-object="${detail.key}">${detail.file}</script>`,
-    script: script ?? "",
+    script: await viewerProgram(),
   };
-  let page = data.frame.replace(/\{\{(\w+)\}\}/g, (_, name: string) => parts[name]);
-  if (script === null)
-    page = page.replace(/<script><\/script>(?=\s*<\/body>)/, '<script src="viewer.js"></script>');
-  return make("iframe", { srcdoc: page, title: `Live viewer of ${detail.key}`, allow: "autoplay" });
+  return make("iframe", {
+    srcdoc: data.frame.replace(/\{\{(\w+)\}\}/g, (_, name: string) => parts[name]),
+    sandbox: "allow-scripts",
+    title: `Live viewer of ${detail.key}`,
+    allow: "autoplay",
+  });
 }
 
 function section(title: string, ...content: (Node | null)[]): HTMLElement | null {
@@ -142,10 +143,10 @@ const strips = (given: Strip[], kind = "") =>
 
 export function objectPage(row: Row, detail: Detail): Node[] {
   const stage = make("div", {}, make("button", { type: "button" }, "See, strike and touch it"));
-  stage.querySelector("button")!.addEventListener("click", () => {
-    const frame = live(detail);
-    stage.replaceChildren(frame);
-    frame.focus();
+  stage.querySelector("button")!.addEventListener("click", async () => {
+    const shown = await live(detail).catch(failure);
+    stage.replaceChildren(shown);
+    shown.focus();
   });
   const passed = detail.checks.filter((check) => check.passed).length;
   const scores = data.scores.map((score) => place(row, score)).filter((chart) => chart !== null);

@@ -26,4 +26,6 @@ describe("a listener's trials", () => {
 
 it("CSV quotes what needs it", () => {
   expect(csv(["a", "b"], [['say "x", y', 2]])).toBe('a,b\n"say ""x"", y",2\n');
+  expect(csv(["a", "b"], [["=1", '"+1;@x']])).toBe('a,b\n\'=1,"\'""+1;\'@x"\n');
+  expect(csv(["a", "b"], [[-1, "a-b=c"]])).toBe("a,b\n-1,a-b=c\n");
 });

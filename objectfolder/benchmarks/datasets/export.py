@@ -16,6 +16,7 @@ from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.disk import new_folder
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import wav_bytes, write_json, write_text
+from objectfolder.objectfile.header import checked_name
 from objectfolder.pictures import png_bytes
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import MODALITIES, SPLITS
@@ -190,6 +191,8 @@ def _total(split: Split) -> int:
 
 
 def _new_folder(out: Path, observations: Observations, samples: int) -> AbstractContextManager[Path]:
+    for key in observations.keys:
+        checked_name("key", key, "key of observations")  # names files, and stands in the card
     # Size of the sounds; that of the compressed images is not known before.
     needed = samples * 4 * observations.shape("audio")[0]
     return new_folder("export", out, needed, ", or export fewer objects")

@@ -1,6 +1,7 @@
 import errno
 import io
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -131,6 +132,19 @@ def test_the_same_observations_give_the_same_bytes(observations, tmp_path, write
 def test_existing_folder_is_refused(observations, tmp_path, write):
     with pytest.raises(ObjectFolderError, match=f"{tmp_path} exists already"):
         write(observations, split_of(observations), tmp_path)
+
+
+@pytest.mark.parametrize("write", [write_webdataset, write_datasets])
+@pytest.mark.parametrize("key", ["../own", "<b>", "a\x1b[2J"])
+def test_a_record_with_another_key_than_a_name_is_refused(root, tmp_path, write, key):
+    """Keys name files of archives, and stand in the card."""
+    shutil.copytree(root, tmp_path / "observations")
+    record = tmp_path / "observations" / KEYS[0] / "observations.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"key": key}))
+    observations = Observations(find_folders([tmp_path]))
+    with pytest.raises(ObjectFolderError, match=r"key of observations is .*, expected a letter, then"):
+        write(observations, split_of(observations), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("write", [write_webdataset, write_datasets])
