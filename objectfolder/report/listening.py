@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from objectfolder.audio.recordings import at_rate, loudest_channel
+from objectfolder.audio.recordings import at_rate, loudest_channel, opened_sound, read_channels
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.viewer.page import filled_page, static_text
 
@@ -187,13 +187,11 @@ def _drawn(names: list[str], count: int, seed: int) -> list[str]:
 
 def _levelled(path: Path) -> tuple[np.ndarray, int]:
     """Read a sound, (samples,), whose loudest part has a root mean square of 1, and its sample rate."""
-    try:
-        channels, rate = soundfile.read(path, always_2d=True)
-    except Exception as error:  # of the library that decodes
-        raise ObjectFolderError(f"{path} cannot be read as a sound ({shortened(error, 200)})") from error
-    if rate > MOST:
-        raise ObjectFolderError(f"{path} has {rate} Hz, expected at most {MOST} Hz; resample it")
-    sound = loudest_channel(channels[: int(LONGEST * rate)], path)
+    with opened_sound(path) as file:
+        rate = file.samplerate
+        if rate > MOST:
+            raise ObjectFolderError(f"{path} has {rate} Hz, expected at most {MOST} Hz; resample it")
+        sound = loudest_channel(read_channels(file, path, LONGEST), path)
     peak = np.abs(sound).max(initial=0)
     if not peak > 0:
         raise ObjectFolderError(
