@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import page_to_write
@@ -51,16 +51,14 @@ def score(
     from objectfolder.report.listening import preferences
 
     scores = preferences(results, study)
-    table = Table(
-        title=f"{escape(scores.method)} preferred by {plural(scores.listeners, 'listener')} "
-        "(chance: 50 %; the paper's simulation: 42 %)"
-    )
+    title = f"{scores.method} preferred by {plural(scores.listeners, 'listener')} "
+    table = Table(title=Text(title + "(chance: 50 %; the paper's simulation: 42 %)"))
     for name in ("material", "answers", "preferred", "95 % interval"):
         table.add_column(name, justify="left" if name == "material" else "right")
     for material, one in (*scores.materials.items(), (None, scores.total)):
         if material is None:
             table.add_section()
         low, high = one.interval
-        name = "all materials" if material is None else escape(material)
-        table.add_row(name, str(one.answers), f"{one.share:.0%}", f"{low:.0%} to {high:.0%}")
+        name = "all materials" if material is None else material
+        table.add_row(Text(name), str(one.answers), f"{one.share:.0%}", f"{low:.0%} to {high:.0%}")
     console.print(table)

@@ -9,8 +9,8 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from objectfolder.cli.console import console, tracked
-from objectfolder.errors import ObjectFolderError
+from objectfolder.cli.console import console, print_line, tracked
+from objectfolder.errors import ObjectFolderError, plural
 
 if TYPE_CHECKING:
     from objectfolder.workspace.discover import Examination
@@ -158,7 +158,7 @@ def _add_folder(
 ) -> bool:
     """Examine and add the objects in a folder; return whether all were accepted."""
     from objectfolder.engine.dvc.repository import track
-    from objectfolder.workspace.discover import discover, examination_table, examine_all
+    from objectfolder.workspace.discover import FORMATS, discover, examination_table, examine_all, passed_over
     from objectfolder.workspace.objects import add_mesh
 
     candidates = discover(folder, material)
@@ -189,6 +189,12 @@ def _add_folder(
     for key, reason in dict.fromkeys(refused):
         text = f"[bold red]refused[/] {key}: {escape(reason.removeprefix(f'{key}: '))}"
         console.print(text, soft_wrap=True, highlight=False)
+    if skipped := passed_over(folder):
+        names = ", ".join(str(path.relative_to(folder)) for path in skipped[:4]) + ", ..." * (
+            len(skipped) > 4
+        )
+        text = f"{plural(len(skipped), 'file')} skipped: {names}; expected {', '.join(FORMATS)}"
+        print_line(text)
     text = f"{len(accepted)} can be added" if dry_run else f"{len(added)} added"
     text += f", {len(refused)} refused" if refused else ""
     console.print(text + ("; next: objectfolder build" if added else ""), highlight=False)
