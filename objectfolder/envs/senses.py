@@ -80,7 +80,7 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
             self, objects=objects, listener=listener, pads=pads, seconds=seconds, sample_rate=sample_rate,
             sensor=sensor, audio=audio, touch=touch, _disable_deepcopy=True,
         )  # fmt: skip
-        inner = getattr(env, "unwrapped", env)
+        inner: Any = getattr(env, "unwrapped", env)
         if not isinstance(getattr(inner, "model", None), mujoco.MjModel) or not hasattr(inner, "data"):
             raise ObjectFolderError(
                 f"{type(inner).__name__} has no model and data of MuJoCo; expected an environment that has, "
@@ -91,7 +91,7 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
             raise ObjectFolderError(
                 "there is neither a listener nor a pad: give the name of a site to either"
             )
-        model = inner.model  # type: ignore[attr-defined]
+        model = inner.model
         self._hearing = None if listener is None else Hearing(model, objects, listener, sample_rate)
         self._feeling = Feeling(model, pads, objects, sensor) if pads else None
         self._audio, self._touch = audio, touch

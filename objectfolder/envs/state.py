@@ -203,10 +203,9 @@ def _refuse(model: mujoco.MjModel, data: mujoco.MjData) -> None:
             row = int(np.argwhere(wrong)[0, 0])
             whose = _owner(model, owner, row)
             raise ObjectFolderError(f"{whose}{name}[{row}] is {values[row].tolist()} {when}, {REMEDY}")
-    misplaced = _misplaced(data) if data.ncon else []
-    for k, away in enumerate(misplaced):
-        one = data.contact[k]
-        if away:
+    misplaced = _misplaced(data) if data.ncon else np.zeros(0, bool)
+    for k, one in enumerate(data.contact):
+        if misplaced[k]:
             found = ", ".join(f"{name} {np.asarray(getattr(one, name)).tolist()}" for name in CONTACT_PLACES)
             raise ObjectFolderError(f"contact {k} has {found} {when}, which are not in the data; {REMEDY}")
         for name in CONTACT:

@@ -191,7 +191,7 @@ def _answers(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
                     f"study have the columns {', '.join(COLUMNS)}"
                 )
             for row in reader:
-                if row.get(None) or None in row.values():  # type: ignore[call-overload]
+                if row.get(None) or None in row.values():
                     raise ObjectFolderError(
                         f"{path}: line {reader.line_num} does not have {len(head)} cells, as the first line; "
                         f"{REPAIR}"
