@@ -1,11 +1,20 @@
 """Recordings of taps on real objects."""
 
-from collections.abc import Sequence
+import io
+import math
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
+
+if TYPE_CHECKING:
+    import soundfile
 
 LOUDEST = 0.999  # of full scale; samples above are clipped if several follow each other
 CLIPPED = 3  # samples
@@ -16,6 +25,14 @@ SILENT = 1e-4  # of full scale, peak
 MIN_RATE = 8000.0  # Hz
 MAX_SECONDS = 600.0
 MAX_RATIO = 1.5  # of the highest to the lowest sample rate
+LACKING = 0.05  # s that may lack at the end: some encoders write lengths that are wrong by less
+STREAMED = (
+    0x7FFF0000  # bytes; such sizes, and 0, stand for one that was not known when the header was written
+)
+ENDLESS = 2**62  # samples; as many or more stand for a number that is not known
+#: In the log of libsndfile: bytes of sound that the header says, and that the file has.
+_SIZES = re.compile(r"^\s*(?:data|SSND|Data Size|riff|Riff size)\s*: (\d+) \(should be (\d+)\)", re.MULTILINE)
+_PAGE = 65307  # bytes, of the longest page of Ogg
 USABLE = 0.45  #: of the sample rate: modes above are not looked for
 
 
@@ -25,26 +42,16 @@ def read_recording(path: Path) -> tuple[np.ndarray, float]:
     Raises
     ------
     ObjectFolderError
-        If it is not an audio file, or is silent, clipped, not finite, too long or of a low rate.
+        If it is not an audio file, or is silent, clipped, not finite, too long, of a low rate or cut off.
     """
-    import soundfile
-
-    try:
-        if path.is_dir() or not path.exists():
-            problem = "is a folder" if path.is_dir() else "does not exist"
-            raise ObjectFolderError(f"{path} {problem}; expected a recording: WAV, FLAC or OGG")
-        with soundfile.SoundFile(path) as file:
-            rate, seconds = float(file.samplerate), file.frames / file.samplerate
-            if rate < MIN_RATE or seconds > MAX_SECONDS:
-                raise ObjectFolderError(
-                    f"{path} has {rate:g} Hz and {seconds:.1f} s, expected at least {MIN_RATE:g} Hz and at "
-                    f"most {MAX_SECONDS:g} s"
-                )
-            channels, bounded = file.read(dtype="float64", always_2d=True), file.subtype not in UNBOUNDED
-    except (soundfile.LibsndfileError, OSError) as error:
-        raise ObjectFolderError(
-            f"{path} is not a readable audio file ({error}); expected WAV, FLAC or OGG"
-        ) from error
+    with opened_sound(path) as file:
+        rate, seconds = float(file.samplerate), file.frames / file.samplerate
+        if rate < MIN_RATE or seconds > MAX_SECONDS:
+            raise ObjectFolderError(
+                f"{path} has {rate:g} Hz and {seconds:.1f} s, expected at least {MIN_RATE:g} Hz and at "
+                f"most {MAX_SECONDS:g} s"
+            )
+        channels, bounded = read_channels(file, path), file.subtype not in UNBOUNDED
     sound = loudest_channel(channels, path)
     peak = np.abs(sound).max(initial=0)
     if not peak > SILENT:
@@ -53,6 +60,118 @@ def read_recording(path: Path) -> tuple[np.ndarray, float]:
     if full or _cut_off(sound) or _cut_off(-sound):
         raise ObjectFolderError(f"{path} is clipped: record it again at a lower level, or leave it out")
     return sound, rate
+
+
+@contextmanager
+def opened_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
+    """Open an audio file; its errors, also of what is done with it, become ObjectFolderError.
+
+    A WAV file whose header has no sizes, as of a program that wrote to a pipe, goes on to its end.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it does not exist, cannot be read, or does not say how long it is; if an OGG file lacks its end.
+    """
+    import soundfile
+
+    try:
+        if path.is_dir() or not path.exists():
+            problem = "is a folder" if path.is_dir() else "does not exist"
+            raise ObjectFolderError(f"{path} {problem}; expected a recording: WAV, FLAC or OGG")
+        if _lacks_end(path):
+            raise ObjectFolderError(
+                f"{path} is cut off: its last page is not that of the end; copy or record it again"
+            )
+        with soundfile.SoundFile(_sized(path) or path) as file:
+            if file.frames >= ENDLESS:
+                raise ObjectFolderError(
+                    f"{path} does not say how long it is; convert it, as by `ffmpeg -i FILE sound.wav`"
+                )
+            yield file
+    except (soundfile.LibsndfileError, OSError) as error:
+        raise ObjectFolderError(
+            f"{path} is not a readable audio file ({error}); expected WAV, FLAC or OGG"
+        ) from error
+
+
+def read_channels(file: "soundfile.SoundFile", path: Path, most: float = math.inf) -> np.ndarray:
+    """Return the sound of an open file, (samples, channels), or its first ``most`` seconds.
+
+    Raises
+    ------
+    ObjectFolderError
+        If it holds less than its header says.
+    """
+    import soundfile
+
+    rate, expected = file.samplerate, float(file.frames)
+    for said, there in _SIZES.findall(file.extra_info):
+        if int(there) < int(said) < STREAMED:
+            expected = max(expected, file.frames * int(said) / max(int(there), 1))
+    failed: soundfile.LibsndfileError | None = None
+    try:
+        channels = file.read(int(min(file.frames, most * rate)), "float64", always_2d=True)
+        found = len(channels)
+    except soundfile.LibsndfileError as error:  # amid a block of FLAC
+        failed, found = error, _readable(path)
+    if (found or not failed) and found < min(expected, most * rate) - LACKING * rate:
+        raise ObjectFolderError(
+            f"{path} is cut off or damaged: {found / rate:.2f} s can be read of the {expected / rate:.2f} s "
+            "that its header says; copy or record it again, or save what is there as a new file"
+        ) from failed
+    if failed:
+        raise failed
+    return channels
+
+
+def _readable(path: Path) -> int:
+    """Return how many samples can be read of a file that has an error."""
+    import soundfile
+
+    found, block = 0, 1024
+    with soundfile.SoundFile(path) as file:
+        try:
+            while count := len(file.read(block, always_2d=True)):
+                found += count
+        except soundfile.LibsndfileError:
+            pass
+    return found
+
+
+def _lacks_end(path: Path) -> bool:
+    """Return whether a file is of Ogg, whose last page is cut off or is not the last one of a stream."""
+    with path.open("rb") as file:
+        if file.read(4) != b"OggS":
+            return False
+        size = file.seek(0, io.SEEK_END)
+        file.seek(max(size - _PAGE, 0))
+        tail = file.read()
+    page = tail[tail.rfind(b"OggS") :]
+    sizes = page[27 : 27 + page[26]] if len(page) > 26 else b""
+    return not (len(page) > 26 and page[5] & 4 and 27 + page[26] + sum(sizes) <= len(page))
+
+
+def _sized(path: Path) -> io.BytesIO | None:
+    """Return a WAV file with sizes in its header if its own have none; else None."""
+    with path.open("rb") as file:
+        head, whole = file.read(12), path.stat().st_size
+        if len(head) < 12 or head[:4] != b"RIFF" or head[8:] != b"WAVE":
+            return None
+        if struct.unpack("<I", head[4:8])[0] == whole - 8:  # a file without sound says so, too
+            return None
+        while len(chunk := file.read(8)) == 8:
+            name, size = struct.unpack("<4sI", chunk)
+            start = file.tell()
+            if name == b"data":
+                if size or start == whole:
+                    return None
+                file.seek(0)
+                data = bytearray(file.read())
+                data[4:8], data[start - 4 : start] = (struct.pack("<I", whole - n) for n in (8, start))
+                return io.BytesIO(data)
+            file.seek(start + size + size % 2)
+    return None
 
 
 def loudest_channel(channels: np.ndarray, path: Path) -> np.ndarray:

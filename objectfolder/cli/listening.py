@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import page_to_write
@@ -23,7 +24,7 @@ def make(
     other: Annotated[Path, typer.Argument(metavar="OTHER", help="Folder of sounds of the same names.")],
     out: Annotated[Path, typer.Option(help="Page to write.")] = Path("listening.html"),
     pairs: Annotated[int, typer.Option(min=1, help="Pairs that each listener hears.")] = 16,
-    seed: Annotated[int, typer.Option(help="Of the draw of pairs and of their orders.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the draw of pairs and of their orders.")] = 0,
 ) -> None:
     """Write a page that plays pairs of sounds, such as ours and recordings, and asks which is more real.
 
@@ -42,18 +43,22 @@ def make(
 @listening_app.command()
 def score(
     results: Annotated[list[Path], typer.Argument(metavar="CSV...", help="Answers that the page saved.")],
+    study: Annotated[
+        Path | None, typer.Option(help="Page of the study; answers that are not of its pairs are refused.")
+    ] = None,
 ) -> None:
     """Show how often OURS was preferred, by material, with Wilson's 95 % intervals."""
     from objectfolder.report.listening import preferences
 
-    method, found, listeners = preferences(results)
-    table = Table(
-        title=f"{method} preferred by {plural(listeners, 'listener')} "
-        "(chance: 50 %; the paper's simulation: 42 %)"
-    )
+    scores = preferences(results, study)
+    title = f"{scores.method} preferred by {plural(scores.listeners, 'listener')} "
+    table = Table(title=Text(title + "(chance: 50 %; the paper's simulation: 42 %)"))
     for name in ("material", "answers", "preferred", "95 % interval"):
         table.add_column(name, justify="left" if name == "material" else "right")
-    for material, one in found.items():
+    for material, one in (*scores.materials.items(), (None, scores.total)):
+        if material is None:
+            table.add_section()
         low, high = one.interval
-        table.add_row(material, str(one.answers), f"{one.share:.0%}", f"{low:.0%} to {high:.0%}")
+        name = "all materials" if material is None else material
+        table.add_row(Text(name), str(one.answers), f"{one.share:.0%}", f"{low:.0%} to {high:.0%}")
     console.print(table)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 from rich.text import Text
 
-from objectfolder.cli.console import console, tracked
-from objectfolder.errors import ObjectFolderError
+from objectfolder.cli.console import console, print_line, tracked
+from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def _add_folder(
 ) -> bool:
     """Examine and add the objects in a folder; return whether all were accepted."""
     from objectfolder.engine.dvc.repository import track
-    from objectfolder.workspace.discover import discover, examination_table, examine_all
+    from objectfolder.workspace.discover import FORMATS, discover, examination_table, examine_all, passed_over
     from objectfolder.workspace.objects import add_mesh
 
     candidates = discover(folder, material)
@@ -189,6 +189,12 @@ def _add_folder(
     for key, reason in dict.fromkeys(refused):
         refusal = f" {key}: {reason.removeprefix(f'{key}: ')}"
         console.print(Text.assemble(("refused", "bold red"), refusal), soft_wrap=True)
+    if skipped := passed_over(folder):
+        names = ", ".join(str(path.relative_to(folder)) for path in skipped[:4]) + ", ..." * (
+            len(skipped) > 4
+        )
+        text = f"{plural(len(skipped), 'file')} skipped: {names}; expected {', '.join(FORMATS)}"
+        print_line(text)
     text = f"{len(accepted)} can be added" if dry_run else f"{len(added)} added"
     text += f", {len(refused)} refused" if refused else ""
     console.print(text + ("; next: objectfolder build" if added else ""), highlight=False)

@@ -1,4 +1,4 @@
-"""Progress of a build (live on a terminal, else one line per event), and its final summary."""
+"""Progress of a build (live on a terminal that redraws, else one line per event), and its final summary."""
 
 import statistics
 import time
@@ -63,7 +63,7 @@ class Progress:
         self._behind = 0.0
         self._live = (
             Live(get_renderable=self._render, console=self.console, refresh_per_second=4, transient=True)
-            if self.console.is_terminal
+            if self.console.is_terminal and not self.console.is_dumb_terminal  # which cannot redraw lines
             else None
         )
 

@@ -9,14 +9,8 @@ import torch
 
 from objectfolder.envs.fingers import COARSE, LEAST_DEPTH, sensor_angles
 from objectfolder.envs.poses import rotation
-from objectfolder.envs.sounding import (
-    DIVERGED,
-    Objects,
-    check_extent,
-    check_poses,
-    placed_objects,
-    require_compiled,
-)
+from objectfolder.envs.sounding import Objects, check_extent, placed_objects
+from objectfolder.envs.state import SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.camera import gel_sag
@@ -80,7 +74,8 @@ class Feeling:
     ------
     ObjectFolderError
         If the scene lacks a site or a body, an object has another size there, or the gel is rigid. `feel`
-        raises it if a pose is not finite, or data are of another model.
+        raises it if anything that it reads is not finite, the data are of another model, or the model was
+        changed so that an object has another size.
 
     Examples
     --------
@@ -109,15 +104,17 @@ class Feeling:
             raise ObjectFolderError("pads is empty: expected the names of sites on fingers")
         self._files: dict[int, ObjectFile] = {}
         self._friction: dict[int, float] = {}
-        for body, name, one in placed_objects(model, objects):
+        placed = placed_objects(model, objects)
+        self._names = {body: name for body, name, _ in placed}
+        self._state = StateCheck(model, "Feeling", self._names, (*STRUCTURE, "opt.cone"), SHAPES)
+        for body, name, one in placed:
             if one.scale not in (None, one.file.scale):
                 raise ObjectFolderError(
                     f"body {name!r}: touch needs the object's own size, {one.file.scale:g} m, but it has "
                     f"{one.scale:g} m; build the object with that scale"
                 )
-            advice = "touch needs the object's own size: build the object with that of the scene"
-            check_extent(model, name, one.file, one.file.scale, advice)
             self._files[body], self._friction[body] = one.file, friction_of(one.made_of)
+        self._check_sizes()
         profile = self.profile
         self._coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
         self.markers = Markers().places(profile)
@@ -129,10 +126,15 @@ class Feeling:
 
     def feel(self, data: "mujoco.MjData | Sequence[mujoco.MjData]") -> PadTouches:
         """Return what all pads feel now, in one environment or in many of the same model."""
-        single = isinstance(data, mujoco.MjData)
-        many = [data] if isinstance(data, mujoco.MjData) else [*data]
-        for one in many:
-            check_poses(self._model, one, self._files)
+        single = isinstance(data, mujoco.MjData) or not isinstance(data, Iterable)
+        given = {"data": data} if single else {f"data[{k}]": one for k, one in enumerate(data)}
+        many = [self._state.require(one, self._check_sizes, name) for name, one in given.items()]
+        for name, one in zip(given, many):
+            if divergences(one):
+                raise ObjectFolderError(
+                    f"{name}: the simulation diverged, and MuJoCo has set it back to its start: take smaller "
+                    "time steps or forces, and mujoco.mj_resetData(model, data)"
+                )
         contacts = [self._touching(one, site) for one in many for site in self._sites]
         rows, shape = len(contacts), (len(many), len(self._sites))
         size = self.profile.height, self.profile.width
@@ -153,14 +155,16 @@ class Feeling:
         skipped = 1 if single else 0
         return PadTouches(**{name: of.reshape(shape[skipped:] + of.shape[1:]) for name, of in felt.items()})
 
+    def _check_sizes(self) -> None:
+        """Raise ObjectFolderError if a body of the model is not of its object's size."""
+        advice = "touch needs the object's own size: build the object with that of the scene"
+        for body, file in self._files.items():
+            check_extent(self._model, self._names[body], file, file.scale, advice)
+
     def _touching(self, data: mujoco.MjData, site: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
         """Return the body that a pad touches most, the force, and the site's place and axes in its frame."""
         at, axes = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
         finger, model = model_body(self._model, site), self._model
-        if not (np.isfinite(at).all() and np.isfinite(axes).all()):
-            raise ObjectFolderError(
-                f"pad {model.site(site).name!r}: its pose is not finite at {data.time:g} s: {DIVERGED}"
-            )
         forces: dict[int, np.ndarray] = {}
         wrench = np.zeros(6)
         for k in range(data.ncon):

@@ -11,9 +11,10 @@ from objectfolder.audio.contact import effective_modulus, hertz_time
 from objectfolder.audio.scrape import Scrapes, roughness_of, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import checked_sample_rate
-from objectfolder.checks import real_array, whole_number
+from objectfolder.checks import finite_number, real_array, require_memory, whole_number
 from objectfolder.envs.impacts import ContactReader, Impact, Loads
-from objectfolder.envs.sounding import Objects, check_body, check_poses, placed_objects, require_compiled
+from objectfolder.envs.sounding import Objects, Sounding, check_body, placed_objects
+from objectfolder.envs.state import DYNAMICS, SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material, material
 from objectfolder.objectfile.voice import Voice
@@ -51,6 +52,7 @@ class _Body:
     number: int  #: in the model
     row: int  #: in the stream
     voice: Voice
+    thing: Sounding  #: that it is
 
 
 class Hearing:
@@ -86,7 +88,8 @@ class Hearing:
         If the scene lacks an object, or has it in another size or material, or one body for two; if the model
         is not compiled; if there is not one listener; if the time step is longer than the contacts or
         `LONGEST_STEP`; if a body's modes are all above half the sample rate. `hear` raises it if the
-        simulation was reset or jumped, its state is not finite, or the data are of another model.
+        simulation was reset or jumped, anything that it reads of it is not finite, the data are of another
+        model, or the model was changed so that an object is not as its file says.
 
     Examples
     --------
@@ -111,16 +114,21 @@ class Hearing:
         self._listener = _listener(model, listener)
         stuff = surroundings if isinstance(surroundings, Material) else material(surroundings)
         self._surroundings = stuff
-        self._bodies: dict[int, _Body] = {}
-        for row, (number, name, one) in enumerate(placed_objects(model, objects)):
-            voice = one.file.voice(self.sample_rate, one.material, one.scale)
-            check_body(model, name, one, voice)
-            self._bodies[number] = _Body(name, number, row, voice)
+        placed = placed_objects(model, objects)
+        fixed, adaptable = (*STRUCTURE, "opt.timestep", "opt.cone"), (*SHAPES, *DYNAMICS)
+        self._state = StateCheck(model, "Hearing", [number for number, _, _ in placed], fixed, adaptable)
+        self._bodies = {
+            number: _Body(name, number, row, one.file.voice(self.sample_rate, one.material, one.scale), one)
+            for row, (number, name, one) in enumerate(placed)
+        }
+        self._check_model()
         self._numbers = np.array([*self._bodies])
         self._sounds = np.isin(np.arange(model.nbody), self._numbers)
         self._surfaces: dict[tuple[int, int], tuple[float, float, float]] = {}  # of pairs that slide
         voices = [body.voice for body in self._bodies.values()]
         longest = math.ceil(self.sample_rate * self._step) + 1
+        needed = 16 * len(voices) * max(len(voice.poles) for voice in voices) * longest
+        require_memory("Hearing", needed, f"lower the sample rate, {self.sample_rate:g} Hz")
         self._stream = ModalStream(
             [voice.poles for voice in voices],
             self.sample_rate,
@@ -132,10 +140,12 @@ class Hearing:
 
     def reset(self, data: mujoco.MjData | None = None) -> None:
         """Begin anew, at the time of a simulation or at 0: silence, and no contact."""
+        data = None if data is None else self._state.require_same(data)
+        start = finite_number("time of the data", 0.0 if data is None else data.time)
         self._scrapes = Scrapes(np.random.default_rng(self._seed))
         self._reader.reset()
         self._stream.reset()
-        self._time = 0.0 if data is None else float(data.time)
+        self._time = start
         self._diverged = 0 if data is None else divergences(data)
         self._steps = 0
         self.strikes: tuple[Strike, ...] = ()
@@ -149,7 +159,7 @@ class Hearing:
 
     def simulate(self, data: mujoco.MjData, steps: int = 1) -> np.ndarray:
         """Make steps and return what is heard meanwhile, Pa: one call of many steps as many calls of one."""
-        heard = []
+        data, heard = self._state.require_same(data), []
         for _ in range(whole_number("steps", steps)):
             mujoco.mj_step(self._model, data)
             heard.append(self.hear(data))
@@ -176,17 +186,21 @@ class Hearing:
         energy = self._stream.energy
         return {b.name: float(energy[b.row, : b.voice.modes].sum()) for b in self._bodies.values()}
 
+    def _check_model(self) -> None:
+        """Raise ObjectFolderError if the objects of the model are not as their files say."""
+        _check_step(self._model)
+        for body in self._bodies.values():
+            check_body(self._model, body.name, body.thing, body.voice)
+
     def _check(self, data: mujoco.MjData) -> None:
+        data = self._state.require(data, self._check_model)
         if divergences(data) > self._diverged:  # MuJoCo has set it back to its start
             raise ObjectFolderError(
                 f"the simulation diverged after {self._time:g} s: take smaller time steps or forces, and "
                 "reset(data)"
             )
-        check_poses(self._model, data, self._numbers)
-        if not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
-            raise ObjectFolderError(f"the state of the simulation is not finite at {data.time:g} s; reset it")
         expected = self._time + self._step
-        if abs(data.time - expected) > _LOST + 1e-3 * self._step or self._step != self._model.opt.timestep:
+        if abs(data.time - expected) > _LOST + 1e-3 * self._step:
             raise ObjectFolderError(
                 f"the simulation is at {data.time:g} s, expected {expected:g} s, one step after what was "
                 "heard last: call hear() after every mj_step, and reset(data) when the simulation is reset"
@@ -314,10 +328,10 @@ def _listener(model: mujoco.MjModel, listener: object) -> "int | np.ndarray":
 def _check_step(model: mujoco.MjModel) -> None:
     """Raise ObjectFolderError if a step is longer than contacts last."""
     step = float(model.opt.timestep)
-    if step > LONGEST_STEP:
+    if not 0 < step <= LONGEST_STEP:
         raise ObjectFolderError(
-            f"the time step of the scene is {step:g} s, expected at most {LONGEST_STEP:g} s: bounces "
-            "within it would not be heard"
+            f"the time step of the scene is {step:g} s, expected at most {LONGEST_STEP:g} s, and above 0: "
+            "bounces within a longer one would not be heard"
         )
     collides = np.flatnonzero((model.geom_contype > 0) | (model.geom_conaffinity > 0))
     constants = np.concatenate([model.geom_solref[collides, 0], model.pair_solref[:, 0]])
@@ -334,13 +348,3 @@ def _check_step(model: mujoco.MjModel) -> None:
             f"{times[first]:g} s, expected at least two time steps, {2 * step:g} s: MuJoCo would "
             "soften them silently; use a shorter time step or a longer solref"
         )
-
-
-def divergences(data: mujoco.MjData) -> int:
-    """Return how often a simulation has diverged since it was reset."""
-    kinds = (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-    return sum(int(data.warning[kind].number) for kind in kinds)

@@ -69,8 +69,6 @@ class ContactReader:
         self._counts = np.zeros(model.nbody, bool)
         self._counts[bodies] = True
         self._mocap = model.body_mocapid[model.body_rootid]  # number of what carries each body, or -1
-        #: approach that gravity alone makes in a step: slower ones are not resolved, m/s
-        self.slowest = max(float(np.linalg.norm(model.opt.gravity)) * model.opt.timestep, 1e-3)
         self.reset()
 
     def reset(self) -> None:
@@ -79,6 +77,11 @@ class ContactReader:
         self._pending: dict[tuple[int, int], _Pending] = {}  # by bodies
         self._outside = np.zeros(self._model.nv)  # that all but pending impacts added to the velocity
         self._poses: tuple[np.ndarray, np.ndarray] | None = None  # places and turns of mocap bodies
+
+    @property
+    def slowest(self) -> float:
+        """Approach that gravity alone makes in a step: slower ones are not resolved, m/s."""
+        return max(math.hypot(*self._model.opt.gravity.tolist()) * self._model.opt.timestep, 1e-3)
 
     def read(self, data: mujoco.MjData) -> tuple[list[Impact], Loads | None]:
         """Return the impacts of the step that ``mj_step`` made last, and the loads, if any."""
@@ -188,10 +191,12 @@ class ContactReader:
         """Return velocities and turns of mocap bodies in the last step, (N, 3) each, if any has moved."""
         before, step = self._poses, self._model.opt.timestep
         self._poses = data.mocap_pos.copy(), data.mocap_quat.copy()
+        for turned in self._poses[1]:
+            mujoco.mju_normalize4(turned)  # as MuJoCo does where it reads them
         if before is None:
             return None
         velocity, turn = (data.mocap_pos - before[0]) / step, np.zeros((len(before[0]), 3))
-        for out, now, was in zip(turn, data.mocap_quat, before[1]):
+        for out, now, was in zip(turn, self._poses[1], before[1]):
             if (now != was).any():
                 mujoco.mju_subQuat(out, now, was)  # in the frame that the body had
                 mujoco.mju_rotVecQuat(out, out.copy(), was)

@@ -9,11 +9,12 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from objectfolder.checks import finite_number
+from objectfolder.audio.synthesis import checked_sample_rate
+from objectfolder.checks import finite_number, require_memory
 from objectfolder.envs.feeling import Feeling, pad_names
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.sounding import Objects, named_objects
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.touch.profiles import SensorProfile
 
 UNHEARD = 1e-6  # s, by which simulation and hearing differ by rounding
@@ -52,7 +53,7 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
     ------
     ObjectFolderError
         If the environment has no model and data, or an entry of the same name, there is neither a listener
-        nor a pad, or an argument is wrong.
+        nor a pad, or an argument is wrong. `reset` and `step` raise it as `Hearing` and `Feeling` do.
 
     Examples
     --------
@@ -79,24 +80,25 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
             self, objects=objects, listener=listener, pads=pads, seconds=seconds, sample_rate=sample_rate,
             sensor=sensor, audio=audio, touch=touch, _disable_deepcopy=True,
         )  # fmt: skip
-        super().__init__(env)
-        inner = env.unwrapped
+        inner: Any = getattr(env, "unwrapped", env)
         if not isinstance(getattr(inner, "model", None), mujoco.MjModel) or not hasattr(inner, "data"):
             raise ObjectFolderError(
                 f"{type(inner).__name__} has no model and data of MuJoCo; expected an environment that has, "
                 "as those of gymnasium's MuJoCo and of objectfolder.envs"
             )
+        super().__init__(env)
         if listener is None and not pads:
             raise ObjectFolderError(
                 "there is neither a listener nor a pad: give the name of a site to either"
             )
-        model = inner.model  # type: ignore[attr-defined]
+        model = inner.model
         self._hearing = None if listener is None else Hearing(model, objects, listener, sample_rate)
         self._feeling = Feeling(model, pads, objects, sensor) if pads else None
         self._audio, self._touch = audio, touch
-        samples = round(finite_number("seconds", seconds) * sample_rate)
+        samples = round(finite_number("seconds", seconds) * checked_sample_rate(sample_rate))
         if samples < 1:
             raise ObjectFolderError(f"seconds is {seconds!r}, expected at least one sample of sound")
+        require_memory(f"seconds is {seconds:g}", 4 * samples, "ask for fewer")
         self._sound = np.zeros(samples, np.float32)
         added: list[tuple[str, spaces.Space[Any]]] = []
         if self._hearing:
@@ -107,6 +109,8 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         own = env.observation_space
         entries = {**own.spaces} if isinstance(own, spaces.Dict) else {"observation": own}
         for name, space in added:
+            if not isinstance(name, str) or not name:
+                raise ObjectFolderError(f"{quoted(name)} is no name of an entry, expected a text")
             if name in entries:
                 raise ObjectFolderError(
                     f"the observation has an entry {name!r} already; give another name by audio= or touch="
@@ -137,7 +141,11 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
 
     @property
     def _data(self) -> mujoco.MjData:
-        return self.env.unwrapped.data  # type: ignore[attr-defined]
+        data = self.env.unwrapped.data  # type: ignore[attr-defined]
+        if not isinstance(data, mujoco.MjData):
+            name = type(self.env.unwrapped).__name__
+            raise ObjectFolderError(f"data of {name} is {quoted(data)}, expected a mujoco.MjData")
+        return data
 
     def _sensed(self, observation: Any) -> dict[str, Any]:
         seen = dict(observation) if isinstance(observation, dict) else {"observation": observation}

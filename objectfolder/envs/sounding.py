@@ -1,7 +1,7 @@
 """Objects of a MuJoCo model that can be heard or felt: which bodies they are, checked against their files."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -9,15 +9,22 @@ import numpy as np
 import scipy.linalg
 
 from objectfolder.audio.tuning import HEARING_HZ
+from objectfolder.checks import finite_number
 from objectfolder.envs.body import solid_moments
 from objectfolder.envs.poses import rotation
 from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.materials import Material
+from objectfolder.materials import Material, material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.voice import Voice
 
-#: Why a pose is not finite, and what to do.
-DIVERGED = "the simulation has diverged; use a shorter time step or softer contacts"
+#: Half sides of the boxes of simple geoms, by their sizes.
+_HALVES: dict[int, Callable[[float, float, float], tuple[float, float, float]]] = {
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): lambda r, *_: (r, r, r),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): lambda r, h, _: (r, r, r + h),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): lambda r, h, _: (r, r, h),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): lambda x, y, z: (x, y, z),
+    int(mujoco.mjtGeom.mjGEOM_BOX): lambda x, y, z: (x, y, z),
+}
 #: Relative differences of mass, size and moments of inertia at which a body is another one.
 _MASS, _SIZE, _INERTIA = 0.1, 0.15, 0.3
 
@@ -29,6 +36,16 @@ class Sounding:
     file: ObjectFile
     material: str | Material | None = None  #: default: the object's own
     scale: float | None = None  #: longest side, m; default: the object's own
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.file, ObjectFile):
+            raise ObjectFolderError(
+                f"the file of a Sounding is of type {type(self.file).__name__}, expected an ObjectFile"
+            )
+        if not isinstance(self.material, Material | None):
+            material(self.material)
+        if self.scale is not None and finite_number("scale", self.scale) <= 0:
+            raise ObjectFolderError(f"scale is {self.scale} m, expected the longest side, above 0")
 
     @property
     def made_of(self) -> str:
@@ -95,15 +112,6 @@ def placed_objects(model: mujoco.MjModel, objects: Objects) -> list[tuple[int, s
             )
         found[number] = number, name, one
     return [*found.values()]
-
-
-def require_compiled(model: object) -> None:
-    """Raise ObjectFolderError unless a model is compiled."""
-    if not isinstance(model, mujoco.MjModel):
-        raise ObjectFolderError(
-            f"model is of type {type(model).__name__}, expected a mujoco.MjModel; of an MjSpec, that is what "
-            "spec.compile() returns"
-        )
 
 
 def body_number(model: mujoco.MjModel, name: str) -> int:
@@ -198,23 +206,6 @@ def check_extent(model: mujoco.MjModel, name: str, file: ObjectFile, scale: floa
         )
 
 
-def check_poses(model: mujoco.MjModel, data: mujoco.MjData, bodies: Iterable[int]) -> None:
-    """Raise ObjectFolderError if data are of another model, or the pose of a body is not finite."""
-    if len(data.qpos) != model.nq or len(data.xpos) != model.nbody:
-        raise ObjectFolderError(
-            f"the data are of another model: they have {len(data.xpos)} bodies and {len(data.qpos)} "
-            f"positions, and the model {model.nbody} and {model.nq}; give those of mujoco.MjData(model)"
-        )
-    if not (np.isfinite(data.xpos).all() and np.isfinite(data.xquat).all()):
-        numbers = np.asarray([*bodies])
-        finite = np.isfinite(np.concatenate([data.xpos[numbers], data.xquat[numbers]], 1)).all(1)
-        if not finite.all():
-            body = int(numbers[finite.argmin()])
-            raise ObjectFolderError(
-                f"body {model.body(body).name!r}: its pose is not finite at {data.time:g} s: {DIVERGED}"
-            )
-
-
 def _extent(model: mujoco.MjModel, body: int) -> np.ndarray | None:
     """Return lowest and highest coordinates (2, 3) of a body's geoms that collide; body frame."""
     corners = []
@@ -223,11 +214,14 @@ def _extent(model: mujoco.MjModel, body: int) -> np.ndarray | None:
     for geom in range(start, start + model.body_geomnum[body]):
         if not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
             continue
-        mesh, box = model.geom_dataid[geom], model.geom_aabb[geom]
-        points = box[:3] + signs * box[3:]
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:  # turned to its principal axes
+        mesh, box, kind = model.geom_dataid[geom], model.geom_aabb[geom], int(model.geom_type[geom])
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:  # turned to its principal axes
             first = model.mesh_vertadr[mesh]
             points = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+        elif kind in _HALVES:  # their boxes are those with which they were compiled
+            points = signs * _HALVES[kind](*model.geom_size[geom])
+        else:
+            points = box[:3] + signs * box[3:]
         corners.append(points @ rotation(model.geom_quat[geom]).T + model.geom_pos[geom])
     if not corners:
         return None

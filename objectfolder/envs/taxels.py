@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 
 from objectfolder.checks import whole_number
+from objectfolder.envs.state import REMEDY
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.touch.camera import gel_depth
 from objectfolder.touch.profiles import SensorProfile, load_profile
@@ -154,8 +155,10 @@ def read_taxels(model: mujoco.MjModel, data: mujoco.MjData, name: str = "taxels"
     Raises
     ------
     ObjectFolderError
-        If the model has no such taxels.
+        If the model has no such taxels, the data are of another model, or a reading is not finite.
     """
+    if not isinstance(data, mujoco.MjData) or data.model.nsensordata != model.nsensordata:
+        raise ObjectFolderError(f"data is {quoted(data)}, expected the mujoco.MjData of the model")
     sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
     if sensor < 0 or model.sensor_type[sensor] != _TACTILE:
         known = [model.sensor(i).name for i in np.flatnonzero(model.sensor_type == _TACTILE)]
@@ -164,4 +167,8 @@ def read_taxels(model: mujoco.MjModel, data: mujoco.MjData, name: str = "taxels"
     columns = int(model.mesh_face[model.mesh_faceadr[model.sensor_objid[sensor]]].max())
     start = model.sensor_adr[sensor]
     values: np.ndarray = data.sensordata[start : start + model.sensor_dim[sensor]]
+    if not np.isfinite(values).all():
+        raise ObjectFolderError(
+            f"taxels {name!r} read numbers that are not finite at {data.time:g} s; {REMEDY}"
+        )
     return values.reshape(CHANNELS, -1, columns).copy()

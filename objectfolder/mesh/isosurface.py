@@ -24,17 +24,21 @@ _PART = 4096  # points that are compared with triangles at a time
 
 @dataclass(frozen=True)
 class Shading:
-    """Triangles with normals."""
+    """Triangles with normals; arrays are read-only."""
 
     vertices: np.ndarray  #: (V', 3) float64, unit frame
     faces: np.ndarray  #: (F, 3) int64, in the order of the surface's
     normals: np.ndarray  #: (V', 3) float32, outward, of unit length
+    tensor: torch.Tensor  #: the normals
+
+    def __post_init__(self) -> None:
+        _freeze(self.vertices, self.faces, self.normals)
 
 
 class Isosurface:
     """Zero level set of a distance grid as triangles in the unit frame, ready for ray casting.
 
-    Everything but the grid is computed on first use.
+    Everything but the grid is computed on first use. All share its arrays, which are read-only.
 
     Parameters
     ----------
@@ -56,7 +60,9 @@ class Isosurface:
     def _mesh(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Vertices, faces, and which faces have a stored point or vertex; see `stored_triangles`."""
         index, faces, touched = stored_triangles(self.grid.values, self.grid.features)
-        return index * self.grid.spacing - BOUND, faces, touched
+        vertices = index * self.grid.spacing - BOUND
+        _freeze(vertices, faces)
+        return vertices, faces, touched
 
     @property
     def vertices(self) -> np.ndarray:
@@ -77,23 +83,31 @@ class Isosurface:
         return self._corners.take(face, 0)
 
     @cached_property
+    def _normals(self) -> torch.Tensor:
+        return self.grid.normals(torch.from_numpy(self.vertices.astype(np.float32)))
+
+    @cached_property
     def normals(self) -> np.ndarray:
         """Outward unit normals at the vertices, of the grid; (V, 3) float32."""
-        return self.grid.normals(torch.from_numpy(self.vertices.astype(np.float32))).numpy()
+        normals = self._normals.numpy()
+        _freeze(normals)
+        return normals
 
     @cached_property
     def shading(self) -> Shading:
         """The triangles as they are shaded: a vertex on a sharp edge has a copy for each side of it."""
         vertices, faces, touched = self._mesh
         if touched is None or not touched.any():
-            return Shading(vertices, faces, self.normals)
+            return Shading(vertices, faces, self.normals, self._normals)
         own, split, normals = sharp_normals(vertices, faces, touched, self.normals)
-        return Shading(vertices[own], split, normals)
+        return Shading(vertices[own], split, normals, torch.from_numpy(normals))
 
     @cached_property
     def bounds(self) -> np.ndarray:
         """Lowest and highest coordinates of the vertices; (2, 3) float64."""
-        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+        bounds = np.stack([self.vertices.min(0), self.vertices.max(0)])
+        _freeze(bounds)
+        return bounds
 
     @cached_property
     def caster(self) -> RayCaster:
@@ -187,3 +201,9 @@ class Isosurface:
         number, refined = place @ [count**2, count, 1], self._refined
         found = np.searchsorted(refined, number).clip(max=len(refined) - 1)
         return np.asarray(refined[found] == number)
+
+
+def _freeze(*arrays: np.ndarray) -> None:
+    """Make arrays read-only."""
+    for array in arrays:
+        array.flags.writeable = False

@@ -275,7 +275,7 @@ class SurfaceNet(nn.Module):
         """Precompute all quantities that depend on the point alone, at the surface's vertices and patches."""
         points = torch.from_numpy(surface.shading.vertices.astype(np.float32))
         looks, transport = [], []
-        for p, n in zip(points.split(BAKED), torch.from_numpy(surface.shading.normals).split(BAKED)):
+        for p, n in zip(points.split(BAKED), surface.shading.tensor.split(BAKED)):
             cube = in_cube(p)
             color, shading = self.albedo_and_normal(p, n, self.grid(cube))
             looks.append(torch.cat([srgb.decode(color.clamp(0, 1)), F.normalize(shading, dim=-1)], 1))

@@ -236,11 +236,8 @@ class ObjectFile:
     @property
     @usual_modes()
     def surface(self) -> Isosurface:
-        """The stored surface, unit frame; extracted at first use. Its triangles are read-only."""
-        surface = self._parts.geometry
-        for array in (surface.vertices, surface.faces):  # queries share them
-            array.flags.writeable = False
-        return surface
+        """The stored surface, unit frame; extracted at first use. Its arrays are read-only."""
+        return self._parts.geometry
 
     @property
     @usual_modes()
@@ -820,7 +817,7 @@ class ObjectFile:
         return trimesh.Trimesh(
             surface.vertices * self.scale,
             surface.faces.copy(),
-            vertex_normals=surface.normals,
+            vertex_normals=surface.normals.copy(),
             process=False,
         )
 

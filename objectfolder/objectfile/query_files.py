@@ -9,10 +9,12 @@ from objectfolder.checks import finite_number, one_of, require_memory, whole_num
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.vision.cameras import CAMERA_RADIUS, LIGHT_RADIUS, sphere_points
+from objectfolder.vision.cameras import CAMERA_RADIUS, FARTHEST, LIGHT_RADIUS, sphere_points
 
 MAX_TILT = math.radians(15)  #: largest tilt of the published touches, radians
 
+STRONGEST = 1e30  #: impulse, N s, whose sound single precision holds
+NEAREST = 1e-6  #: of a camera or light to the object's origin, unit frame
 DIRECTIONS = ("normal", "random")
 
 
@@ -35,7 +37,7 @@ def sample_views(
     Raises
     ------
     ObjectFolderError
-        If the count or the seed is not a whole number, or a radius is not a positive, finite number.
+        If the count or the seed is not a whole number, or a radius is no number of which views can be asked.
 
     Examples
     --------
@@ -44,7 +46,8 @@ def sample_views(
     """
     count, rng = whole_number("count", count), np.random.default_rng(whole_number("seed", seed))
     require_memory(f"{count} views", 100 * count, "draw fewer at a time")
-    radii = _positive("radius", radius), _positive("light_radius", light_radius)
+    places = NEAREST, FARTHEST, "in the unit frame (longest side 1)"
+    radii = _within("radius", radius, *places), _within("light_radius", light_radius, *places)
     return np.hstack([sphere_points(count, one, rng) for one in radii])
 
 
@@ -79,7 +82,7 @@ def sample_strikes(
     >>> mug.impact(strikes[:, :3], strikes[:, 3:], duration=0.1).shape
     (20, 1600)
     """
-    force = _positive("force", force)
+    force = _within("force", force, 1 / STRONGEST, STRONGEST, "N s")
     one_of("directions", directions, DIRECTIONS)
     points = obj.sample_surface(count, seed)
     unit_points = torch.from_numpy(points / obj.scale).to(torch.float32)
@@ -145,8 +148,8 @@ def _generator(seed: int) -> np.random.Generator:
     return np.random.default_rng(whole_number("seed", seed)).spawn(1)[0]
 
 
-def _positive(name: str, value: float) -> float:
+def _within(name: str, value: float, least: float, most: float, unit: str) -> float:
     number = finite_number(name, value)
-    if number <= 0:
-        raise ObjectFolderError(f"{name} is {value!r}, expected a positive number")
+    if not least <= number <= most:
+        raise ObjectFolderError(f"{name} is {value!r}, expected {least:g} to {most:g}, {unit}")
     return number

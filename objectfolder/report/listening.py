@@ -5,7 +5,9 @@ import csv
 import hashlib
 import io
 import json
+import re
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,9 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from objectfolder.audio.recordings import at_rate, loudest_channel
-from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.audio.recordings import at_rate, loudest_channel, opened_sound, read_channels
+from objectfolder.checks import whole_number
+from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.text import from_csv, in_script
 from objectfolder.viewer.page import filled_page, static_text
 
@@ -25,6 +28,8 @@ PEAK = 0.9  # of full scale, of the loudest sound of a study
 LONGEST = 10.0  # seconds
 PLAYED = 48000  # Hz; sounds of higher rates are brought to it, since FLAC does not hold every one of them
 MOST = 1_000_000  # Hz, of a sound that is brought to it
+TRIAL = "trial"  #: column that files of the page have; not needed
+REPAIR = "leave it out, or save the answers from the page again"
 COLUMNS = ("study", "listener", "pair", "material", "first", "second", "chosen", "ours")
 
 
@@ -49,6 +54,16 @@ class Preference:
         return float(found.low), float(found.high)
 
 
+@dataclass(frozen=True)
+class Scores:
+    """What the listeners of a study preferred."""
+
+    method: str  #: whose preference is counted: that of the first folder of `study_page`
+    materials: dict[str, Preference]  #: by material
+    total: Preference
+    listeners: int
+
+
 def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> str:
     """Return the page of a study, which works from disk.
 
@@ -67,8 +82,10 @@ def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> st
     Raises
     ------
     ObjectFolderError
-        If the folders hold too few pairs, or a file cannot be read, is silent or is not finite.
+        If a number is wrong, the folders hold too few pairs, or a file cannot be read, is silent or is not
+        finite.
     """
+    pairs, seed = whole_number("pairs", pairs, 1), whole_number("seed", seed)
     if ours.resolve().name == other.resolve().name:
         raise ObjectFolderError(f"{ours} and {other} have the same name, which names the method; rename one")
     first, second = (_sound_files(folder) for folder in (ours, other))
@@ -109,66 +126,129 @@ def material_of(name: str) -> str:
     return name.partition("_")[0]
 
 
-def preferences(paths: list[Path]) -> tuple[str, dict[str, Preference], int]:
+def preferences(paths: list[Path], page: Path | None = None) -> Scores:
     """Count answers that listeners saved.
 
     Parameters
     ----------
     paths : list of Path
         CSV files of one study; an answer that is in several counts once.
-
-    Returns
-    -------
-    method : str
-        The method whose preference is counted: that of the first folder of `study_page`.
-    preferences : dict
-        By material, then ``all``.
-    listeners : int
+    page : Path, optional
+        Of the study, as `study_page` made it: answers must be of its pairs and methods.
 
     Raises
     ------
     ObjectFolderError
-        If a file is none, the files are of different studies, or one listener's answers differ.
+        If a file or page is none, an answer contradicts itself, another answer or the page, the files are of
+        different studies, or there are no answers.
     """
-    rows: dict[tuple[str, str, str], dict[str, str]] = {}
-    places: dict[tuple[str, str, str], Path] = {}
+    study = None if page is None else _study_of(page)
+    rows: dict[tuple[str, str], dict[str, str]] = {}
+    places: dict[tuple[str, str], Path] = {}
+    trials: dict[tuple[str, str], str] = {}  # pairs, by listener and trial
     studies: dict[str, Path] = {}
+    model: dict[str, str] = {}  # the first answer
     for path in paths:
-        try:
-            with path.open(encoding="utf-8-sig", newline="") as file:
-                table = [
-                    {name: from_csv(cell) if isinstance(cell, str) else cell for name, cell in row.items()}
-                    for row in csv.DictReader(file)
-                ]
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise ObjectFolderError(f"{path} cannot be read as CSV ({shortened(error, 200)})") from error
-        for number, row in enumerate(table, 2):
-            sides = row.get("first"), row.get("second")
-            if any(row.get(name) is None for name in COLUMNS) or not {row["chosen"], row["ours"]} <= {*sides}:
-                raise ObjectFolderError(
-                    f"{path}: line {number} is not an answer of a study, whose columns are "
-                    f"{', '.join(COLUMNS)}"
-                )
+        for number, row in _answers(path):
+            listener, pair, trial = row["listener"], row["pair"], row.get(TRIAL)
             studies.setdefault(row["study"], path)
-            answer = {name: row[name] for name in COLUMNS}
-            key = row["study"], row["listener"], row["pair"]
+            if len(studies) > 1:
+                raise ObjectFolderError(f"{', '.join(map(str, studies.values()))} are of different studies")
+            model = model or row
+            problem = _contradiction(row, model, study)
+            if trial is not None and not problem and trials.setdefault((listener, trial), pair) != pair:
+                problem = (
+                    f"trial {trial} of listener {quoted(listener)} was pair {quoted(trials[listener, trial])}"
+                )
+            if problem:
+                raise ObjectFolderError(f"{path}: line {number}: {problem}; {REPAIR}")
+            answer, key = {name: row[name] for name in COLUMNS}, (listener, pair)
             place = places.setdefault(key, path)
             if rows.setdefault(key, answer) != answer:
                 raise ObjectFolderError(
-                    f"{place} and {path}: listener {shortened(row['listener'])} answers pair "
-                    f"{shortened(row['pair'])} in two ways; leave one file out, or rename a listener"
+                    f"{place} and {path}: listener {shortened(listener)} answers pair {shortened(pair)} in "
+                    "two ways; leave one file out, or rename a listener"
                 )
-    if len(studies) > 1:
-        raise ObjectFolderError(f"{', '.join(map(str, studies.values()))} are of different studies")
     if not rows:
         raise ObjectFolderError(f"{', '.join(map(str, paths))}: no answers")
-    method = next(iter(rows.values()))["ours"]
     counts: dict[str, list[bool]] = defaultdict(list)
     for row in rows.values():
-        counts[row["material"]].append(row["chosen"] == method)
+        counts[row["material"]].append(row["chosen"] == row["ours"])
     found = {name: Preference(sum(won), len(won)) for name, won in sorted(counts.items())}
-    total = Preference(sum(p.chosen for p in found.values()), len(rows))
-    return method, found | {"all": total}, len({listener for _, listener, _ in rows})
+    total = Preference(sum(one.chosen for one in found.values()), len(rows))
+    return Scores(model["ours"], found, total, len({listener for listener, _ in rows}))
+
+
+def _answers(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield the answers of a CSV file and the numbers of their lines."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file)
+            head = reader.fieldnames or ()
+            if wrong := [name for name in COLUMNS if head.count(name) != 1]:
+                raise ObjectFolderError(
+                    f"{path}: line 1 is {quoted(list(head))}, expected one column {wrong[0]!r}: answers of a "
+                    f"study have the columns {', '.join(COLUMNS)}"
+                )
+            for row in reader:
+                if row.get(None) or None in row.values():
+                    raise ObjectFolderError(
+                        f"{path}: line {reader.line_num} does not have {len(head)} cells, as the first line; "
+                        f"{REPAIR}"
+                    )
+                yield reader.line_num, {name: from_csv(cell) for name, cell in row.items()}
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ObjectFolderError(f"{path} cannot be read as CSV ({shortened(error, 200)})") from error
+
+
+def _contradiction(row: dict[str, str], model: dict[str, str], study: dict[str, Any] | None) -> str | None:
+    """Return what is wrong with an answer beside another of its study, and its study, if anything is."""
+    sides = row["first"], row["second"]
+    for name in ("study", "listener", "pair", "first", "second"):
+        if not row[name].strip():
+            return f"{name} is empty"
+    if sides[0] == sides[1]:
+        return f"first and second are both {quoted(sides[0])}, expected two methods"
+    for name in ("chosen", "ours"):
+        if row[name] not in sides:
+            return f"{name} is {quoted(row[name])}, expected {quoted(sides[0])} or {quoted(sides[1])}"
+    if row["material"] != material_of(row["pair"]):
+        expected = material_of(row["pair"])
+        return f"material is {quoted(row['material'])}, expected {quoted(expected)} of {quoted(row['pair'])}"
+    trial = row.get(TRIAL)
+    if trial is not None and not re.fullmatch("[1-9][0-9]{0,8}", trial):
+        return f"trial is {quoted(trial)}, expected a whole number of at least 1"
+    methods = [model["ours"], *({model["first"], model["second"]} - {model["ours"]})]
+    if study is not None:
+        methods, pairs = study["methods"], [pair["name"] for pair in study["pairs"]]
+        if row["study"] != study["id"]:
+            return f"study is {quoted(row['study'])}, but that of the page is {study['id']!r}"
+        if row["pair"] not in pairs:
+            return f"pair is {quoted(row['pair'])}, expected one of {quoted(pairs)}"
+        if trial is not None and int(trial) > len(pairs):
+            return f"trial is {trial}, but the study has {plural(len(pairs), 'pair')}"
+    if {*sides} != {*methods} or row["ours"] != methods[0]:
+        found = [row["ours"], *({*sides} - {row["ours"]})]
+        return f"the methods are {quoted(found)}, ours first, expected {quoted(methods)}"
+    return None
+
+
+def _study_of(page: Path) -> dict[str, Any]:
+    """Return the study that a page of `study_page` holds."""
+    try:
+        text = page.read_text(encoding="utf-8")
+        found = re.search(r'<script type="application/json" id="study">(.*?)</script>', text, re.DOTALL)
+        study = json.loads(found[1]) if found else {}
+    except (OSError, ValueError) as error:
+        raise ObjectFolderError(
+            f"{page} cannot be read as a page of a study ({shortened(error, 200)})"
+        ) from error
+    match study:
+        case {"id": str(), "methods": [str(), str()], "pairs": [*pairs]} if all(
+            isinstance(one, dict) and isinstance(one.get("name"), str) for one in pairs
+        ):
+            return study
+    raise ObjectFolderError(f"{page} is no page of a study, expected one of `objectfolder listening make`")
 
 
 def _sound_files(folder: Path) -> dict[str, Path]:
@@ -190,13 +270,11 @@ def _drawn(names: list[str], count: int, seed: int) -> list[str]:
 
 def _levelled(path: Path) -> tuple[np.ndarray, int]:
     """Read a sound, (samples,), whose loudest part has a root mean square of 1, and its sample rate."""
-    try:
-        channels, rate = soundfile.read(path, always_2d=True)
-    except Exception as error:  # of the library that decodes
-        raise ObjectFolderError(f"{path} cannot be read as a sound ({shortened(error, 200)})") from error
-    if rate > MOST:
-        raise ObjectFolderError(f"{path} has {rate} Hz, expected at most {MOST} Hz; resample it")
-    sound = loudest_channel(channels[: int(LONGEST * rate)], path)
+    with opened_sound(path) as file:
+        rate = file.samplerate
+        if rate > MOST:
+            raise ObjectFolderError(f"{path} has {rate} Hz, expected at most {MOST} Hz; resample it")
+        sound = loudest_channel(read_channels(file, path, LONGEST), path)
     peak = np.abs(sound).max(initial=0)
     if not peak > 0:
         raise ObjectFolderError(

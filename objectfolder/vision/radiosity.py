@@ -166,9 +166,7 @@ class Radiosity:
         ray, distance, face, weights = self._surface.caster.intersect(starts, directions)
         hits = starts.take(ray, 0) + directions.take(ray, 0) * distance[:, None]
         corners = torch.from_numpy(self._surface.corners(face))
-        met = weighted_rows(
-            torch.from_numpy(self._surface.shading.normals), corners, torch.from_numpy(weights)
-        )
+        met = weighted_rows(self._surface.shading.tensor, corners, torch.from_numpy(weights))
         patch = tree.query(_oriented(hits, met.numpy()))[1]
         share = np.full(len(ray), 1 / SIDE**2, np.float32)
         return sp.csr_matrix((share, (ray // SIDE**2, patch)), shape=(PATCHES, PATCHES))

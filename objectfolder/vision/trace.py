@@ -87,9 +87,7 @@ def trace(
     start = torch.tensor(origins) if origins.ndim == 1 else torch.from_numpy(origins.T.take(ray, 1)).T
     points = start + away * t[:, None]
     corners, weights = torch.from_numpy(surface.corners(face)), torch.from_numpy(barycentric)
-    normals = normalized(
-        column_major(weighted_rows(torch.from_numpy(surface.shading.normals), corners, weights))
-    )
+    normals = normalized(column_major(weighted_rows(surface.shading.tensor, corners, weights)))
     lit = is_lit(surface, points, normals, torch.from_numpy(np.asarray(light, np.float32)))
     return SurfaceSamples(index, points, normals, normalized(away), t, lit, corners, weights)
 

@@ -30,6 +30,22 @@ MOVED = 1e-3  # fraction of the size by which closing may move a surface without
 CLOSED = "closed already"  # in place of the repair step that closed a surface
 MOST_SIZES = 4  # closings until the size holds a wall of given metres
 SETTLED = 1e-4  # fraction of the size by which it may change then
+#: Other formats of shapes, whose files are not read.
+UNREAD = (
+    ".3ds",
+    ".3mf",
+    ".blend",
+    ".dae",
+    ".fbx",
+    ".igs",
+    ".iges",
+    ".step",
+    ".stp",
+    ".usd",
+    ".usda",
+    ".usdc",
+    ".usdz",
+)
 LISTS = ("materials.csv", "materials.yaml", "materials.yml")
 
 
@@ -125,6 +141,21 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
             f"the list of materials in {folder} names {', '.join(unknown[:5])}, which it does not contain"
         )
     return candidates
+
+
+def passed_over(folder: Path) -> list[Path]:
+    """Return the files of a folder that hold a shape, it seems, but are not read: for none of its objects.
+
+    They are of another format, or links to nothing. Files beside a mesh of their name, or in a subfolder with
+    a mesh, are taken for copies.
+    """
+    known = {path.stem for path in _meshes(folder)}
+    found = [path for path in folder.iterdir() if path.stem not in known]
+    for child in folder.iterdir():
+        if child.is_dir() and child.name[0] != "." and not any(_is_mesh(p) for p in child.rglob("*")):
+            found += child.rglob("*")
+    shapes = [path for path in found if path.suffix.lower() in (*UNREAD, *FORMATS) and path.name[0] != "."]
+    return sorted(path for path in shapes if not _is_mesh(path) and not path.is_dir())
 
 
 def _listed(names: Sequence[str], most: int = 4) -> str:

@@ -1,6 +1,7 @@
 """Recordings are read as they are, or refused with the reason."""
 
 import re
+import struct
 
 import numpy as np
 import pytest
@@ -66,6 +67,62 @@ def test_values_that_are_not_finite_are_called_so(written, value, channel):
 def test_the_loudest_channel_has_the_highest_peak(tmp_path):
     channels = np.array([[0.5, 0, -0.2], [0.5, -0.9, 0.2]])
     np.testing.assert_array_equal(loudest_channel(channels, tmp_path), channels[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("kind", "subtype"),
+    [
+        (kind, subtype)
+        for kind in ("WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "FLAC", "OGG")
+        for subtype in soundfile.available_subtypes(kind)
+        if soundfile.check_format(kind, subtype) and subtype[:4] not in ("DWVW", "MPEG")
+    ],
+)
+def test_a_file_that_is_cut_off_says_how_much_is_there(tmp_path, kind, subtype):
+    path, rate = tmp_path / "tap", 8000 if subtype.startswith("NMS") else 48000
+    noise = np.random.default_rng(0).uniform(-0.5, 0.5, rate)
+    soundfile.write(path, noise, rate, subtype, format=kind)
+    whole = path.read_bytes()
+    sound, found = read_recording(path)
+    with soundfile.SoundFile(path) as file:
+        np.testing.assert_array_equal(sound, file.read(file.frames))
+    assert found == rate
+    for share in (0.3, 0.6, 0.9):
+        path.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(ObjectFolderError, match=r"tap is cut off") as caught:
+            read_recording(path)
+        said = re.search(r"([\d.]+) s can be read of the ([\d.]+) s that its header", str(caught.value))
+        assert (said is None) == (kind == "OGG")  # which does not say how long it is
+        if said:
+            assert float(said[1]) == pytest.approx(share, abs=0.1)
+            assert float(said[2]) == pytest.approx(1.0, abs=0.2 if "ADPCM" in subtype else 0.03)  # blocks
+
+
+@pytest.mark.parametrize(
+    "sizes", [(0, 0), (36, 0), (2**32 - 1, 2**32 - 1), (2**32 - 1, 0), (0x7FFFF024, 0x7FFFF000)]
+)
+def test_a_stream_without_sizes_is_read_to_its_end(written, sizes):
+    """As ffmpeg and sox write them to a pipe, and a recorder that was killed."""
+    path = written(loud(0.5))
+    sound, _ = read_recording(path)
+    data = bytearray(path.read_bytes())
+    data[4:8], data[40:44] = (struct.pack("<I", size) for size in sizes)
+    path.write_bytes(data)
+    np.testing.assert_array_equal(read_recording(path)[0], sound)
+
+
+def test_a_file_without_sound_or_without_a_length_is_refused(written, tmp_path):
+    path = written(loud(0.5))
+    data = path.read_bytes()
+    path.write_bytes(data[:4] + struct.pack("<I", 44) + data[8:40] + bytes(4) + b"LIST" + bytes(4))
+    with pytest.raises(ObjectFolderError, match=r"tap\.wav is silent"):
+        read_recording(path)
+    soundfile.write(tmp_path / "tap.flac", loud(0.5), RATE)
+    data = bytearray((tmp_path / "tap.flac").read_bytes())
+    data[21], data[22:26] = data[21] & 0xF0, bytes(4)  # the number of samples
+    (tmp_path / "tap.flac").write_bytes(data)
+    with pytest.raises(ObjectFolderError, match=r"tap\.flac does not say how long it is; convert it"):
+        read_recording(tmp_path / "tap.flac")
 
 
 def test_a_path_without_a_recording_is_told_from_an_unreadable_one(tmp_path):

@@ -377,6 +377,20 @@ def test_files_whose_names_give_one_key_are_named(workspace, tmp_path):
     assert "0 can be added, 5 refused" in result.output
 
 
+@pytest.mark.usefixtures("coarse", "workspace")
+def test_files_that_are_no_mesh_but_a_shape_are_said_to_be_skipped(tmp_path):
+    """Those beside a mesh of their name are copies; a texture or a text is no shape."""
+    folder = tmp_path / "set"
+    (folder / "cup").mkdir(parents=True)
+    trimesh.creation.box([1, 1, 1]).export(folder / "box.obj")
+    for name in ("box.blend", "ball.FBX", "cup/cup.usdz", "wood.png", "readme.txt", ".old.fbx"):
+        (folder / name).write_bytes(b"")
+    (folder / "away.glb").symlink_to(tmp_path / "nothing.glb")
+    result = run(folder, "--material", "wood", "--dry-run")
+    assert "3 files skipped: away.glb, ball.FBX, cup/cup.usdz; expected .obj, " in result.output
+    assert "1 can be added" in result.output
+
+
 def test_deeper_folders_and_the_folder_of_one_mesh(tmp_path):
     deep = tmp_path / "set" / "024_bowl" / "google_16k"
     deep.mkdir(parents=True)

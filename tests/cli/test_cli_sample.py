@@ -162,7 +162,15 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(brick_path, tmp
     ("arguments", "message"),
     [
         (["vision", "{out}.npz"], "out.npz: expected the name of a .npy file"),
-        (["vision", "{out}.npy", "--radius", "0"], "radius is 0.0, expected a positive number"),
+        (
+            ["vision", "{out}.npy", "--radius", "0"],
+            "radius is 0.0, expected 1e-06 to 1000, in the unit frame",
+        ),
+        (["vision", "{out}.npy", "--radius", "1e9"], "radius is 1000000000.0, expected 1e-06 to 1000"),
+        (
+            ["audio", "{file}", "{out}.npy", "--force", "1e300"],
+            "force is 1e+300, expected 1e-30 to 1e+30, N s",
+        ),
         (["vision", "{out}.npy", "--light-radius", "nan"], "light_radius is nan"),
         (["audio", "{file}", "{file}"], "expected the name of a .npy file"),
         (["audio", "{file}", "{out}.npy", "--force", "inf"], "force is inf"),

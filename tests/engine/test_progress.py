@@ -49,6 +49,17 @@ def test_every_event_is_shown_but_skips(terminal):
     assert (progress.done, progress.running) == (4, {})
 
 
+def test_a_terminal_that_cannot_redraw_gets_lines():
+    """As in an editor's shell; the live display would show nothing until the end."""
+    console = Console(file=io.StringIO(), force_terminal=True, width=100, _environ={"TERM": "dumb"})
+    with Progress(console) as progress:
+        progress(Planned({"modal@mug": 30.0}))
+        progress(Started("modal@mug", Path("x.log")))
+        assert "started  modal@mug" in console.file.getvalue()
+        progress(Finished(RAN))
+    assert "\x1b" not in console.file.getvalue()
+
+
 def test_time_left_is_what_the_rest_takes_at_the_pace_so_far(monkeypatch):
     clock = [100.0]
     monkeypatch.setattr("objectfolder.engine.progress.time.monotonic", lambda: clock[0])

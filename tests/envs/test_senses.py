@@ -145,8 +145,17 @@ def test_what_has_no_senses_is_refused(body, brick):
         Senses(ReachEnv(body), {"object": brick})
     with pytest.raises(ObjectFolderError, match="pads is 3, expected the names of sites"):
         Senses(ReachEnv(body), {"object": brick}, pads=3)
-    with pytest.raises(ObjectFolderError, match="seconds is 0"):
-        Senses(ReachEnv(body), {"object": brick}, EAR, seconds=0)
+    for change, message in (
+        ({"seconds": 0}, "seconds is 0"),
+        ({"seconds": 1e12}, r"seconds is 1e\+12: needs [\d,]+ bytes.*ask for fewer"),
+        ({"sample_rate": 1e12}, r"Hearing: needs [\d,]+ bytes.*lower the sample rate, 1e\+12 Hz"),
+        ({"sample_rate": None}, "sample_rate is None, expected a finite number"),
+        ({"audio": None}, "None is no name of an entry, expected a text"),
+    ):
+        with pytest.raises(ObjectFolderError, match=message):
+            Senses(ReachEnv(body), {"object": brick}, EAR, **change)
+    with pytest.raises(ObjectFolderError, match="NoneType has no model and data of MuJoCo"):
+        Senses(None, {"object": brick}, EAR)
 
 
 def test_one_pad_has_one_picture(brick):

@@ -113,6 +113,19 @@ def test_the_model_knows_the_number_of_columns(rows, columns):
             read_taxels(model, data, name=name)
 
 
+def test_taxels_of_another_simulation_or_of_none_are_refused():
+    spec = mujoco.MjSpec()
+    pad(spec)
+    model, other = spec.compile(), mujoco.MjSpec().compile()
+    data = mujoco.MjData(model)
+    for wrong in (None, model, mujoco.MjData(other)):
+        with pytest.raises(ObjectFolderError, match=r"^data is .*, expected the mujoco\.MjData of the model"):
+            read_taxels(model, wrong)
+    data.sensordata[7] = np.nan
+    with pytest.raises(ObjectFolderError, match="taxels 'taxels' read numbers that are not finite at 0 s"):
+        read_taxels(model, data)
+
+
 def test_the_defaults_of_a_scene_do_not_change_the_taxels():
     scene = """<mujoco><default><mesh scale="0.001 0.001 0.001"/>
       <geom type="sphere" size="0.01" mass="3" margin="0.1" rgba="1 0 0 1"/></default></mujoco>"""

@@ -33,7 +33,7 @@ def test_is_closed_outward_and_of_the_right_volume(case):
 
 def test_vertices_lie_on_the_zero_level(case):
     surface, _ = case
-    distance = surface.grid.distance(torch.from_numpy(surface.vertices))
+    distance = surface.grid.distance(torch.tensor(surface.vertices))
     assert distance.abs().max() < 1e-3 * surface.grid.spacing
 
 

@@ -20,7 +20,11 @@ def test_the_header_is_a_copy(brick):
 
 def test_the_surface_is_read_only_and_still_answers(brick_path):
     brick, other = ObjectFile.load(brick_path), ObjectFile.load(brick_path)
-    for array in (brick.surface.vertices, brick.surface.faces):
+    surface, shading = brick.surface, brick.surface.shading
+    for array in (
+        *(surface.vertices, surface.faces, surface.normals, surface.bounds),
+        *(shading.vertices, shading.faces, shading.normals),
+    ):
         with pytest.raises(ValueError, match="read-only"):
             array[:] = 0
     points = other.sample_surface(3)
@@ -30,6 +34,7 @@ def test_the_surface_is_read_only_and_still_answers(brick_path):
     np.testing.assert_array_equal(brick.nearest(2 * points)[0], other.nearest(2 * points)[0])
     mesh = brick.to_mesh()
     mesh.vertices[:] = 0  # a copy
+    assert not np.shares_memory(mesh.vertex_normals, surface.normals)
     np.testing.assert_array_equal(brick.bounds, other.bounds)
 
 

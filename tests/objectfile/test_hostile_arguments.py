@@ -165,6 +165,18 @@ def test_any_query_that_is_drawn_is_one(brick, draw, name):
         refused_or_numbers(getattr(query_files, draw), given, name, value)
 
 
+@pytest.mark.parametrize("name", ["radius", "light_radius"])
+def test_views_that_are_drawn_can_be_asked_for(brick, name):
+    for value in (1e-6, 1e3):
+        views = query_files.sample_views(2, **{name: value})
+        assert np.isfinite(brick.view(views[:, :3], views[:, 3:], 8)).all()
+    for value in (1e9, 1001, 1e-9, 0, -1):
+        with pytest.raises(
+            ObjectFolderError, match=rf"^{name} is .*, expected 1e-06 to 1000, in the unit frame"
+        ):
+            query_files.sample_views(2, **{name: value})
+
+
 @pytest.mark.parametrize("draw", ["view", "render", "torch"])
 @pytest.mark.parametrize("cameras", [np.tile(CAMERA, (10**6, 1)), np.tile(np.eye(4), (10**6, 1, 1))])
 def test_more_views_than_fit_are_refused_by_their_number(brick, monkeypatch, draw, cameras):

@@ -14,7 +14,7 @@ import soundfile
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
-from objectfolder.report.listening import COLUMNS, Preference, preferences, study_page
+from objectfolder.report.listening import COLUMNS, Preference, Scores, preferences, study_page
 
 VIEWER = Path(__file__).parents[2] / "viewer"
 MATERIALS = ("ceramic", "steel", "wood")
@@ -168,35 +168,116 @@ def saved(path, rows, study="s"):
 
 
 def test_answers_are_counted_by_material_and_once(tmp_path, capsys):
+    """A material may have the name of the last row."""
     sides = ("ours", "recorded")
     rows = [
-        ("1", "wood_1", sides, "ours"),
+        ("1", "all_1", sides, "ours"),
         ("1", "steel_1", sides[::-1], "recorded"),
-        ("2", "wood_1", sides[::-1], "ours"),
+        ("2", "all_1", sides[::-1], "ours"),
         ("2", "steel_1", sides, "ours"),
     ]
     paths = [saved(tmp_path / "a.csv", rows[:3]), saved(tmp_path / "b.csv", rows)]
-    method, found, listeners = preferences(paths)
-    assert (method, listeners) == ("ours", 2)
-    assert found == {"steel": Preference(1, 2), "wood": Preference(2, 2), "all": Preference(3, 4)}
+    found = preferences(paths)
+    assert found == Scores("ours", {"all": Preference(2, 2), "steel": Preference(1, 2)}, Preference(3, 4), 2)
     app(["listening", "score", *map(str, paths)], standalone_mode=False)
-    assert "75%" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert re.search(r"all +│ +2 │ +100%", printed)
+    assert re.search(r"all materials +│ +4 │ +75%", printed)
+
+
+HEAD = "study,listener,trial,pair,material,first,second,chosen,ours"
+RIGHT = "s,1,1,wood_1,wood,ours,recorded,ours,ours"
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("lines", "message"),
     [
-        ("a,b\n1,2\n", "line 2 is not an answer of a study"),
-        (",".join(COLUMNS) + "\n", "no answers"),
-        (",".join(COLUMNS) + "\ns,1,wood_1,wood,ours,recorded,third,ours\n", "line 2 is not an answer"),
-        (",".join(COLUMNS) + "\ns,1,wood_1,wood,ours,recorded,ours,third\n", "line 2 is not an answer"),
+        (["a,b", "1,2"], r"line 1 is \['a', 'b'\], expected one column 'study'"),
+        ([HEAD + ",ours", RIGHT + ",ours"], "expected one column 'ours'"),
+        ([], r"line 1 is \[\], expected one column"),
+        ([HEAD], "no answers"),
+        ([HEAD, RIGHT + ",more"], "line 2 does not have 9 cells, as the first line; leave it out"),
+        ([HEAD, RIGHT[:-5]], "line 2 does not have 9 cells"),
+        ([HEAD, RIGHT, "s,1,2,wood_2,wood,ours,recorded,third,ours"], "line 3: chosen is 'third', expected"),
+        ([HEAD, "s,1,1,wood_1,wood,ours,recorded,ours,third"], "line 2: ours is 'third', expected 'ours' or"),
+        ([HEAD, "s,1,1,wood_1,wood,ours,ours,ours,ours"], "line 2: first and second are both 'ours'"),
+        ([HEAD, "s,1,1,wood_1,steel,ours,recorded,ours,ours"], "material is 'steel', expected 'wood' of 'wo"),
+        ([HEAD, "s,1,0,wood_1,wood,ours,recorded,ours,ours"], "trial is '0', expected a whole number of at"),
+        ([HEAD, "s,1,²,wood_1,wood,ours,recorded,ours,ours"], "trial is '²', expected a whole number"),
+        ([HEAD, "s,1," + "9" * 5000 + ",wood_1,wood,ours,recorded,ours,ours"], "expected a whole number"),
+        (
+            [HEAD, RIGHT, "s,1,1,wood_2,wood,ours,recorded,ours,ours"],
+            "trial 1 of listener '1' was pair 'wood_1",
+        ),
+        ([HEAD, "s, ,1,wood_1,wood,ours,recorded,ours,ours"], "line 2: listener is empty"),
+        ([HEAD, ",1,1,wood_1,wood,ours,recorded,ours,ours"], "line 2: study is empty"),
+        (
+            [HEAD, RIGHT, "s,2,1,wood_1,wood,ours,other,ours,ours"],
+            r"line 3: the methods are \['ours', 'other'\], ours first, expected \['ours', 'recorded'\]",
+        ),
+        (
+            [HEAD, RIGHT, "s,2,1,wood_1,wood,ours,recorded,ours,recorded"],
+            r"methods are \['recorded', 'ours'\]",
+        ),
+        ([HEAD, RIGHT, "s,1,1,wood_1,wood,recorded,ours,ours,ours"], "answers pair wood_1 in two ways"),
+        ([HEAD, RIGHT, "\0"], "line 3"),
+        ([HEAD, f"s,1,1,wood_1,wood,ours,recorded,{'x' * 200000},ours"], "cannot be read as CSV"),
     ],
 )
-def test_other_files_are_refused(tmp_path, content, message):
+def test_answers_that_contradict_are_refused_by_line(tmp_path, lines, message):
     path = tmp_path / "x.csv"
-    path.write_text(content)
-    with pytest.raises(ObjectFolderError, match=message):
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    with pytest.raises(ObjectFolderError, match=f"{re.escape(str(path))}.*{message}"):
         preferences([path])
+
+
+def test_answers_are_those_of_the_page(folders, tmp_path, capsys):
+    """Of its study, pairs and methods, and no more than it has."""
+    page, path = tmp_path / "study.html", tmp_path / "x.csv"
+    page.write_text(study_page(*folders, pairs=12), encoding="utf-8")
+    one = study(page.read_text(encoding="utf-8"))["id"]
+    right = f"{one},1,12,wood_2,wood,ours,recorded,ours,ours"
+    for line, message in (
+        (RIGHT, f"line 2: study is 's', but that of the page is '{one}'"),
+        (right.replace("wood_2", "wood_77"), r"line 2: pair is 'wood_77', expected one of \["),
+        (right.replace(",12,", ",13,"), "line 2: trial is 13, but the study has 12 pairs"),
+        (right.replace("recorded", "theirs"), r"methods are \['ours', 'theirs'\], .* \['ours', 'recorded'\]"),
+        (f"{one},1,12,wood_2,wood,ours,recorded,ours,recorded", "ours first, expected"),
+    ):
+        path.write_text(f"{HEAD}\n{line}\n", encoding="utf-8")
+        with pytest.raises(ObjectFolderError, match=message):
+            preferences([path], page)
+    path.write_text(f"{HEAD}\n{right}\n", encoding="utf-8")
+    app(["listening", "score", str(path), "--study", str(page)], standalone_mode=False)
+    assert "100%" in capsys.readouterr().out
+    for held, message in (
+        (None, "no page of a study"),
+        ("[", "cannot be read as a page"),
+        ("[]", "no page of a study"),
+        ('{"id": "s", "methods": 5, "pairs": [{"name": "wood_1"}]}', "no page of a study"),
+        ('{"id": "s", "methods": ["ours", "recorded"], "pairs": [{"name": 1}]}', "no page of a study"),
+    ):
+        tag = "" if held is None else f'<script type="application/json" id="study">{held}</script>'
+        page.write_text(tag, encoding="utf-8")
+        with pytest.raises(ObjectFolderError, match=message):
+            preferences([path], page)
+    with pytest.raises(ObjectFolderError, match="cannot be read as a page of a study"):
+        preferences([path], tmp_path / "no.html")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"pairs": 0}, "pairs is 0, expected a whole number of at least 1"),
+        ({"pairs": 1.5}, r"pairs is 1\.5, expected"),
+        ({"pairs": None}, "pairs is None"),
+        ({"seed": -1}, "seed is -1, expected a whole number of at least 0"),
+        ({"seed": True}, "seed is True"),
+    ],
+)
+def test_numbers_of_a_study_are_checked(folders, change, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        study_page(*folders, **change)
 
 
 def test_answers_of_different_studies_are_refused(tmp_path):
@@ -213,7 +294,7 @@ def test_one_listener_who_answers_in_two_ways_is_refused(tmp_path):
         ObjectFolderError, match=r"ours\.csv and .*recorded\.csv: listener 1 answers pair wood_1 in two ways"
     ):
         preferences(paths)
-    assert preferences(paths[:1] * 2)[1]["all"] == Preference(1, 1)
+    assert preferences(paths[:1] * 2).total == Preference(1, 1)
 
 
 @pytest.mark.slow
@@ -230,6 +311,5 @@ def test_two_listeners_in_chromium(folders, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     # The first listener always chose the first sound, the second the second: each method wins half.
-    method, found, listeners = preferences([tmp_path / "answers.csv"])
-    assert (method, listeners) == ("ours", 2)
-    assert found["all"] == Preference(6, 12)
+    found = preferences([tmp_path / "answers.csv"], page)
+    assert (found.method, found.listeners, found.total) == ("ours", 2, Preference(6, 12))

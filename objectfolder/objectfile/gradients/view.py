@@ -153,9 +153,7 @@ def hits(
     third = dot(torch.linalg.cross(b - a, points - a), area) / square
     weights = torch.cat([1 - second - third, second, third], 1).to(dtype)
     corners = torch.from_numpy(surface.corners(face))
-    normals = normalized(
-        column_major(weighted_rows(torch.from_numpy(surface.shading.normals).to(dtype), corners, weights))
-    )
+    normals = normalized(column_major(weighted_rows(surface.shading.tensor.to(dtype), corners, weights)))
     points = points.to(dtype)
     lit = is_lit(surface, points.detach().float(), normals.detach().float(), light.float())
     return SurfaceSamples(
