@@ -76,6 +76,8 @@ class StateCheck:
         self._model, self._sense, self._fixed = model, sense, (*fixed,)
         self._vertices = _some_vertices(model, bodies)
         self._was = {name: self._bytes(model, name) for name in (*fixed, *adaptable)}
+        self._plain = [name for name in self._was if name != "mesh_vert" and "." not in name]
+        self._others = [name for name in self._was if name not in self._plain]
         for name in self._was:
             _require_finite(model, name)
 
@@ -128,7 +130,9 @@ class StateCheck:
 
     def _changed(self, model: mujoco.MjModel) -> list[str]:
         """Return the names of the fields that differ from those that the sense has read."""
-        return [name for name, was in self._was.items() if self._bytes(model, name) != was]
+        was = self._was
+        plain = [name for name in self._plain if getattr(model, name).tobytes() != was[name]]  # fast
+        return plain + [name for name in self._others if self._bytes(model, name) != was[name]]
 
     def _adapt(self, changed: list[str], fits: Callable[[], None]) -> None:
         """Take over the fields of the model that have changed, if they may."""
@@ -174,23 +178,23 @@ def divergences(data: mujoco.MjData) -> int:
 
 def _is_right(data: mujoco.MjData) -> bool:
     """Return whether all that is read of a step is finite, and in its range."""
-    parts = [getattr(data, name).ravel() for name in DATA]
+    parts = [getattr(data, name) for name in DATA]
     if data.ncon:
-        if _misplaced(data).any():
-            return False
         contact = data.contact
-        parts += [getattr(contact, name).ravel() for name in CONTACT]
-    values = np.concatenate(parts)
+        if not _is_placed(data, contact):
+            return False
+        parts += [getattr(contact, name) for name in CONTACT]
+    values = np.concatenate(parts, axis=None)
     return bool(abs(data.time) <= LARGEST and np.abs(values, out=values).max(initial=0) <= LARGEST)
 
 
-def _misplaced(data: mujoco.MjData) -> np.ndarray:
-    """Return which contacts, (K,) bool, are of geoms or constraints that there are not."""
-    contact = data.contact
-    geoms, dims = contact.geom, contact.dim
-    wrong = ((geoms < -1) | (geoms >= data.model.ngeom)).any(1) | (contact.efc_address >= data.nefc)
-    out: np.ndarray = wrong | (dims < 1) | (dims > 6)
-    return out
+def _is_placed(data: mujoco.MjData, contact: Any) -> bool:
+    """Return whether one contact, or all, are of geoms and constraints that there are."""
+    geoms, address, dims = (np.asarray(getattr(contact, name)) for name in CONTACT_PLACES)
+    return bool(
+        geoms.min() >= -1 and geoms.max() < data.model.ngeom and address.max() < data.nefc
+        and dims.min() >= 1 and dims.max() <= 6
+    )  # fmt: skip
 
 
 def _refuse(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -203,9 +207,8 @@ def _refuse(model: mujoco.MjModel, data: mujoco.MjData) -> None:
             row = int(np.argwhere(wrong)[0, 0])
             whose = _owner(model, owner, row)
             raise ObjectFolderError(f"{whose}{name}[{row}] is {values[row].tolist()} {when}, {REMEDY}")
-    misplaced = _misplaced(data) if data.ncon else np.zeros(0, bool)
     for k, one in enumerate(data.contact):
-        if misplaced[k]:
+        if not _is_placed(data, one):
             found = ", ".join(f"{name} {np.asarray(getattr(one, name)).tolist()}" for name in CONTACT_PLACES)
             raise ObjectFolderError(f"contact {k} has {found} {when}, which are not in the data; {REMEDY}")
         for name in CONTACT:

@@ -133,7 +133,7 @@ def test_a_number_that_is_not_finite_is_refused_wherever_it_is(stepped, kind):
     [("mocap_pos", "striker"), ("mocap_quat", "striker"), ("mocap_pos", "head"), ("mocap_quat", "head")],
 )
 def test_a_mocap_body_that_is_nowhere_is_named(stepped, kind, field, owner):
-    """Or MuJoCo has noticed it in a contact. In silence, 22 and 322 Pa were heard."""
+    """Or MuJoCo has noticed it in a contact, and has set the simulation back."""
     model, data, _, ask = stepped(kind)
     ask(data)
     getattr(data, field)[model.body(owner).mocapid[0]] = np.nan
