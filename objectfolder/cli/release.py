@@ -1,6 +1,7 @@
 """Command that packs objects for others: release."""
 
 import datetime
+import os
 import re
 from pathlib import Path
 from typing import Annotated
@@ -8,6 +9,7 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.console import console, print_line
+from objectfolder.cli.files import folder_to_write
 from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 
 
@@ -52,7 +54,7 @@ def release(
 
     if not re.fullmatch(r"\d+\.\d+\.\d+", version):
         raise ObjectFolderError(f"--version {quoted(version)}, expected three numbers such as 1.0.0")
-    if out.exists():
+    if os.path.lexists(folder_to_write(out)):
         raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
     check_own(values := params.read())
     keys = released_keys(objects or (), values)

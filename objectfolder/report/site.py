@@ -101,6 +101,10 @@ def write_site(
         write_text(out, report(lambda found: held.append(_embedded(found))))
         return out
     out.mkdir(parents=True, exist_ok=True)
+    if (out / "objects").is_symlink():
+        raise ObjectFolderError(
+            f"{out / 'objects'} is a link, expected a folder; choose another for the site"
+        )
     with TemporaryDirectory(dir=out, prefix=".report.") as folder:
         scratch = Path(folder)
         names: list[str] = []

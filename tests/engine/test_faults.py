@@ -15,6 +15,7 @@ from objectfolder.engine.process import Children
 from objectfolder.engine.summary import Finished, StageOutcome
 from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
+from objectfolder.locks import private_path
 
 from .conftest import KEYS, everything
 from .processes import DIE_AT_A_CHANGE, alive, meanwhile, start, started, wait_for
@@ -185,7 +186,7 @@ def test_half_restored_outputs_of_a_killed_build_are_removed(workspace):
 
 def test_a_half_written_lock_file_is_removed_though_nothing_runs(workspace):
     build(["prepare@mug"], root=workspace.root)
-    (workspace.root / ".dvc.tmp.lock").write_text("schema: '2.0'\nsta")
+    private_path(workspace.root / "dvc.lock").write_text("schema: '2.0'\nsta")
     assert not build(["prepare@mug"], root=workspace.root).with_status(StageOutcome.RAN)
     assert not list(workspace.root.glob(".*.tmp*"))
 
