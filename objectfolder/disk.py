@@ -112,10 +112,26 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
         except OSError as error:
             if error.errno in _FULL:  # name the file; libraries may not
                 name = error.filename2 or error.filename or _last_written(temporary)
-                error.filename, error.filename2 = str(name).replace(str(temporary), str(out)), None
+                error.filename = str(name).replace(str(temporary), str(out))
+                del error.filename2
             raise
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def refuse_links(folder: Path, below: Path) -> None:
+    """Check that no folder that the project makes, from ``folder`` up to one ``below``, is a link.
+
+    Raises
+    ------
+    ObjectFolderError
+        If one is: what is written there would go elsewhere.
+    """
+    for path in (folder, *folder.parents):
+        if path == below:
+            return
+        if path.is_symlink():
+            raise ObjectFolderError(f"{path} is a link, expected a folder; delete it, or write elsewhere")
 
 
 def _place(folder: Path, out: Path) -> None:

@@ -61,7 +61,8 @@ def atomic(path: str | Path) -> Iterator[Path]:
         if vague:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
         if isinstance(error, OSError) and (is_shortage(error) or error.filename in (None, str(temporary))):
-            error.filename, error.filename2 = str(path), None
+            error.filename = str(path)
+            del error.filename2
         raise
     finally:
         os.close(lock)

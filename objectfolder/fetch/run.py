@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
+from objectfolder.disk import refuse_links
 from objectfolder.engine.dvc.repository import track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import checksums
@@ -95,6 +96,7 @@ def fetch_object(
     """
     if (present := _present(key, root)) is not None:
         return present
+    refuse_links(root / CACHE, root)
     check_output(root / CACHE / key)
     waiting = "waiting for another `objectfolder fetch` of this workspace"
     with exclusive(root / CACHE, lambda: _log.warning(waiting)):

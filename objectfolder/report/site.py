@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from objectfolder.disk import refuse_links
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_text
 from objectfolder.report.facts import (
@@ -101,10 +102,7 @@ def write_site(
         write_text(out, report(lambda found: held.append(_embedded(found))))
         return out
     out.mkdir(parents=True, exist_ok=True)
-    if (out / "objects").is_symlink():
-        raise ObjectFolderError(
-            f"{out / 'objects'} is a link, expected a folder; choose another for the site"
-        )
+    refuse_links(out / "objects", out)
     with TemporaryDirectory(dir=out, prefix=".report.") as folder:
         scratch = Path(folder)
         names: list[str] = []

@@ -12,7 +12,7 @@ import numpy as np
 from objectfolder.benchmarks.datasets.grasp_config import GraspDataConfig
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
 from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
-from objectfolder.disk import enough_space
+from objectfolder.disk import enough_space, refuse_links
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.fingers import (
@@ -125,6 +125,7 @@ def _collect(
     truth = None if surface is None else _truth(file, surface)
     rests = scene.rests(numpy_generator(seed, file.key, "rests"))
     progress = folder / ".progress" / hashlib.sha256(repr(request).encode()).hexdigest()[:16]
+    refuse_links(progress, folder)
     (folder / RECORD).unlink(missing_ok=True)
     camera = ExternalCamera(wanted.image)
     paths: list[Path] = []

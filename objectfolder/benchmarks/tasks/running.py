@@ -17,6 +17,7 @@ from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import Weights, own_code, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.disk import refuse_links
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, file_digest, read_json, write_json
 from objectfolder.locks import exclusive, remove_unused
@@ -183,6 +184,7 @@ def run_benchmark(spec: Run, report: Report) -> RunTime:
     """
     task, part, folder = spec.task, spec.part, spec.folder
     progress = folder.progress(task.name, part, spec.identity())
+    refuse_links(progress, folder.dir)
     waiting = f"waiting for another process that runs {task.name}, {part}, in {folder.dir}"
     with exclusive(progress, lambda: report(waiting)):  # and then find everything finished
         spent = _ProcessorTime(progress)

@@ -9,6 +9,8 @@ from dvc.stage import Stage
 from dvc.stage.cache import _can_hash
 from dvc.stage.serialize import to_single_stage_lockfile
 
+from objectfolder.locks import private_path
+
 
 def saved_run(stage: Stage, changed: bool) -> Stage | None:
     """Find the run whose outputs `steps.restore_run` would restore; None if missing or incomplete.
@@ -50,6 +52,6 @@ def remove_saved_run(entry: Path) -> None:
     if len(list(entry.parent.iterdir())) > 1:
         entry.unlink()
         return
-    runs = entry.parents[2]
-    trash = entry.parent.rename(runs / f".{entry.parent.name}")  # ignored by `saved_runs` and DVC
+    trash = private_path(entry.parents[2] / entry.parent.name)  # ignored by `saved_runs` and DVC
+    entry.parent.rename(trash)
     shutil.rmtree(trash)
