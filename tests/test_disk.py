@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from disks import small_disk
 
 from objectfolder.disk import new_folder, refuse_links
 from objectfolder.errors import ObjectFolderError
@@ -188,23 +189,17 @@ def test_a_disk_that_fills_up_names_the_file(tmp_path, fail):
 
 def test_a_small_disk_names_the_file(tmp_path):
     place = tmp_path / "disk"
-    place.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", place]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("cannot mount here")
-    try:
-        (tmp_path / "big").write_bytes(bytes(200_000))
+    (tmp_path / "big").write_bytes(bytes(200_000))
 
-        def failing():
-            with folder(place / "out") as new:
-                (new / "small").write_text("x")
-                shutil.copyfile(tmp_path / "big", new / "large")
+    def failing():
+        with folder(place / "out") as new:
+            (new / "small").write_text("x")
+            shutil.copyfile(tmp_path / "big", new / "large")
 
+    with small_disk(place, "100k"):
         with pytest.raises(ObjectFolderError, match=rf"no space in {place}/out to write {place}/out/large: "):
             failing()
         assert list(place.iterdir()) == []
-    finally:
-        subprocess.run(["umount", "-l", place], check=True)
 
 
 def test_links_below_a_folder_are_refused(tmp_path):

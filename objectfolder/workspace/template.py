@@ -12,7 +12,7 @@ from typing import Any
 
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.installation import installed_version, requirement
-from objectfolder.io import write_text
+from objectfolder.io import file_digest, write_text
 from objectfolder.workspace.code_digests import DATA
 from objectfolder.workspace.installed import (
     INSTALLED,
@@ -83,8 +83,8 @@ def own_code(root: Path, graphs: Iterable[Path]) -> dict[str, str]:
         name = os.path.relpath(path, root)
         if path.is_symlink():
             found[name] = f"link to {path.readlink()}"
-        elif path.is_file() and (content := path.read_bytes()) != known.get(name, "").encode():
-            found[name] = hashlib.sha256(content).hexdigest()
+        elif path.is_file() and (name not in known or path.read_bytes() != known[name].encode()):
+            found[name] = file_digest(path)
     return found
 
 

@@ -5,10 +5,11 @@ import random
 import shutil
 import signal
 import subprocess
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 import psutil
 import pytest
+from disks import mounted, small_disk
 
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.process import Children
@@ -25,23 +26,6 @@ OTHERS = sorted(set(everything()) - {"solve@mug", "pack@mug"})
 
 def names(results):
     return sorted(result.address for result in results)
-
-
-@contextmanager
-def mounted(*arguments):
-    """Mount something; its place comes last."""
-    done = subprocess.run(["mount", *map(str, arguments)], capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip(f"cannot mount here: {done.stderr.strip()}")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", "-l", arguments[-1]], check=True)
-
-
-def small_disk(path, size="1m"):
-    path.mkdir(parents=True, exist_ok=True)
-    return mounted("-t", "tmpfs", "-o", f"size={size}", "tmpfs", path)
 
 
 def enlarge(path, size="16m"):
