@@ -7,6 +7,7 @@ import pytest
 
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.dvc.lockfile import COPIES
+from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.installed import INSTALLED
 from objectfolder.workspace.template import own_code
@@ -59,7 +60,6 @@ def test_logs_and_records_that_are_links_are_replaced(workspace, tmp_path):
     names = (
         "build/.logs/prepare@mug.log",
         "build/.logs/prepare@mug.cost",
-        "dvc.lock",
         f"{COPIES}/dvc.lock.json",
     )
     for i, name in enumerate(names):
@@ -87,8 +87,6 @@ def test_a_remote_writes_nothing_but_saved_runs(workspace, tmp_path):
 
 
 def test_repair_writes_no_object_through_a_link(workspace, tmp_path):
-    from objectfolder.engine.verify import verify
-
     assert build(root=workspace.root).ok
     victim = tmp_path / "victim"
     victim.write_text("precious")
