@@ -48,12 +48,30 @@ def atomic(path: str | Path) -> Iterator[Path]:
     OSError
         Of the block, or a full disk that the block met; it names ``path``.
     """
-    path = Path(path)
+    with _replacing(Path(path)) as (temporary, _):
+        yield temporary
+        with temporary.open("rb") as stream:  # a library may have replaced the file
+            os.fsync(stream.fileno())
+
+
+@contextmanager
+def atomic_stream(path: str | Path) -> Iterator[BinaryIO]:
+    """Yield a stream to write a file; otherwise like `atomic`.
+
+    Nobody can divert it: the file stays open from when it is made.
+    """
+    with _replacing(Path(path)) as (_, handle), os.fdopen(handle, "wb", closefd=False) as stream:
+        yield stream
+        stream.flush()
+        os.fsync(handle)
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[tuple[Path, int]]:
+    """Yield a new file beside ``path`` and its descriptor; then rename it into place, or remove it."""
     temporary, lock = _claimed(path)
     try:
-        yield temporary
-        with temporary.open("rb") as stream:
-            os.fsync(stream.fileno())
+        yield temporary, lock
         temporary.replace(path)
     except BaseException as error:
         vague = isinstance(error, RuntimeError) and free_bytes(path.parent) < LOW  # torch's of a full disk
@@ -100,8 +118,7 @@ def _claimed(path: Path) -> tuple[Path, int]:
 
 def write_json(path: str | Path, value: Any) -> None:
     """Write JSON with sorted keys."""
-    with atomic(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(value, indent=2, sort_keys=True) + "\n")
 
 
 def wav_bytes(sound: np.ndarray, rate: int) -> bytes:
@@ -115,14 +132,13 @@ def wav_bytes(sound: np.ndarray, rate: int) -> bytes:
 
 def write_text(path: str | Path, text: str) -> None:
     """Write text."""
-    with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_bytes(path, text.encode())
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
     """Write bytes."""
-    with atomic(path) as temporary:
-        temporary.write_bytes(content)
+    with atomic_stream(path) as stream:
+        stream.write(content)
 
 
 def write_npz(path: str | Path, **arrays: Any) -> None:
@@ -130,13 +146,13 @@ def write_npz(path: str | Path, **arrays: Any) -> None:
     pickled = [name for name, array in arrays.items() if np.asarray(array).dtype.hasobject]
     if pickled:
         raise TypeError(f"{path}: {', '.join(pickled)} would be pickled; expected arrays of numbers")
-    with atomic(path) as temporary:
-        np.savez_compressed(temporary, **arrays)
+    with atomic_stream(path) as stream:
+        np.savez_compressed(stream, **arrays)
 
 
 def write_npy(path: str | Path, array: np.ndarray) -> None:
     """Write an array of numbers as ``.npy``."""
-    with atomic(path) as temporary, temporary.open("wb") as stream:
+    with atomic_stream(path) as stream:
         np.save(stream, array, allow_pickle=False)
 
 
@@ -169,8 +185,7 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
 def write_table(path: str | Path, columns: list[str], rows: list[list[Any]]) -> None:
     """Write rows of numbers as CSV."""
     lines = [",".join(f"{value:.9g}" for value in row) for row in rows]
-    with atomic(path) as temporary:
-        temporary.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
+    write_text(path, "\n".join([",".join(columns), *lines]) + "\n")
 
 
 def write_curve(path: str | Path, curve: list[Any]) -> None:

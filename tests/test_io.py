@@ -10,6 +10,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from disks import small_disk
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import (
@@ -336,7 +337,6 @@ def copied_to_full(source, target):
 
 
 WRITERS = {
-    "write": ("pathlib.Path.write_bytes", full, lambda path: write_bytes(path, b"x")),
     "fsync": ("os.fsync", full, lambda path: write_json(path, 1)),
     "arrays": ("numpy.savez_compressed", full, lambda path: write_npz(path, **ARRAYS)),
     "picture": ("PIL.Image.Image.save", full, lambda path: write_png(path, np.zeros((2, 2), np.uint8))),
@@ -354,6 +354,28 @@ def test_a_full_disk_names_the_file_that_was_being_written(tmp_path, monkeypatch
         write(tmp_path / "a.out")
     assert found.value.filename == str(tmp_path / "a.out")
     assert names(tmp_path) == ["source"]
+
+
+NOISE = np.random.default_rng(0).integers(0, 256, (300, 300), np.uint8)
+LARGE = {
+    "bytes": lambda path: write_bytes(path, NOISE.tobytes()),
+    "json": lambda path: write_json(path, NOISE.tolist()),
+    "npz": lambda path: write_npz(path, a=NOISE),
+    "npy": lambda path: write_npy(path, NOISE),
+    "png": lambda path: write_png(path, NOISE),
+    "safetensors": lambda path: write_safetensors(path, {"a": NOISE}, {}),
+}
+
+
+@pytest.mark.parametrize("how", LARGE)
+def test_a_small_disk_names_the_file_and_keeps_the_old_one(tmp_path, how):
+    path = tmp_path / "disk" / f"a.{how}"
+    with small_disk(path.parent, "48k"):
+        path.write_text("old")
+        with pytest.raises(OSError, match=rf"No space left on device: '{path}'$"):
+            LARGE[how](path)
+        assert path.read_text() == "old"
+        assert names(path.parent) == [path.name]
 
 
 def test_a_library_that_hides_a_full_disk_is_understood(tmp_path, monkeypatch):

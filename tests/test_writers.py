@@ -56,7 +56,15 @@ ROOT = Path(__file__).parents[1]
 MODULES = sorted([*ROOT.glob("objectfolder/**/*.py"), *ROOT.glob("stages/*.py")])
 
 #: Blocks whose target is a path or a stream of their own.
-OWN = {"atomic", "new_folder", "_new_folder", "export_folder", "TemporaryDirectory", "TemporaryFile"}
+OWN = {
+    "atomic",
+    "atomic_stream",
+    "new_folder",
+    "_new_folder",
+    "export_folder",
+    "TemporaryDirectory",
+    "TemporaryFile",
+}
 #: Calls that write a file at a path, or move or remove more than a name, by the name of the function.
 WRITES = {
     *("write_text", "write_bytes", "save_file", "savefig", "savez", "savez_compressed", "tofile", "imwrite"),
@@ -69,7 +77,8 @@ EXCEPTIONS = {
     # What the two ways are made of.
     "objectfolder/disk.py:new_folder": "makes and removes the folder, whose name is random",
     "objectfolder/disk.py:_place": "renames it over an empty folder that it has made itself",
-    "objectfolder/io.py:atomic": "renames the file, whose name is random",
+    "objectfolder/io.py:_replacing": "renames the file, whose name is random",
+    "objectfolder/io.py:atomic_stream": "opens the descriptor of the file",
     "objectfolder/io.py:keep": "a hard link of a random name",
     "objectfolder/locks.py:claimed_file": "O_EXCL and O_NOFOLLOW",
     "objectfolder/locks.py:remove_unused": "rmtree follows no links; in a progress folder",
