@@ -74,9 +74,11 @@ def _replacing(path: Path) -> Iterator[tuple[Path, int]]:
         yield temporary, lock
         temporary.replace(path)
     except BaseException as error:
-        vague = isinstance(error, RuntimeError) and free_bytes(path.parent) < LOW  # torch's of a full disk
+        # What torch, numpy and Pillow raise if a disk is full has no number.
+        vague = isinstance(error, RuntimeError) or (isinstance(error, OSError) and error.errno is None)
+        full = vague and free_bytes(path.parent) < LOW
         temporary.unlink(missing_ok=True)
-        if vague:
+        if full:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
         if isinstance(error, OSError) and (is_shortage(error) or error.filename in (None, str(temporary))):
             error.filename = str(path)
