@@ -180,8 +180,8 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
     """Write an (H, W, 3) or (H, W) uint8 image."""
     from PIL import Image
 
-    with atomic(path) as temporary:
-        Image.fromarray(image).save(temporary)
+    with atomic_stream(path) as stream:
+        Image.fromarray(image).save(stream, "PNG")
 
 
 def write_table(path: str | Path, columns: list[str], rows: list[list[Any]]) -> None:

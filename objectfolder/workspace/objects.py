@@ -91,8 +91,8 @@ def add_mesh(
     sources = object_files(mesh, attachments)
     placed = False
     try:
-        size = sum(source.stat().st_size for source in sources.values())
-        with new_folder(f"{key}: mesh", home, size, "") as staging:
+        needed = sum(source.stat().st_size for source in sources.values())
+        with new_folder(f"{key}: mesh", home, needed, "") as staging:
             for target, source in sources.items():
                 copy = staging / target
                 copy.parent.mkdir(parents=True, exist_ok=True)
