@@ -1,17 +1,20 @@
-"""Checks of free disk space, and descriptions of full disks."""
+"""Checks of free disk space, descriptions of full disks, and folders that are complete or absent."""
 
 import errno
+import logging
 import os
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.locks import left_folders, private_path
 
 #: Free bytes below which a disk counts as full.
 LOW = 2**20
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+_log = logging.getLogger(__name__)
 
 
 def is_shortage(error: BaseException | None) -> bool:
@@ -68,19 +71,19 @@ def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[No
         If fewer bytes are free, or the disk fills up before the block ends.
     """
 
-    def shortage() -> ObjectFolderError:
+    def shortage(place: object) -> ObjectFolderError:
         return ObjectFolderError(
-            f"{what}: no space in {folder}: at least {needed:,} bytes needed, "
+            f"{what}: no space in {place}: at least {needed:,} bytes needed, "
             f"{free_bytes(folder):,} free; make room{hint}"
         )
 
     if free_bytes(folder) < needed:
-        raise shortage()
+        raise shortage(folder)
     try:
         yield
     except OSError as error:
         if error.errno in _FULL:
-            raise shortage() from error
+            raise shortage(f"{folder} to write {error.filename}" if error.filename else folder) from error
         raise
 
 
@@ -88,22 +91,72 @@ def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[No
 def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
     """Yield a temporary folder that is renamed to ``out`` on success; otherwise like `enough_space`.
 
+    Its name is drawn at random. Of several who write the same folder the first that ends wins; the others
+    raise.
+
     Raises
     ------
     ObjectFolderError
-        If ``out`` exists already.
+        If ``out`` exists already, before the block or after it.
     """
-    if out.exists():
-        raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
-    temporary = out.with_name(f".{out.name}.tmp")
-    try:
-        with enough_space(what, out, needed, hint):
-            shutil.rmtree(temporary, ignore_errors=True)
-            temporary.mkdir(parents=True)
+    if os.path.lexists(out):
+        raise _exists(out)
+    temporary = private_path(out)
+    for left in left_folders(out):
+        _log.warning("%s: left by a run that was stopped; delete it unless another run is writing it", left)
+    with enough_space(what, out, needed, hint):
+        temporary.mkdir(parents=True)
+        try:
             yield temporary
-            temporary.rename(out)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+            _place(temporary, out)
+        except OSError as error:
+            if error.errno in _FULL:  # name the file; libraries may not
+                name = error.filename2 or error.filename or _last_written(temporary)
+                error.filename = str(name).replace(str(temporary), str(out))
+                del error.filename2
+            raise
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def refuse_links(folder: Path, below: Path) -> None:
+    """Check that no folder that the project makes, from ``folder`` up to one ``below``, is a link.
+
+    Raises
+    ------
+    ObjectFolderError
+        If one is: what is written there would go elsewhere.
+    """
+    for path in (folder, *folder.parents):
+        if path == below:
+            return
+        if path.is_symlink():
+            raise ObjectFolderError(f"{path} is a link, expected a folder; delete it, or write elsewhere")
+
+
+def _place(folder: Path, out: Path) -> None:
+    """Rename a folder unless the new name exists; plain renaming would replace an empty folder."""
+    try:
+        out.mkdir()  # from here on, the name is ours
+    except FileExistsError as error:
+        raise _exists(out) from error
+    try:
+        folder.rename(out)
+    except BaseException as error:
+        with suppress(OSError):
+            out.rmdir()
+        if isinstance(error, OSError) and error.errno == errno.ENOTEMPTY:  # others have put files there
+            raise _exists(out) from error
+        raise
+
+
+def _exists(out: Path) -> ObjectFolderError:
+    return ObjectFolderError(f"{out} exists already: choose another name, or delete it")
+
+
+def _last_written(folder: Path) -> Path:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return max(files, key=lambda path: path.stat().st_mtime_ns, default=folder)
 
 
 def _existing(path: Path) -> Path:

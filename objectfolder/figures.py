@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from objectfolder.io import atomic
+from objectfolder.io import atomic_stream
 from objectfolder.metrics import psnr
 
 if TYPE_CHECKING:
@@ -38,8 +38,8 @@ def page_columns(figure: "Figure", *widths: float) -> list["SubFigure"]:
 
 def save_page(figure: "Figure", path: Path) -> Path:
     """Write a page as PNG and return its path."""
-    with atomic(path) as temporary:
-        figure.savefig(temporary)
+    with atomic_stream(path) as stream:
+        figure.savefig(stream, format="png")
     return path
 
 

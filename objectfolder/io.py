@@ -5,7 +5,7 @@ file in errors.
 """
 
 import ast
-import fcntl
+import errno
 import hashlib
 import io
 import json
@@ -20,7 +20,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from objectfolder.disk import LOW, free_bytes, is_shortage
 from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.locks import claimed_file, private_path
 
 MAX_BYTES = 2**30  #: size limit of a safetensors file; a thousand times that of an Object File
 MAX_HEADER = 2**20  #: length limit of its JSON header, characters
@@ -34,16 +36,67 @@ DTYPES = {"BOOL": "?", "F64": "<f8", "F32": "<f4", "F16": "<f2"} | {
 def atomic(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path next to ``path``; on success, fsync the file and rename it into place.
 
-    The temporary name has the same suffix, because writers choose the format by it. It is the same at every
-    call, so that killed writers leave at most one file behind, unless others write the same path meanwhile;
-    then the last one wins.
+    The temporary file is new, its name is drawn at random, and it has the same suffix, because writers choose
+    the format by it. So no link is followed that somebody else made: one at ``path`` is replaced. Of several
+    who write the same path the last one wins. What killed writers leave, the next process that writes in the
+    folder removes.
 
     Raises
     ------
     ObjectFolderError
         If the directory cannot be written, or the path is a folder or a device.
+    OSError
+        Of the block, or a full disk that the block met; it names ``path``.
     """
-    path = Path(path)
+    with _replacing(Path(path)) as (temporary, _):
+        yield temporary
+        with temporary.open("rb") as stream:  # a library may have replaced the file
+            os.fsync(stream.fileno())
+
+
+@contextmanager
+def atomic_stream(path: str | Path) -> Iterator[BinaryIO]:
+    """Yield a stream to write a file; otherwise like `atomic`.
+
+    Nobody can divert it: the file stays open from when it is made.
+    """
+    with _replacing(Path(path)) as (_, handle), os.fdopen(handle, "wb", closefd=False) as stream:
+        yield stream
+        stream.flush()
+        os.fsync(handle)
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[tuple[Path, int]]:
+    """Yield a new file beside ``path`` and its descriptor; then rename it into place, or remove it."""
+    temporary, lock = _claimed(path)
+    try:
+        yield temporary, lock
+        temporary.replace(path)
+    except BaseException as error:
+        # What torch, numpy and Pillow raise if a disk is full has no number.
+        vague = isinstance(error, RuntimeError) or (isinstance(error, OSError) and error.errno is None)
+        full = vague and free_bytes(path.parent) < LOW
+        temporary.unlink(missing_ok=True)
+        if full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
+        if isinstance(error, OSError) and (is_shortage(error) or error.filename in (None, str(temporary))):
+            error.filename = str(path)
+            del error.filename2
+        raise
+    finally:
+        os.close(lock)
+
+
+def check_output(path: str | Path) -> None:
+    """Raise ObjectFolderError unless a file can be written at a path: before work that takes long."""
+    temporary, lock = _claimed(Path(path))
+    temporary.unlink(missing_ok=True)
+    os.close(lock)
+
+
+def _claimed(path: Path) -> tuple[Path, int]:
+    """Return a new file beside ``path``, whose folder is made, and a descriptor that locks it."""
     if not path.name:
         raise ObjectFolderError(f"cannot write {str(path)!r}: it is a folder, expected a file's name")
     try:
@@ -51,63 +104,23 @@ def atomic(path: str | Path) -> Iterator[Path]:
             raise ObjectFolderError(
                 f"cannot write {path}: it is a folder or a device, expected a file's name"
             )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary, lock = _claimed(path)
-    except OSError as error:
-        raise ObjectFolderError(
-            f"cannot write {shortened(path, 300)}: {error.strerror}; make the directory "
-            f"{shortened(path.parent, 300)} writable, or choose another name"
-        ) from error
-    try:
-        yield temporary
-        with temporary.open("rb") as stream:
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.filename is None:  # so it is when a disk fills up
-            error.filename = str(path)
-        raise
-    finally:
-        os.close(lock)
-
-
-def temporary_path(path: Path, number: int = 0) -> Path:
-    """Return the name under which `atomic` writes a file, beside ``number`` others that write it."""
-    return path.with_name(f".{path.stem}.tmp{number or ''}{path.suffix}")
-
-
-def _claimed(path: Path) -> tuple[Path, int]:
-    """Return a temporary path that no other writer holds, and the descriptor that keeps it so."""
-    number = 0
-    while True:
-        temporary = temporary_path(path, number)
-        lock = os.open(temporary, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.path.samestat(os.fstat(lock), temporary.stat()):
-                return temporary, lock
-        except BlockingIOError:
-            number += 1
-        except FileNotFoundError:  # renamed or removed since it was opened
-            pass
-        except BaseException:
-            os.close(lock)
-            raise
-        os.close(lock)
-
-
-def check_writable(directory: Path) -> None:
-    """Raise ObjectFolderError unless files can be created in a directory."""
-    with atomic(directory / ".writable"):
-        pass
-    (directory / ".writable").unlink()
+            return claimed_file(path)
+        except FileNotFoundError:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            return claimed_file(path)
+    except OSError as error:
+        folder = shortened(path.parent, 300)
+        full = is_shortage(error)
+        advice = f"make space on the disk of {folder}" if full else f"make the directory {folder} writable"
+        raise ObjectFolderError(
+            f"cannot write {shortened(path, 300)}: {error.strerror}; {advice}, or choose another name"
+        ) from error
 
 
 def write_json(path: str | Path, value: Any) -> None:
     """Write JSON with sorted keys."""
-    with atomic(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(value, indent=2, sort_keys=True) + "\n")
 
 
 def wav_bytes(sound: np.ndarray, rate: int) -> bytes:
@@ -121,8 +134,13 @@ def wav_bytes(sound: np.ndarray, rate: int) -> bytes:
 
 def write_text(path: str | Path, text: str) -> None:
     """Write text."""
-    with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write bytes."""
+    with atomic_stream(path) as stream:
+        stream.write(content)
 
 
 def write_npz(path: str | Path, **arrays: Any) -> None:
@@ -130,25 +148,19 @@ def write_npz(path: str | Path, **arrays: Any) -> None:
     pickled = [name for name, array in arrays.items() if np.asarray(array).dtype.hasobject]
     if pickled:
         raise TypeError(f"{path}: {', '.join(pickled)} would be pickled; expected arrays of numbers")
-    with atomic(path) as temporary:
-        np.savez_compressed(temporary, **arrays)
+    with atomic_stream(path) as stream:
+        np.savez_compressed(stream, **arrays)
 
 
 def write_npy(path: str | Path, array: np.ndarray) -> None:
     """Write an array of numbers as ``.npy``."""
-    with atomic(path) as temporary, temporary.open("wb") as stream:
+    with atomic_stream(path) as stream:
         np.save(stream, array, allow_pickle=False)
 
 
 def write_safetensors(path: str | Path, tensors: dict[str, Any], header: dict[str, Any]) -> None:
     """Write numpy tensors and a JSON header, under a single metadata key so that the bytes are stable."""
-    from safetensors.numpy import save_file
-
-    with atomic(path) as temporary:
-        contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-        mode = temporary.stat().st_mode  # safetensors creates files that only the owner can read
-        save_file(contiguous, temporary, metadata=_metadata(header))
-        temporary.chmod(mode)
+    write_bytes(path, safetensors_bytes(tensors, header))
 
 
 def safetensors_bytes(tensors: Mapping[str, Any], header: dict[str, Any]) -> bytes:
@@ -168,15 +180,14 @@ def write_png(path: str | Path, image: np.ndarray) -> None:
     """Write an (H, W, 3) or (H, W) uint8 image."""
     from PIL import Image
 
-    with atomic(path) as temporary:
-        Image.fromarray(image).save(temporary)
+    with atomic_stream(path) as stream:
+        Image.fromarray(image).save(stream, "PNG")
 
 
 def write_table(path: str | Path, columns: list[str], rows: list[list[Any]]) -> None:
     """Write rows of numbers as CSV."""
     lines = [",".join(f"{value:.9g}" for value in row) for row in rows]
-    with atomic(path) as temporary:
-        temporary.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
+    write_text(path, "\n".join([",".join(columns), *lines]) + "\n")
 
 
 def write_curve(path: str | Path, curve: list[Any]) -> None:
@@ -190,12 +201,16 @@ def write_curve(path: str | Path, curve: list[Any]) -> None:
 
 def keep(path: str | Path, name: str | Path) -> None:
     """Hard-link a file to a second name, or copy it where links are impossible."""
+    if Path(name).exists() and Path(name).samefile(path):
+        return  # of two names of a file, a rename would leave the temporary one
     with atomic(name) as temporary:
-        temporary.unlink()
+        linked = private_path(Path(name))
         try:
-            os.link(path, temporary)
+            os.link(path, linked)
         except OSError:
             shutil.copyfile(path, temporary)
+        else:
+            linked.replace(temporary)
 
 
 def file_digest(path: str | Path) -> str:

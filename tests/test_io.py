@@ -1,19 +1,27 @@
+import errno
+import os
+import subprocess
+import sys
 import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from disks import small_disk
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import (
     atomic,
+    check_output,
     file_digest,
     keep,
     read_json,
     read_npz,
     read_safetensors,
+    write_bytes,
     write_curve,
     write_json,
     write_npy,
@@ -21,6 +29,7 @@ from objectfolder.io import (
     write_png,
     write_safetensors,
 )
+from objectfolder.locks import private_path, remove_abandoned
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.workspace.layout import Build
 
@@ -264,13 +273,123 @@ def test_two_writers_at_once_leave_one_whole_file(tmp_path):
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_what_a_killed_writer_left_is_written_over(tmp_path):
-    (tmp_path / ".a.tmp.txt").write_text("half of something")
-    with atomic(tmp_path / "a.txt") as path:
-        assert path == tmp_path / ".a.tmp.txt"
+KILLED = """
+import os, sys
+from objectfolder.io import atomic
+with atomic(sys.argv[1]) as path:
+    path.write_text("half")
+    os.kill(os.getpid(), 9)
+"""
+
+
+def test_what_killed_writers_left_goes_with_the_next_that_writes_there_and_nothing_else(tmp_path):
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", KILLED, tmp_path / "a.txt"], check=False)
+    left = [name for name in names(tmp_path) if ".tmp" in name]
+    assert len(left) == 1  # the second has removed that of the first
+    lent = private_path(tmp_path / "linked.txt")
+    others = {
+        ".a.tmp.txt": lambda path: path.write_text("of the user"),
+        private_path(tmp_path / "folder.d").name: Path.mkdir,
+        private_path(tmp_path / "link.txt").name: lambda path: path.symlink_to("/etc/hostname"),
+        private_path(tmp_path / "pipe.txt").name: os.mkfifo,
+        lent.name: lambda path: (path.write_text("kept"), (tmp_path / "kept").hardlink_to(path)),
+    }
+    for name, make in others.items():
+        make(tmp_path / name)
+    with atomic(tmp_path / "b.txt") as path:  # of a writer that lives
+        remove_abandoned(tmp_path)
         path.write_text("whole")
-    assert (tmp_path / "a.txt").read_text() == "whole"
-    assert names(tmp_path) == ["a.txt"]
+    assert names(tmp_path) == sorted({*others, "b.txt", "kept"})
+
+
+def test_a_file_whose_name_is_long_is_written(tmp_path):
+    name = "x" * 245 + ".json"
+    write_json(tmp_path / name, 1)
+    assert names(tmp_path) == [name]
+
+
+def test_a_place_is_tested_before_the_work_and_nothing_is_left(tmp_path):
+    check_output(tmp_path / "new" / "a.txt")
+    assert names(tmp_path / "new") == []
+    (tmp_path / "file").write_text("old")
+    check_output(tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "old"
+    for bad in (tmp_path / "file" / "a.txt", tmp_path, Path("/proc/a.txt")):
+        with pytest.raises(ObjectFolderError, match="cannot write"):
+            check_output(bad)
+
+
+def test_two_names_of_one_file_stay(tmp_path):
+    (tmp_path / "a").write_text("one")
+    for _ in range(2):
+        keep(tmp_path / "a", tmp_path / "kept")
+    assert names(tmp_path) == ["a", "kept"]
+    assert (tmp_path / "a").samefile(tmp_path / "kept")
+
+
+def full(*_, **__):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def copied_to_full(source, target):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(source), None, str(target))
+
+
+WRITERS = {
+    "fsync": ("os.fsync", full, lambda path: write_json(path, 1)),
+    "arrays": ("numpy.savez_compressed", full, lambda path: write_npz(path, **ARRAYS)),
+    "picture": ("PIL.Image.Image.save", full, lambda path: write_png(path, np.zeros((2, 2), np.uint8))),
+    "copy": ("shutil.copyfile", copied_to_full, lambda path: keep(path.with_name("source"), path)),
+}
+
+
+@pytest.mark.parametrize("how", WRITERS)
+def test_a_full_disk_names_the_file_that_was_being_written(tmp_path, monkeypatch, how):
+    (tmp_path / "source").write_text("x")
+    name, failure, write = WRITERS[how]
+    monkeypatch.setattr("os.link", full)
+    monkeypatch.setattr(name, failure)
+    with pytest.raises(OSError, match=r"No space left on device: '.*a\.out'$") as found:
+        write(tmp_path / "a.out")
+    assert found.value.filename == str(tmp_path / "a.out")
+    assert names(tmp_path) == ["source"]
+
+
+NOISE = np.random.default_rng(0).integers(0, 256, (300, 300), np.uint8)
+LARGE = {
+    "bytes": lambda path: write_bytes(path, NOISE.tobytes()),
+    "json": lambda path: write_json(path, NOISE.tolist()),
+    "npz": lambda path: write_npz(path, a=NOISE),
+    "npy": lambda path: write_npy(path, NOISE),
+    "png": lambda path: write_png(path, NOISE),
+    "safetensors": lambda path: write_safetensors(path, {"a": NOISE}, {}),
+}
+
+
+@pytest.mark.parametrize("how", LARGE)
+def test_a_small_disk_names_the_file_and_keeps_the_old_one(tmp_path, how):
+    path = tmp_path / "disk" / f"a.{how}"
+    with small_disk(path.parent, "48k"):
+        path.write_text("old")
+        with pytest.raises(OSError, match=rf"No space left on device: '{path}'$"):
+            LARGE[how](path)
+        assert path.read_text() == "old"
+        assert names(path.parent) == [path.name]
+
+
+@pytest.mark.parametrize("error", [RuntimeError("enforce fail"), OSError("9 requested and 4 written")])
+def test_a_library_that_hides_a_full_disk_is_understood(tmp_path, monkeypatch, error):
+    def failing():
+        with atomic(tmp_path / "a.pt"):
+            raise error
+
+    with pytest.raises(type(error)) as found:
+        failing()
+    assert found.value is error
+    monkeypatch.setattr("objectfolder.io.free_bytes", lambda path: 100)
+    with pytest.raises(OSError, match=r"No space left on device: '.*a\.pt'"):
+        failing()
 
 
 @pytest.mark.parametrize("name", ["", ".", "/"])

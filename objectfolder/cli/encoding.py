@@ -10,6 +10,7 @@ import numpy as np
 
 from objectfolder.cli.console import print_line, tracked
 from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.io import atomic, check_output
 
 
 def encoder(command: str, out: Path, *sides: int) -> str:
@@ -18,7 +19,7 @@ def encoder(command: str, out: Path, *sides: int) -> str:
     Raises
     ------
     ObjectFolderError
-        If it is not installed, the video has another name than .mp4, or a side is odd.
+        If it is not installed, the video has another name than .mp4 or cannot be written, or a side is odd.
     """
     if out.suffix.lower() != ".mp4":
         raise ObjectFolderError(f"{out}: expected a name that ends in .mp4")
@@ -30,6 +31,7 @@ def encoder(command: str, out: Path, *sides: int) -> str:
         raise ObjectFolderError(
             f"{command} needs the program ffmpeg, which is not on the PATH: apt-get install ffmpeg"
         )
+    check_output(out)
     return program
 
 
@@ -63,8 +65,6 @@ def write_video(
         Hz.
     """
     import soundfile
-
-    from objectfolder.io import atomic
 
     with atomic(out) as path, TemporaryDirectory() as folder, TemporaryFile() as log:
         track = Path(folder, "sound.wav")

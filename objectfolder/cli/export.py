@@ -1,5 +1,6 @@
 """Commands that export observations and objects for other libraries and engines: export."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -215,7 +216,7 @@ def _loaded(out: Path, files: list[Path], *needs: str) -> "list[ObjectFile]":
 
     objects = [ObjectFile.load(file) for file in files]
     for i, (file, found) in enumerate(zip(files, objects)):
-        if (out / found.key).exists():
+        if os.path.lexists(out / found.key):
             raise ObjectFolderError(f"{out / found.key} exists already: choose another folder, or delete it")
         if found.key in (other.key for other in objects[:i]):
             raise ObjectFolderError(f"{file}: a second object {found.key}; export it to another folder")

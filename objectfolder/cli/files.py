@@ -1,9 +1,11 @@
 """What commands are given: Object Files, the samples among them, and folders to write."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.io import check_output
 from objectfolder.objectfile.samples import available_samples, file_or_sample
 
 #: Names of the samples, for the help of commands.
@@ -60,15 +62,21 @@ def files_or_folders(given: Sequence[Path] | None) -> list[Path] | None:
 
 
 def folder_to_write(given: Path) -> Path:
-    """Return a folder that a command writes into.
+    """Return a folder that a command writes into; it need not exist.
 
     Raises
     ------
     ObjectFolderError
-        If it is a file.
+        If it is a file or a link to nothing, or it cannot be written.
     """
-    if given.exists() and not given.is_dir():
+    if os.path.lexists(given) and not given.is_dir():
         raise ObjectFolderError(f"{given} is a file, expected a folder; choose another name")
+    above = next(path for path in (given.absolute(), *given.absolute().parents) if path.exists())
+    if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
+        raise ObjectFolderError(
+            f"cannot write {given}: {above} is not a folder that you may write in; make it one, or choose "
+            "another name"
+        )
     return given
 
 
@@ -78,10 +86,11 @@ def page_to_write(given: Path) -> Path:
     Raises
     ------
     ObjectFolderError
-        If its name is not one of a page, as that of an Object File.
+        If its name is not one of a page, as that of an Object File, or it cannot be written.
     """
     if given.suffix.lower() not in PAGES:
         raise ObjectFolderError(f"--out {given}: expected the name of a page, such as {given.stem}.html")
+    check_output(given)
     return given
 
 

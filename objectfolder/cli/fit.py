@@ -46,7 +46,7 @@ def sound(
     from objectfolder.audio.recordings import at_one_rate, read_recording
     from objectfolder.audio.ringdown import LN_1000
     from objectfolder.checks import one_of
-    from objectfolder.io import read_json, read_npz
+    from objectfolder.io import check_output, read_json, read_npz
     from objectfolder.materials import LAWS, Material
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_object
@@ -55,6 +55,8 @@ def sound(
 
     one_of("--law", law, LAWS)
     check_object(key, params.read())
+    if not dry_run:
+        check_output(params.PARAMS_FILE)
     build = Build(key)
     report, modes = read_json(build.modal), read_npz(build.modes, "eigenvalues")
     sounds, rate = at_one_rate([read_recording(path) for path in recordings], recordings)

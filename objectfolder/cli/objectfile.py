@@ -176,7 +176,7 @@ def audio(
     Amplitudes are absolute and tiny; `--normalize` makes them audible.
     """
     from objectfolder.audio.synthesis import count_samples
-    from objectfolder.io import atomic, wav_bytes
+    from objectfolder.io import wav_bytes, write_bytes
     from objectfolder.objectfile.file import ObjectFile
 
     points = read_rows(
@@ -207,8 +207,7 @@ def audio(
     if normalize and peak > 0:
         sounds = sounds / peak * 0.9
     for i, sound in enumerate(sounds, 1):
-        with atomic(out / f"{i}.wav") as path:
-            path.write_bytes(wav_bytes(sound, sample_rate))
+        write_bytes(out / f"{i}.wav", wav_bytes(sound, sample_rate))
     loudest = _peak_summary(peak, response, listener is not None, normalize)
     modes = _mode_summary(frequencies, sample_rate)
     print_line(f"{plural(len(sounds), 'sound')} in {out}/, {loudest}; {modes}")

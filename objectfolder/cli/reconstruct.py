@@ -7,6 +7,7 @@ import typer
 
 from objectfolder.cli.console import print_line
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import check_output
 
 
 def reconstruct(
@@ -45,6 +46,7 @@ def reconstruct(
     )
 
     check_mesh_name(out)
+    check_output(out)
     colour = None if background is None else _colour(background)
     picture = read_picture(photo)
     shape = None if mask is None else read_picture(mask, "L")

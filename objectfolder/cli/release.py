@@ -1,6 +1,7 @@
 """Command that packs objects for others: release."""
 
 import datetime
+import os
 import re
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ import typer
 
 from objectfolder.checks import is_web_address, one_line
 from objectfolder.cli.console import console, print_line
+from objectfolder.cli.files import folder_to_write
 from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 
 
@@ -60,7 +62,7 @@ def release(
         )
     one_line("--name", name)
     one_line("--creator", creator)
-    if out.exists():
+    if os.path.lexists(folder_to_write(out)):
         raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
     check_own(values := params.read())
     keys = released_keys(objects or (), values)

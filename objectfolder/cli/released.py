@@ -8,6 +8,7 @@ import typer
 
 from objectfolder.cli.console import print_line
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import check_output
 
 
 def import_released(
@@ -59,6 +60,7 @@ def import_released(
 
     if out.suffix != ".safetensors":
         raise ObjectFolderError(f"{out}: an Object File is written, expected a name such as bowl.safetensors")
+    check_output(out)
     box = None if bounds is None else np.reshape(bounds, (2, 3))
     options = ImportOptions(key, material, scale, box, mesh, sensor, gel, crop)
     obj = convert(file, options)

@@ -9,6 +9,7 @@ import typer
 from objectfolder.cli.console import print_line
 from objectfolder.cli.objectfile import FileArgument
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import check_output, write_npy
 
 sample_app = typer.Typer(
     no_args_is_help=True,
@@ -130,11 +131,11 @@ def _check_names(*paths: Path | None) -> None:
             raise ObjectFolderError(f"cannot write queries to {path}: expected the name of a .npy file")
     if len({path.resolve() for path in given}) < len(given):
         raise ObjectFolderError(f"{given[0]} is given twice: expected two files")
+    for path in given:
+        check_output(path)
 
 
 def _write(arrays: dict[Path, np.ndarray]) -> None:
-    from objectfolder.io import write_npy
-
     _check_names(*arrays)
     for path, array in arrays.items():
         write_npy(path, array)

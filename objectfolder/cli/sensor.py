@@ -10,6 +10,7 @@ from rich.table import Table
 from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import empty_folder
 from objectfolder.errors import ObjectFolderError, plural
+from objectfolder.io import check_output
 
 sensor_app = typer.Typer(
     no_args_is_help=True,
@@ -90,6 +91,7 @@ def fit_sensor_profile(
 
     if out.suffix not in (".yaml", ".yml"):
         raise ObjectFolderError(f"--out is {out}, expected the name of a .yaml file")
+    check_output(out)
     profile = load_profile(sensor)
     rest = read_photograph(untouched, profile) if untouched else None
     circles = [_circle(text) for text in circle] if circle else None

@@ -30,7 +30,7 @@ def view(
 
     Examples: objectfolder view mug, objectfolder view build/mug/ObjectFile.safetensors
     """
-    from objectfolder.io import atomic
+    from objectfolder.io import write_text
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.viewer.page import viewer_page
 
@@ -43,8 +43,7 @@ def view(
                 f"{path}: another file holds an object of the key {key}; give one of them"
             )
         objects[key] = path.read_bytes()
-    with atomic(page) as path:
-        path.write_text(viewer_page(objects, ", ".join(objects)), encoding="utf-8")
+    write_text(page, viewer_page(objects, ", ".join(objects)))
     print_line(f"{page} ({page.stat().st_size / 1e6:.1f} MB)")
     if open_page and not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser found: open the page in one", highlight=False)

@@ -81,7 +81,7 @@ def build(
     from objectfolder.engine.build import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
     from objectfolder.engine.ray import ray_workers
-    from objectfolder.io import check_writable
+    from objectfolder.io import check_output
     from objectfolder.touch.profiles import load_profile, require_renderer
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_all
@@ -101,7 +101,7 @@ def build(
             raise ObjectFolderError("--dry-run cannot be combined with --force or --pull")
         print_outlook(status(targets or (), wait=wait), console)
         return
-    check_writable(Path("build"))
+    check_output(Path("build/.writable"))
     with Progress() as progress:
         summary = run_build(
             targets or (),

@@ -124,7 +124,8 @@ class Children:
         command.log.parent.mkdir(parents=True, exist_ok=True)
         read, write = os.pipe()
         with os.fdopen(read, "rb") as report:
-            with os.fdopen(write, "wb"), command.log.open("wb") as log:
+            command.log.unlink(missing_ok=True)  # of an earlier run, or a link, which is not followed
+            with os.fdopen(write, "wb"), command.log.open("xb") as log:
                 reap = start(command, log.fileno(), write)
             said = report.readline().decode().strip()
             if not said.isdigit():

@@ -245,7 +245,7 @@ class RayWorkers:
         self._marker.parent.mkdir(parents=True, exist_ok=True)
         for stale in self._marker.parent.glob(MARKER.format("*")):
             stale.unlink()  # left by a killed engine; this one holds the workspace lock
-        self._marker.touch()
+        self._marker.touch(exist_ok=False)  # follows no link
 
     def _probe(self) -> None:
         """Check that every node can run the engine's code and sees the workspace."""

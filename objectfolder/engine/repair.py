@@ -92,7 +92,6 @@ def _cache(file: RecordedFile) -> None:
     assert file.cached is not None
     file.cached.parent.mkdir(parents=True, exist_ok=True)
     with atomic(file.cached) as temporary:
-        temporary.unlink()  # left read-only by a killed repair
         shutil.copyfile(file.path, temporary)
         if file_hash(temporary, file.hash_name) != file.oid:
             raise ObjectFolderError(f"{file.path} changed while it was read; verify again")

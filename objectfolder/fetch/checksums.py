@@ -1,12 +1,13 @@
 """SHA-256 of the sources of fetched objects, recorded at first use to detect changes."""
 
 from collections.abc import Mapping
+from io import StringIO
 from pathlib import Path
 
 from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
+from objectfolder.io import write_text
 from objectfolder.yamlfile import read_yaml
 
 PATH = Path("data/checksums.yaml")
@@ -55,6 +56,6 @@ def record_checksums(path: Path, key: str, digests: Mapping[str, str]) -> None:
     yaml = YAML(typ="safe")
     yaml.default_flow_style = False
     yaml.width = 4096
-    with atomic(path) as temporary, temporary.open("w") as stream:
-        stream.write(HEADER)
-        yaml.dump({name: dict(sorted(values[name].items())) for name in sorted(values)}, stream)
+    stream = StringIO()
+    yaml.dump({name: dict(sorted(values[name].items())) for name in sorted(values)}, stream)
+    write_text(path, HEADER + stream.getvalue())

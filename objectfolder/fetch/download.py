@@ -20,6 +20,7 @@ from urllib.request import HTTPHandler, HTTPRedirectHandler, HTTPSHandler, Reque
 
 from objectfolder.disk import free_bytes
 from objectfolder.errors import ObjectFolderError
+from objectfolder.io import write_text
 
 WAITS = (1.0, 2.0, 4.0, 8.0)  #: seconds between attempts that bring nothing
 TIMEOUT = 30  #: seconds without an answer or a byte
@@ -191,7 +192,9 @@ class _Redirects(HTTPRedirectHandler):
 
 def _attempt(url: str, path: Path, report: ProgressCallback, most: int) -> None:
     tag = _tag(path)
-    start = path.stat().st_size if path.exists() and tag.exists() else 0
+    # Links are not followed: whatever a server is sent, or what is appended to, we have written.
+    kept = all(file.is_file() and not file.is_symlink() for file in (path, tag))
+    start = path.stat().st_size if kept else 0
     headers = {"User-Agent": _user_agent(), "Accept-Encoding": "identity"}
     if start:
         headers |= {"Range": f"bytes={start}-", "If-Range": tag.read_text()}
@@ -238,8 +241,8 @@ def _receive(response: HTTPResponse, path: Path, start: int, report: ProgressCal
         if not resumed:
             _forget(path)
             if validator.isprintable() and validator:
-                _tag(path).write_text(validator)
-        stream = path.open("ab")
+                write_text(_tag(path), validator)
+        stream = path.open("ab" if resumed else "xb")
     except OSError as error:
         raise _cannot_write(path, error) from error
     room = done + free_bytes(path) - SPARE

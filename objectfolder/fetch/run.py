@@ -1,5 +1,7 @@
 """Fetch objects of a catalogue: download, verify, extract, and add each as ``objectfolder add`` does."""
 
+import logging
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,6 +12,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
+from objectfolder.disk import refuse_links
 from objectfolder.engine.dvc.repository import track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import checksums
@@ -19,7 +22,8 @@ from objectfolder.fetch.download import ProgressFactory, UnreachableError, downl
 from objectfolder.fetch.layout import collect, find_mesh
 from objectfolder.fetch.local import find_local
 from objectfolder.fetch.polyhaven import download_polyhaven
-from objectfolder.io import check_writable, file_digest
+from objectfolder.io import check_output, file_digest
+from objectfolder.locks import exclusive
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.text import visible
@@ -29,6 +33,7 @@ from objectfolder.workspace.objects import add_mesh
 CACHE = Path("build/.fetch")  #: unfinished downloads
 SOURCE_FILE = "SOURCE.txt"  #: beside the mesh
 SIZE_TOLERANCE = 0.05  #: between the catalogue's size and the mesh's own
+_log = logging.getLogger(__name__)
 
 
 class FetchStatus(StrEnum):
@@ -90,18 +95,38 @@ def fetch_object(
     ObjectFolderError
         On any failure; ``data/`` and ``params.yaml`` are then unchanged.
     """
+    if (present := _present(key, root)) is not None:
+        return present
+    refuse_links(root / CACHE, root)
+    check_output(root / CACHE / key)
+    waiting = "waiting for another `objectfolder fetch` of this workspace"
+    with exclusive(root / CACHE, lambda: _log.warning(waiting)):
+        return _present(key, root) or _fetch(key, catalogue, directory, accept_changed, root, progress)
+
+
+def _present(key: str, root: Path) -> FetchResult | None:
+    if key in params.read(root / params.PARAMS_FILE)["objects"]:
+        return FetchResult(key, FetchStatus.PRESENT, f"data/objects/{key} is there already")
+    return None
+
+
+def _fetch(
+    key: str,
+    catalogue: Catalogue,
+    directory: Path | None,
+    accept_changed: bool,
+    root: Path,
+    progress: ProgressFactory,
+) -> FetchResult:
     home = Path("data/objects") / key
     values = params.read(root / params.PARAMS_FILE)
-    if key in values["objects"]:
-        return FetchResult(key, FetchStatus.PRESENT, f"{home} is there already")
-    if (root / home).exists():
+    if os.path.lexists(root / home):
         raise ObjectFolderError(
             f"{home} exists, but {params.PARAMS_FILE} has no such object; remove the folder"
         )
     entry, source = catalogue.objects[key], catalogue.source(key)
     lock = root / checksums.PATH
     recorded = checksums.read_checksums(lock).get(key, {})
-    check_writable(root / CACHE)
     for left in (root / CACHE).glob(f"{key}.*/"):  # by a fetch that was killed
         shutil.rmtree(left, ignore_errors=True)
     with TemporaryDirectory(dir=root / CACHE, prefix=f"{key}.") as folder:

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from objectfolder.disk import refuse_links
 from objectfolder.errors import ObjectFolderError
 from objectfolder.inspection.geometry import export_vtu, inspect_normalize, inspect_voxelize
 from objectfolder.inspection.images import inspect_render_touch, inspect_render_views
@@ -64,6 +65,7 @@ def inspect_stage(stage: str, key: str, root: str | Path = ".", vtu: bool = Fals
         hint = f"did you mean {' or '.join(close)}?" if close else f"expected one of {', '.join(STAGES)}"
         raise ObjectFolderError(f"there is nothing to inspect in stage {stage!r}; {hint}")
     build = Build(check_key(key), root)
+    refuse_links(build.inspections, Path(root))
     if vtu and stage != "voxelize":
         raise ObjectFolderError(
             f"{stage}@{key} holds no solid to export; use `objectfolder inspect voxelize@{key} --vtu`"

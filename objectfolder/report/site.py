@@ -5,6 +5,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from objectfolder.disk import refuse_links
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_text
 from objectfolder.report.facts import (
@@ -100,6 +101,7 @@ def write_site(
         write_text(out, report(lambda found: held.append(_embedded(found))))
         return out
     out.mkdir(parents=True, exist_ok=True)
+    refuse_links(out / "objects", out)
     with TemporaryDirectory(dir=out, prefix=".report.") as folder:
         scratch = Path(folder)
         names: list[str] = []

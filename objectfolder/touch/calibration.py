@@ -4,13 +4,14 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.io import atomic, file_digest, write_json, write_png
+from objectfolder.io import file_digest, write_json, write_png, write_text
 from objectfolder.metrics import psnr
 from objectfolder.touch.ball import BallModel
 from objectfolder.touch.imprint import (
@@ -306,8 +307,9 @@ def save_fit(fit: SensorFit, path: str | Path, name: str, source: str) -> list[P
     yaml = YAML()
     yaml.default_flow_style = None
     values = json.loads(json.dumps(profile.to_dict()))  # lists for tuples, which YAML does not have
-    with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
-        yaml.dump(values, stream)
+    stream = StringIO()
+    yaml.dump(values, stream)
+    write_text(path, stream.getvalue())
     write_json(
         report,
         {

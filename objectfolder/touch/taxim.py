@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
+from objectfolder.io import atomic_stream
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.photographs import scaled
 from objectfolder.touch.profiles import SensorProfile
@@ -172,5 +172,5 @@ def _coarse(profile: SensorProfile) -> SensorProfile:
 
 
 def _write(path: Path, save: Callable[[BinaryIO], object]) -> None:
-    with atomic(path) as temporary, temporary.open("wb") as stream:
+    with atomic_stream(path) as stream:
         save(stream)

@@ -9,6 +9,7 @@ from typing import Any
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_text
+from objectfolder.locks import exclusive
 from objectfolder.workspace import template
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.document import editable, write_params
@@ -73,7 +74,13 @@ def create_workspace(root: Path, start: Callable[[Path], None]) -> None:
     """
     _check_place(root)
     made = not root.exists()
-    before = set() if made else set(root.iterdir())
+    with exclusive(root):  # of two that start together, one finds the files of the other
+        _check_place(root)
+        _create(root, start, made)
+
+
+def _create(root: Path, start: Callable[[Path], None], made: bool) -> None:
+    before = set(root.iterdir())
     texts = template.tool_files() | {
         PARAMS_FILE: template.first_params(),
         template.REQUIREMENTS: template.first_requirements(),

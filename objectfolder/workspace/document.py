@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 
-from objectfolder.io import atomic
+from objectfolder.io import write_text
 from objectfolder.locks import exclusive
 from objectfolder.workspace.params import read
 from objectfolder.yamlfile import checked_yaml
@@ -36,5 +37,6 @@ def write_params(path: Path, document: Any) -> None:
     """Write an edited document back."""
     yaml = YAML()
     yaml.width = 4096  # an entry stays on its line
-    with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
-        yaml.dump(document, stream)
+    stream = StringIO()
+    yaml.dump(document, stream)
+    write_text(path, stream.getvalue())

@@ -1,5 +1,6 @@
 """Add objects to ``params.yaml``: comments and order are kept, and a failure changes nothing."""
 
+import os
 import re
 import shutil
 from collections.abc import Callable, Sequence
@@ -8,6 +9,7 @@ from typing import Any
 
 from ruamel.yaml.comments import CommentedMap
 
+from objectfolder.disk import new_folder
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.reading.load import default_up, load_mesh
 from objectfolder.mesh.reading.references import references
@@ -87,15 +89,14 @@ def add_mesh(
     }
     entry = check_object(key, {"objects": {key: entry}}, params_path).model_dump()
     sources = object_files(mesh, attachments)
-    staging = home.with_name(f".{key}.tmp")
-    shutil.rmtree(staging, ignore_errors=True)
     placed = False
     try:
-        for target, source in sources.items():
-            copy = staging / target
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, copy)
-        staging.rename(home)
+        needed = sum(source.stat().st_size for source in sources.values())
+        with new_folder(f"{key}: mesh", home, needed, "") as staging:
+            for target, source in sources.items():
+                copy = staging / target
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source, copy)
         placed = True
         track(home, root)
         with edited(params_path) as (document, _):  # read now: others may have edited it in the meantime
@@ -104,11 +105,9 @@ def add_mesh(
         if placed:
             shutil.rmtree(home, ignore_errors=True)
             home.with_name(f"{key}.dvc").unlink(missing_ok=True)
-        if isinstance(error, OSError):
+        if isinstance(error, OSError) or (isinstance(error, ObjectFolderError) and not placed):
             raise ObjectFolderError(f"cannot add {key} to {home}: {error}; nothing was changed") from error
         raise
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
     return entry
 
 
@@ -175,14 +174,14 @@ def check_new(key: str, values: dict[str, Any], root: Path = Path(), mesh: Path 
     record = home.with_name(f"{key}.dvc")
     entries = [f"{group}.{key}" for group in ("objects", "procedural") if key in values[group]]
     remedies = [f"delete {' and '.join(entries)} from {root / params.PARAMS_FILE}"] if entries else []
-    if record.exists():
+    if os.path.lexists(record):
         remedies.append(f"run `dvc remove --outs {record}`")
     elif mesh is not None and home.resolve() in mesh.resolve().parents:
         raise ObjectFolderError(
             f"{mesh} lies in {home}, where its copy will be; move it out of {home.parent} and "
             "add it from there"
         )
-    elif home.exists():
+    elif os.path.lexists(home):
         remedies.append(f"delete the folder {home}")
     if remedies:
         raise ObjectFolderError(

@@ -1,13 +1,27 @@
 """Texts of the files of a workspace that runs the installed package."""
 
+import hashlib
+import logging
+import os
 import re
+from collections.abc import Iterable
+from contextlib import suppress
+from importlib.machinery import all_suffixes
 from pathlib import Path
 from typing import Any
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.installation import installed_version, requirement
+from objectfolder.io import file_digest, write_text
 from objectfolder.workspace.code_digests import DATA
-from objectfolder.workspace.installed import PACKAGE, RECORD, SENSORS, pipeline_files
+from objectfolder.workspace.installed import (
+    INSTALLED,
+    PACKAGE,
+    RECORD,
+    SENSORS,
+    pipeline_files,
+    runs_installed,
+)
 from objectfolder.workspace.layout import code_list
 from objectfolder.workspace.params import PARAMS_FILE
 from objectfolder.yamlfile import read_yaml
@@ -26,6 +40,7 @@ _NOTE = (
     f"# If this line works on this machine alone, write `{PACKAGE}[{EXTRA}] @ URL`: of a wheel, or "
     "git+URL@COMMIT of the repository.\n"
 )
+_log = logging.getLogger(__name__)
 
 
 def tool_files() -> dict[str, str]:
@@ -36,6 +51,68 @@ def tool_files() -> dict[str, str]:
     files = {name: path.read_text() for name, path in pipeline_files().items()}
     files["dvc.yaml"] = graph_of_installed(files["dvc.yaml"])
     return files | {name: (_TEMPLATE / source).read_text() for name, source in OWN_FILES.items()}
+
+
+def own_code(root: Path, graphs: Iterable[Path]) -> dict[str, str]:
+    """Map the files whose code a build of a workspace runs and this version did not write to their contents.
+
+    They are graphs, files of ``stages``, and modules at the top level, which Python finds before others. The
+    clone that the package runs from has none.
+
+    Parameters
+    ----------
+    root : Path
+        Workspace, an absolute path.
+    graphs : iterable of Path
+        Files with the commands of stages, absolute paths.
+
+    Returns
+    -------
+    dict of str to str
+        Digest or target of a link by name, sorted.
+    """
+    if root == INSTALLED:
+        return {}
+    own = not runs_installed(root)
+    known = {name: path.read_text() for name, path in pipeline_files().items()} if own else tool_files()
+    modules = [path for path in root.iterdir() if path.name.endswith(tuple(all_suffixes()))]
+    modules += [path for path in root.glob("*/__init__.*") if path.parent.name != "stages"]
+    stages = [path for path in (root / "stages").rglob("*") if "__pycache__" not in path.parts]
+    found = {}
+    for path in sorted({*graphs, *modules, *stages}):
+        name = os.path.relpath(path, root)
+        if path.is_symlink():
+            found[name] = f"link to {path.readlink()}"
+        elif path.is_file() and (name not in known or path.read_bytes() != known[name].encode()):
+            found[name] = file_digest(path)
+    return found
+
+
+def note_own_code(root: Path, graphs: Iterable[Path], folder: Path) -> None:
+    """Warn that a build of a workspace runs code of its own, see `own_code`: once, until that changes.
+
+    Parameters
+    ----------
+    root, graphs
+        See `own_code`.
+    folder : Path
+        For the record of what was said.
+    """
+    if not (code := own_code(root, graphs)):
+        return
+    place = root.stat()  # a clone that brings a record along cannot know it
+    state = hashlib.sha256(repr((place.st_dev, place.st_ino, code)).encode()).hexdigest()
+    said = folder / "own_code.sha256"
+    with suppress(OSError):
+        if said.read_text() == state:
+            return
+    _log.warning(
+        "this build runs code of the workspace that is not as objectfolder has it: %s; read it first, unless "
+        "you trust whose it is",
+        shortened(", ".join(code), 300),
+    )
+    with suppress(OSError, ObjectFolderError):
+        write_text(said, state)
 
 
 def graph_of_installed(text: str) -> str:

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from disks import small_disk
 from typer.testing import CliRunner
 
 from objectfolder.cli import app
@@ -124,13 +125,13 @@ def test_a_full_device_as_output(brick_path, words):
 
 @pytest.mark.slow
 def test_a_full_disk_is_named(brick_path, tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / ".1.tmp.wav").symlink_to("/dev/full")
     np.save(tmp_path / "strikes.npy", [[0.0, 0, 0.015, 0, 0, 1]])
     words = ["query", "audio", brick_path, tmp_path / "strikes.npy", tmp_path / "out"]
-    done = subprocess.run(
-        [sys.executable, "-c", MAIN, *map(str, words)], capture_output=True, text=True, check=False
-    )
+    with small_disk(tmp_path / "out", "100k"):
+        done = subprocess.run(
+            [sys.executable, "-c", MAIN, *map(str, words)], capture_output=True, text=True, check=False
+        )
+        assert list((tmp_path / "out").iterdir()) == []
     assert f"error: {tmp_path}/out/1.wav: No space left on device" in done.stderr
     assert done.returncode == 1
 
@@ -141,6 +142,6 @@ def test_a_place_that_cannot_be_written_is_named(brick_path, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", MAIN, *map(str, words)], capture_output=True, text=True, check=False
     )
-    assert done.stderr.startswith(f"error: {tmp_path}/file/")
-    assert "Not a directory; check the path and its permissions" in done.stderr
+    place = f"{tmp_path}/file/out: {tmp_path}/file is not a folder that you may write in"
+    assert done.stderr.startswith(f"error: cannot write {place}; make it one, or choose another name")
     assert done.returncode == 1

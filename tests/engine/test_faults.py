@@ -5,16 +5,18 @@ import random
 import shutil
 import signal
 import subprocess
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 import psutil
 import pytest
+from disks import mounted, small_disk
 
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.process import Children
 from objectfolder.engine.summary import Finished, StageOutcome
 from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
+from objectfolder.locks import private_path
 
 from .conftest import KEYS, everything
 from .processes import DIE_AT_A_CHANGE, alive, meanwhile, start, started, wait_for
@@ -24,23 +26,6 @@ OTHERS = sorted(set(everything()) - {"solve@mug", "pack@mug"})
 
 def names(results):
     return sorted(result.address for result in results)
-
-
-@contextmanager
-def mounted(*arguments):
-    """Mount something; its place comes last."""
-    done = subprocess.run(["mount", *map(str, arguments)], capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip(f"cannot mount here: {done.stderr.strip()}")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", "-l", arguments[-1]], check=True)
-
-
-def small_disk(path, size="1m"):
-    path.mkdir(parents=True, exist_ok=True)
-    return mounted("-t", "tmpfs", "-o", f"size={size}", "tmpfs", path)
 
 
 def enlarge(path, size="16m"):
@@ -185,7 +170,7 @@ def test_half_restored_outputs_of_a_killed_build_are_removed(workspace):
 
 def test_a_half_written_lock_file_is_removed_though_nothing_runs(workspace):
     build(["prepare@mug"], root=workspace.root)
-    (workspace.root / ".dvc.tmp.lock").write_text("schema: '2.0'\nsta")
+    private_path(workspace.root / "dvc.lock").write_text("schema: '2.0'\nsta")
     assert not build(["prepare@mug"], root=workspace.root).with_status(StageOutcome.RAN)
     assert not list(workspace.root.glob(".*.tmp*"))
 

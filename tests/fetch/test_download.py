@@ -51,6 +51,21 @@ def test_a_later_run_goes_on_with_what_an_earlier_left(publisher, page, tmp_path
     assert publisher.requests[-1][1]["Range"] == "bytes=100000-"
 
 
+@pytest.mark.parametrize("planted", ["file", "file.tag"])
+def test_links_are_neither_sent_nor_gone_on_with(publisher, page, tmp_path, planted):
+    (tmp_path / "secret").write_text("a key")
+    for name in ("file", "file.tag"):
+        (tmp_path / name).write_text("left")
+    (tmp_path / planted).unlink()
+    (tmp_path / planted).symlink_to("secret")
+    download(page, tmp_path / "file")
+    assert (tmp_path / "file").read_bytes() == CONTENT
+    assert not (tmp_path / "file").is_symlink()
+    assert (tmp_path / "secret").read_text() == "a key"
+    ((_, headers),) = publisher.requests
+    assert "If-Range" not in headers
+
+
 @pytest.mark.parametrize("missing", ["ranges", "validators"])
 def test_a_server_that_cannot_resume_is_asked_for_all_of_it(publisher, page, tmp_path, no_waits, missing):
     setattr(publisher, missing, False)

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -144,6 +146,23 @@ def test_an_unreachable_host_is_asked_once(published, publisher, monkeypatch, no
     assert results[0].detail == results[2].detail
     assert "127.0.0.1:1 cannot be reached (Connection refused)" in results[0].detail
     assert no_waits == []
+
+
+def test_of_two_fetches_of_an_object_the_second_waits_and_finds_it(published, monkeypatch, caplog):
+    with ThreadPoolExecutor(1) as pool:
+        others = []
+
+        def with_another(*args):
+            others.append(pool.submit(fetch_object, "ycb_mug", published))
+            while "waiting for another `objectfolder fetch`" not in caplog.text:
+                time.sleep(0.01)
+            download_to(*args)
+
+        monkeypatch.setattr(run_module, "download_to", with_another)
+        assert fetch_object("ycb_mug", published).status is FetchStatus.ADDED
+        (other,) = others
+        assert other.result().status is FetchStatus.PRESENT
+    assert leftovers() == set()
 
 
 def test_what_a_killed_fetch_left_is_removed(published):

@@ -14,7 +14,7 @@ from objectfolder.engine.dvc.start import start_repository
 from objectfolder.engine.status import Outlook, status
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import requirement
-from objectfolder.workspace import installed, template
+from objectfolder.workspace import creation, installed, template
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.code_digests import DATA, code_text, digests
 from objectfolder.workspace.creation import create_workspace, upgrade_workspace
@@ -148,6 +148,21 @@ def test_an_empty_repository_is_taken(tmp_path):
     create_workspace(tmp_path / "x", start_repository)
     assert (tmp_path / "x" / "README.md").read_text() == "mine\n"
     check_installed(tmp_path / "x")
+
+
+def test_of_two_who_make_a_workspace_one_wins_and_nothing_of_it_goes(tmp_path, monkeypatch):
+    root, lock = tmp_path / "x", creation.exclusive
+
+    def late(folder):
+        monkeypatch.setattr(creation, "exclusive", lock)
+        create_workspace(root, start_repository)  # after the first has found the folder empty
+        return lock(folder)
+
+    monkeypatch.setattr(creation, "exclusive", late)
+    with pytest.raises(ObjectFolderError, match="x is not empty"):
+        create_workspace(root, start_repository)
+    check_installed(root)
+    assert (root / ".dvc/config").is_file()
 
 
 def test_a_workspace_in_another_is_refused(made):

@@ -251,6 +251,15 @@ def test_edits_by_others_while_a_mesh_is_added_stay(workspace, tmp_path):
     assert values["seed"] == 7
 
 
+@pytest.mark.parametrize("name", ["crate", "crate.dvc"])
+def test_a_link_to_nothing_is_in_the_way(workspace, tmp_path, name):
+    Path("data/objects").mkdir(parents=True, exist_ok=True)
+    Path("data/objects", name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ObjectFolderError, match="object 'crate' exists already"):
+        add_mesh(write_mesh(tmp_path / "source"), "crate", "wood", 0.1, None, track=track)
+    assert not (tmp_path / "elsewhere").exists()
+
+
 def test_what_another_process_added_under_the_same_name_stays(workspace, tmp_path, monkeypatch):
     copy, calls = shutil.copyfile, []
 

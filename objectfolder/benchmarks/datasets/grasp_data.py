@@ -12,7 +12,7 @@ import numpy as np
 from objectfolder.benchmarks.datasets.grasp_config import GraspDataConfig
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
 from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
-from objectfolder.disk import enough_space
+from objectfolder.disk import enough_space, refuse_links
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.fingers import (
@@ -28,7 +28,7 @@ from objectfolder.envs.gripper import PAD
 from objectfolder.envs.hulls import hulls_digest
 from objectfolder.envs.poses import hand_axes, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, read_json, write_json, write_npz
+from objectfolder.io import atomic_stream, read_json, write_json, write_npz
 from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
@@ -125,6 +125,7 @@ def _collect(
     truth = None if surface is None else _truth(file, surface)
     rests = scene.rests(numpy_generator(seed, file.key, "rests"))
     progress = folder / ".progress" / hashlib.sha256(repr(request).encode()).hexdigest()[:16]
+    refuse_links(progress, folder)
     (folder / RECORD).unlink(missing_ok=True)
     camera = ExternalCamera(wanted.image)
     paths: list[Path] = []
@@ -309,7 +310,7 @@ def _write(folder: Path, paths: list[Path], count: int) -> str:
             continue
         example, left = rows[name], count
         header = {"descr": example.dtype.str, "fortran_order": False, "shape": (count, *example.shape[1:])}
-        with atomic(array_path(folder, name)) as temporary, temporary.open("wb") as stream:
+        with atomic_stream(array_path(folder, name)) as stream:
             np.lib.format.write_array_header_1_0(stream, header)
             for part in _parts(paths, name):
                 content = part[:left].tobytes()

@@ -16,7 +16,7 @@ from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.disk import enough_space
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, read_json, write_json, write_npy, write_npz
+from objectfolder.io import atomic_stream, read_json, write_json, write_npy, write_npz
 from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
@@ -261,7 +261,7 @@ def _write(
     """Write the observations of one modality, ten at a time; return their metadata."""
     path, dtype, digest, empty = array_path(folder, modality), _DTYPES[modality], hashlib.sha256(), 0
     header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
-    with atomic(path) as temporary, temporary.open("wb") as stream:
+    with atomic_stream(path) as stream:
         np.lib.format.write_array_header_1_0(stream, header)
         for start in range(0, shape[0], TEN):
             rows = {name: values[start : start + TEN] for name, values in queries.items()}

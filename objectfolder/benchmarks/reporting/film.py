@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from objectfolder.io import atomic
+from objectfolder.io import atomic_stream
 
 SUCCESS, FAILURE = (30, 150, 60), (190, 40, 40)  #: sRGB of the mark
 MARK = 6  #: height of the mark, pixels
@@ -30,5 +30,5 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], seconds: float) -> None:
         Duration of each frame, a multiple of 0.01.
     """
     first, *rest = [Image.fromarray(frame) for frame in frames]
-    with atomic(path) as temporary:
-        first.save(temporary, save_all=True, append_images=rest, duration=round(1000 * seconds), loop=0)
+    with atomic_stream(path) as stream:
+        first.save(stream, "GIF", save_all=True, append_images=rest, duration=round(1000 * seconds), loop=0)

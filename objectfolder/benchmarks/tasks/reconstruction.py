@@ -9,7 +9,6 @@ import time
 from dataclasses import astuple, replace
 from functools import partial
 from pathlib import Path
-from shutil import copyfile
 from typing import Any, cast
 
 import numpy as np
@@ -33,7 +32,7 @@ from objectfolder.benchmarks.tasks.shape_training import (
     validation_rows,
 )
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_png
+from objectfolder.io import keep, write_png
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import MODALITIES
@@ -105,7 +104,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         "untested": {name: lost for name, some in jobs.items() if (lost := job.untested(some))},
         "seconds": sum(done["seconds"] for runs in finished.values() for done in runs),
     }
-    copyfile(_model_path(job, "V", 0), job.progress / "model.safetensors")
+    keep(_model_path(job, "V", 0), job.progress / "model.safetensors")
     write_png(job.progress / "sheet.png", _sheet(job, truth))
     return scores, [
         [variant, run, *row]

@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,8 +18,9 @@ from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import Weights, own_code, registered
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.disk import refuse_links
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, file_digest, read_json, write_json
+from objectfolder.io import file_digest, read_json, write_json, write_text
 from objectfolder.locks import exclusive, remove_unused
 from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import Benchmarks
@@ -183,6 +185,7 @@ def run_benchmark(spec: Run, report: Report) -> RunTime:
     """
     task, part, folder = spec.task, spec.part, spec.folder
     progress = folder.progress(task.name, part, spec.identity())
+    refuse_links(progress, folder.dir)
     waiting = f"waiting for another process that runs {task.name}, {part}, in {folder.dir}"
     with exclusive(progress, lambda: report(waiting)):  # and then find everything finished
         spent = _ProcessorTime(progress)
@@ -211,8 +214,9 @@ def write_results(
 
     ``seconds`` are left out of the scores, so that the same inputs give the same bytes.
     """
-    with atomic(folder.curve(task.name, part)) as temporary, temporary.open("w", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerows([task.columns, *curve])
+    rows = StringIO()
+    csv.writer(rows, lineterminator="\n").writerows([task.columns, *curve])
+    write_text(folder.curve(task.name, part), rows.getvalue())
     for name, path in KEPT.items():
         kept = path(folder, task.name, part)
         if (progress / name).exists():

@@ -15,7 +15,7 @@ from dvc.dependency import ParamsDependency, param
 from dvc.stage import Stage
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
+from objectfolder.io import write_bytes
 from objectfolder.workspace.code_digests import content_digest
 from objectfolder.workspace.installed import INSTALLED, located
 from objectfolder.workspace.layout import CODE
@@ -68,8 +68,7 @@ def hold_params(stages: Iterable[Stage], root: Path, folder: Path) -> dict[str, 
     try:
         content = path.read_bytes()
         if not held.exists() or held.read_bytes() != content:  # a build with nothing to do writes nothing
-            with atomic(held) as temporary:
-                temporary.write_bytes(content)
+            write_bytes(held, content)
     except OSError as error:
         raise ObjectFolderError(f"cannot copy {path} to {held}: {error}; build again once it can") from error
     for stage in stages:

@@ -23,7 +23,7 @@ from dvc.utils.strictyaml import YAMLSyntaxError, YAMLValidationError
 
 from objectfolder.engine.dvc import emit
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
+from objectfolder.io import write_text
 
 PERIOD = 5.0
 # With thousands of stages a write takes seconds; this bounds its share of the build time.
@@ -139,8 +139,7 @@ class LockFiles:
             text = HEAD + "".join(texts[name] for name in contents["stages"])
         else:
             text = emit.dumps(contents)
-        with atomic(path) as temporary:
-            temporary.write_text(text)
+        write_text(path, text)
         self._write_copy(path, contents, text.encode())
 
     def _copy_path(self, path: Path) -> Path:
@@ -158,8 +157,7 @@ class LockFiles:
         copy = {"sha256": hashlib.sha256(text).hexdigest(), "contents": contents}
         dumped = json.dumps(copy)
         if json.loads(dumped) == copy:  # numeric keys of parameters would become strings
-            with atomic(self._copy_path(path)) as temporary:
-                temporary.write_text(dumped)
+            write_text(self._copy_path(path), dumped)
         else:
             self._copy_path(path).unlink(missing_ok=True)
 

@@ -1,6 +1,8 @@
 """Download saved runs and outputs from the default remote, many files at a time."""
 
 import logging
+import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from dvc_objects.fs.local import localfs
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import install_command
 
+_ENTRY = re.compile(r"[0-9a-f]{2}/[0-9a-f]{64}/[0-9a-f]{64}")  # of the run cache
 _log = logging.getLogger(__name__)
 
 
@@ -108,9 +111,10 @@ def _fetch_runs(repo: Repo, remote: Remote) -> None:
     if not odb.fs.exists(runs):
         return
     cache = Path(repo.stage_cache.cache_dir)
-    wanted = {path: cache / odb.fs.relpath(path, runs) for path in odb.fs.find(runs)}
-    # An entry is named by the hash of its content.
-    missing = {path: str(local) for path, local in wanted.items() if not local.exists()}
+    found = {path: odb.fs.relpath(path, runs) for path in odb.fs.find(runs)}
+    wanted = {path: cache / name for path, name in found.items() if _ENTRY.fullmatch(name)}
+    # An entry is named by the hash of its content. Nothing is written through a link.
+    missing = {path: str(local) for path, local in wanted.items() if not os.path.lexists(local)}
     if missing:
         copy(odb.fs, list(missing), localfs, list(missing.values()), batch_size=odb.fs.jobs)
 

@@ -16,7 +16,6 @@ from typing import Any
 import psutil
 from dvc.config import Config
 from dvc.dirs import site_cache_dir
-from dvc.dvcfile import LOCK_FILE
 from dvc.exceptions import DvcException, NotDvcRepoError
 from dvc.lock import LockError
 from dvc.repo import Repo, lock_repo
@@ -32,14 +31,14 @@ from objectfolder.engine.dvc.lockfile import COPIES, LockFiles
 from objectfolder.engine.dvc.replacements import replacements
 from objectfolder.engine.dvc.runcache import RunCache
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import temporary_path
+from objectfolder.locks import remove_abandoned
 from objectfolder.workspace.params import outside_workspace
 from objectfolder.yamlfile import checked_yaml, read_yaml
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 PARAMS = "params.yaml"
 #: Folders that hold what stages write, and those around them.
-LINKED = ("build", "metrics", "benchmarks", "data", "data/objects")
+LINKED = ("build", "metrics", "benchmarks", "data", "data/objects", str(COPIES))
 POLL = 0.5
 _PARTIAL = re.compile(r"\.[0-9A-Za-z_-]{20,24}\.tmp")  # DVC's names: 22 characters at random
 _log = logging.getLogger(__name__)
@@ -101,8 +100,8 @@ class OpenRepository:
 
         DVC removes its own neither when it is killed nor when the disk is full.
         """
-        for path in (self.root / LOCK_FILE, *self.own_files.glob("*.json")):
-            temporary_path(path).unlink(missing_ok=True)
+        for folder in (self.root, self.own_files):
+            remove_abandoned(folder)
         if not self.cache.is_relative_to(self.repo.root_dir):
             return  # shared: another repository may be writing
         patterns = ((self.cache, "*.tmp"), (self.cache, "*/*.tmp"), (self.cache_dir, "runs/*/*/.*.tmp"))
@@ -146,7 +145,7 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
         raise outside_workspace(root / PARAMS)
     if (root / PARAMS).exists():  # before DVC reads it, which has no limits
         checked_yaml(root / PARAMS)
-    for name in LINKED:
+    for name in (*LINKED, *_links_in(root / "build", root)):
         if (root / name).is_symlink():
             raise ObjectFolderError(
                 f"{root / name} is a link, which DVC does not follow; make it a folder. To keep its files on "
@@ -168,6 +167,14 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
                     yield OpenRepository(repo, root, lockfiles)
                 except DvcException as error:
                     raise ObjectFolderError(f"DVC cannot read the workspace {root}: {error}") from error
+
+
+def _links_in(folder: Path, root: Path) -> list[str]:
+    """List the links to folders in a folder of a workspace."""
+    with suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
+        links = [entry.path for entry in entries if entry.is_symlink() and entry.is_dir()]
+        return sorted(os.path.relpath(path, root) for path in links)
+    return []
 
 
 def track(path: Path, root: str | Path = ".") -> None:

@@ -12,6 +12,7 @@ from dvc.stage import Stage
 from dvc.stage.cache import StageCache, _can_hash, _get_cache_hash
 from dvc.stage.serialize import to_single_stage_lockfile
 
+from objectfolder.locks import private_path
 from objectfolder.workspace.params import UNSEEN_BY_DVC
 
 
@@ -92,6 +93,6 @@ def remove_saved_run(entry: Path) -> None:
     if len(list(entry.parent.iterdir())) > 1:
         entry.unlink()
         return
-    runs = entry.parents[2]
-    trash = entry.parent.rename(runs / f".{entry.parent.name}")  # ignored by `saved_runs` and DVC
+    trash = private_path(entry.parents[2] / entry.parent.name)  # ignored by `saved_runs` and DVC
+    entry.parent.rename(trash)
     shutil.rmtree(trash)
