@@ -141,8 +141,8 @@ def build(
     with open_repository(root, options.wait) as repository:
         check_installed(repository.root)
         repository.remove_partial_files()
-        for marker in (repository.root / LOGS).glob("*.tmp"):
-            marker.unlink(missing_ok=True)  # left by a killed build on a cluster
+        for half in (repository.root / LOGS).glob("*.tmp*"):
+            half.unlink(missing_ok=True)  # left by a killed engine
         graph = stage_graph(repository, targets)
         remove_partial_outputs(graph.stages.values())
         held = hold_params(graph.stages.values(), repository.root, repository.own_files)
