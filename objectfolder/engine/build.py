@@ -5,6 +5,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -22,7 +23,14 @@ from objectfolder.engine.dvc.repository import (
     remove_partial_outputs,
 )
 from objectfolder.engine.failures import LOGS, forget_failure, log_path, record_failure
-from objectfolder.engine.process import Command, CommandResult, describe_result, stage_environment, tail
+from objectfolder.engine.process import (
+    Command,
+    CommandResult,
+    describe_result,
+    stage_environment,
+    tail,
+    users,
+)
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
 from objectfolder.engine.schedule import Schedule, object_groups
 from objectfolder.engine.signals import StopSignals
@@ -47,6 +55,9 @@ from objectfolder.workspace.template import note_own_code
 OBJECTS_PER_CORE = 2
 #: Restarts of a stage whose worker was lost, or whose inputs changed while it ran.
 RESTARTS = 3
+#: Seconds for the processes of a stage to end, after a killed engine or worker.
+END = 30.0
+_POLL = 0.1
 LONGEST = 1e8  #: time limit of a stage, s
 _log = logging.getLogger(__name__)
 
@@ -131,6 +142,8 @@ def build(
     with open_repository(root, options.wait) as repository:
         check_installed(repository.root)
         repository.remove_partial_files()
+        for half in (repository.root / LOGS).glob("*.tmp*"):
+            half.unlink(missing_ok=True)  # left by a killed engine
         graph = stage_graph(repository, targets)
         remove_partial_outputs(graph.stages.values())
         graphs = {Path(stage.path) for stage in graph.stages.values() if stage.cmd}
@@ -184,6 +197,7 @@ class _Build:
             group=object_groups(graph.stages, OBJECTS_PER_CORE * self.workers.cores),
         )
         self.signals = StopSignals(lambda: self.finished.put(None), lambda: on_event(Stopping()))
+        self.checked = False
         self.compared = False
         self.stopping = False
         self.unwritable = False
@@ -196,6 +210,8 @@ class _Build:
             finally:
                 self.stopping = True
                 self.workers.kill()
+                with suppress(ObjectFolderError):  # it is tried again, and then said
+                    self._flush()  # now: Ray ends this process while it leaves a cluster without a head
                 try:
                     self.workers.close()
                     self._collect_finished()  # keep what ended before the kill
@@ -264,7 +280,11 @@ class _Build:
         start = time.monotonic()
         stage = self.stages[address]
         log = self._log(address)
+        if not self.checked:  # not before: a build with nothing to do need not write
+            self.repository.check_cache()
+            self.checked = True
         try:
+            self._await_end(log)
             if not self.options.force and steps.restore_run(stage):
                 self.lockfiles.add(stage)
                 forget_cost(self.logs, address)
@@ -282,6 +302,22 @@ class _Build:
             self.compared = True
         self.workers.submit(address, Command(shell.lines, shell.cwd, env, log, needs.timeout), needs)
         self.on_event(Started(address, log))
+
+    def _await_end(self, log: Path) -> None:
+        """Wait until no process of an earlier run of a stage is left, which would write the same files."""
+        deadline = time.monotonic() + END
+        while (left := users(log)) is not None:
+            if time.monotonic() > deadline:
+                who = (
+                    f"processes {', '.join(map(str, left))}"
+                    if left
+                    else "a process, perhaps of another node,"
+                )
+                raise ObjectFolderError(
+                    f"{who} of an earlier run of it still write to {log}; end them (kill -9), and build again"
+                )
+            self.signals.raise_if_caught()
+            time.sleep(_POLL)
 
     def _collect_finished(self) -> None:
         while not self.finished.empty():

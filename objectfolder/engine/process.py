@@ -1,5 +1,6 @@
 """Stage commands: each runs in its own session, is timed and logged, and can be killed with its children."""
 
+import fcntl
 import json
 import os
 import signal
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 TAIL_LINES = 15
@@ -124,8 +126,7 @@ class Children:
         command.log.parent.mkdir(parents=True, exist_ok=True)
         read, write = os.pipe()
         with os.fdopen(read, "rb") as report:
-            command.log.unlink(missing_ok=True)  # of an earlier run, or a link, which is not followed
-            with os.fdopen(write, "wb"), command.log.open("xb") as log:
+            with os.fdopen(write, "wb"), opened(command.log) as log:
                 reap = start(command, log.fileno(), write)
             said = report.readline().decode().strip()
             if not said.isdigit():
@@ -159,6 +160,36 @@ class Children:
             self._closed = True
             for group in self._groups:
                 _kill(group)
+
+
+def opened(log: Path) -> BinaryIO:
+    """Open the log of a command, empty and locked: by that, `users` sees the command and its children."""
+    if log.is_symlink():
+        log.unlink()  # it is replaced, not followed
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW
+    stream = os.fdopen(os.open(log, flags, 0o666), "ab", buffering=0)
+    with suppress(OSError):  # a file system without locks
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    stream.truncate(0)
+    return stream
+
+
+def users(log: Path) -> list[int] | None:
+    """Return the processes that write a log, those of this machine; None if no command holds it."""
+    try:
+        with log.open("rb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return None
+    except BlockingIOError:
+        pass
+    except OSError:  # no such log, or a file system without locks
+        return None
+    found = []
+    for link in Path("/proc").glob("[0-9]*/fd/1"):
+        with suppress(OSError):
+            if link.samefile(log):
+                found.append(int(link.parts[2]))
+    return sorted(found)
 
 
 def stage_environment(base: Mapping[str, str], threads: int = 1) -> dict[str, str]:

@@ -32,6 +32,7 @@ PROBE_TIMEOUT = 60.0
 KILL_TIMEOUT = 30.0
 CONNECT_TIMEOUT = 5.0
 MARKER = "cluster-{}.tmp"
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,8 @@ class RayWorkers:
 
     def __init__(self, address: str, jobs: int | None, finished: FinishedQueue, workspace: Path):
         self.ray = _connect(address)
+        self._head = str(self.ray.get_runtime_context().gcs_address)
+        self._lost_head = False
         self.jobs = jobs
         self.finished = finished
         self._taken: dict[str, Needs] = {}
@@ -232,6 +235,7 @@ class RayWorkers:
     def _watch(self) -> None:
         """Update the list of nodes periodically, and cancel commands that no remaining node can run."""
         while not self._closing.wait(PERIOD):
+            self._look_for_head()
             try:
                 self._nodes = self._find_nodes()
             except ObjectFolderError:
@@ -241,10 +245,24 @@ class RayWorkers:
                 if reference is not None and not any(place.has(wanted) for place in self._nodes):
                     self.ray.cancel(reference, force=True)
 
+    def _look_for_head(self) -> None:
+        """Warn once if the head node is gone: Ray then ends this process, which can say nothing more."""
+        try:
+            _knock(self._head)
+        except OSError:
+            if not self._lost_head:
+                self._lost_head = True
+                _log.warning(
+                    "the head node of the Ray cluster at %s does not answer; unless it comes back within a "
+                    "minute, Ray ends this build; start the cluster again, and build again: what has "
+                    "finished is kept",
+                    self._head,
+                )
+        else:
+            self._lost_head = False
+
     def _mark(self) -> None:
         self._marker.parent.mkdir(parents=True, exist_ok=True)
-        for stale in self._marker.parent.glob(MARKER.format("*")):
-            stale.unlink()  # left by a killed engine; this one holds the workspace lock
         self._marker.touch(exist_ok=False)  # follows no link
 
     def _probe(self) -> None:
@@ -374,6 +392,7 @@ def _describe(error: BaseException) -> str:
     known = {
         "WorkerCrashedError": "its worker died",
         "NodeDiedError": "its node died",
+        "LocalRayletDiedError": "the Ray node of this machine died; start it again (`ray start`)",
         "OutOfMemoryError": "its node ran out of memory, and Ray killed it",
     }
     name = type(error).__name__

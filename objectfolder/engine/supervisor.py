@@ -6,7 +6,7 @@ supervisor kills the whole process group, including children of the shell. And t
 starts at that of its parent, so a fork of the engine would hide smaller peaks.
 
 It consists of two processes: a dying Ray worker kills its direct children, and the second process then ends
-the command.
+the command. The first dies by SIGKILL, which ends it even while it is stopped (SIGSTOP).
 """
 
 import ctypes
@@ -31,7 +31,7 @@ def main(parent: int, report: int, commands: list[str], start: Callable[[str], i
     """Report the process group; run commands until one fails; report exit code, seconds and peak MB."""
     os.set_inheritable(report, False)
     signal.signal(signal.SIGTERM, lambda *_: os.killpg(0, signal.SIGKILL))
-    die_with(parent)
+    die_with(parent, signal.SIGKILL)
     first = os.getpid()
     os.write(report, f"{first}\n".encode())
     if second := os.fork():
@@ -54,11 +54,11 @@ def main(parent: int, report: int, commands: list[str], start: Callable[[str], i
     os.write(report, json.dumps({**result, "peak_mb": peak_kb / 1024}).encode())
 
 
-def die_with(parent: int) -> None:
-    """Request SIGTERM for this process when its parent ends; Linux only."""
+def die_with(parent: int, number: int = signal.SIGTERM) -> None:
+    """Request a signal for this process when its parent ends; Linux only."""
     if sys.platform != "linux":
         return
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
     if os.getppid() != parent:  # the parent died before the request
         sys.exit()
 

@@ -158,7 +158,7 @@ def forget_project() -> None:
 
 def serve(engine: int, control_fd: int) -> None:
     """Start a supervisor for each request, until the engine ends."""
-    supervisor.die_with(engine)
+    supervisor.die_with(engine, signal.SIGKILL)
     forget_project()
     if "" in sys.path:
         sys.path.remove("")  # the workspace, where code may be edited
@@ -183,6 +183,9 @@ def serve(engine: int, control_fd: int) -> None:
                 control.close()
                 _supervise(starter, report, **request)
             os.close(report)
+            with open(os.devnull, "wb") as nowhere:  # noqa: PTH123
+                os.dup2(nowhere.fileno(), 1)  # an open log would mean that its command runs
+                os.dup2(nowhere.fileno(), 2)
 
 
 def _import(libraries: Sequence[str]) -> None:

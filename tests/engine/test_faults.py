@@ -1,10 +1,12 @@
 """What can go wrong under a build: nothing that had finished is lost, and the next build completes."""
 
+import errno
 import os
 import random
 import shutil
 import signal
 import subprocess
+import time
 from contextlib import suppress
 
 import psutil
@@ -12,7 +14,9 @@ import pytest
 from disks import mounted, small_disk
 
 from objectfolder.engine.build import BuildOptions, build
-from objectfolder.engine.process import Children
+from objectfolder.engine.dvc.repository import track
+from objectfolder.engine.failures import LOGS, log_path
+from objectfolder.engine.process import Children, opened
 from objectfolder.engine.summary import Finished, StageOutcome
 from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
@@ -71,6 +75,29 @@ def test_killed_stage_is_said_in_words_and_its_half_output_is_not_taken(workspac
     assert workspace.ran() == sorted(mug)
     assert half.read_text() == "1"
     workspace.check_clean()
+
+
+def test_a_stage_does_not_start_beside_a_process_of_an_earlier_run(workspace, monkeypatch):
+    monkeypatch.setattr("objectfolder.engine.build.END", 0.3)
+    log = log_path(workspace.root / LOGS, "prepare@mug")
+    log.parent.mkdir(parents=True)
+    with opened(log) as stream:
+        left = subprocess.Popen(["sleep", "60"], stdout=stream)
+    with left:
+        (failure,) = build(["prepare@mug"], root=workspace.root).failures
+        left.kill()
+    assert f"processes {left.pid} of an earlier run of it still write to {log}" in failure.error
+    assert not workspace.ran()
+    assert build(["prepare@mug"], root=workspace.root).ok
+
+
+@pytest.mark.parametrize("name", ["cluster-0a1b.tmp", ".prepare@mug.tmp.failed"])
+def test_half_files_of_a_killed_build_beside_the_logs_are_removed(workspace, name):
+    left = workspace.root / LOGS / name
+    left.parent.mkdir(parents=True)
+    left.touch()
+    build(["prepare@mug"], root=workspace.root)
+    assert not left.exists()
 
 
 CHAIN = """
@@ -268,6 +295,43 @@ def test_read_only_build_directory_fails_its_stages_and_keeps_what_is_there(work
     workspace.check_clean()
 
 
+def test_read_only_cache_is_named_before_a_stage_runs(workspace):
+    build(root=workspace.root)
+    workspace.ran()
+    place = workspace.root / ".dvc/cache"
+    with mounted("--bind", place, place):
+        done = subprocess.run(["mount", "-o", "remount,ro,bind", place], capture_output=True, text=True)
+        if done.returncode:
+            pytest.skip(f"cannot mount read-only here: {done.stderr}")
+        assert not build(root=workspace.root).with_status(StageOutcome.RAN)
+        workspace.params(mug={"material": "glass"})
+        with pytest.raises(ObjectFolderError, match=rf"cannot write to {place}.*part of DVC's cache"):
+            build(root=workspace.root)
+    assert not workspace.ran()
+    assert build(root=workspace.root).ok
+    assert workspace.ran() == ["pack@mug", "solve@mug"]
+    workspace.check_clean()
+
+
+def test_files_are_copied_where_links_are_refused(make_workspace, monkeypatch):
+    """As Linux does with hard links to files of another user: DVC removed the file that it could not link."""
+    workspace = make_workspace(
+        "stages: {use: {cmd: cp data/mesh.txt copy.txt, deps: [data], outs: [copy.txt]}}\n"
+    )
+    workspace.dvc("config", "cache.type", "hardlink")
+    data = workspace.root / "data/mesh.txt"
+    data.parent.mkdir()
+    data.write_text("precious\n")
+
+    def link(*_, **__):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", link)
+    track(data.parent, workspace.root)
+    assert build(root=workspace.root).ok
+    assert data.read_text() == (workspace.root / "copy.txt").read_text() == "precious\n"
+
+
 def test_log_directory_that_cannot_be_made_fails_the_stages_with_its_name(workspace):
     (workspace.root / "build").mkdir()
     (workspace.root / "build/.logs").write_text("a file where the directory should be")
@@ -393,6 +457,29 @@ def test_lock_file_of_garbage_is_restored(workspace, garbage, caplog):
     assert workspace.ran() == []
     assert (workspace.root / "dvc.lock").read_bytes() == whole
     assert "dvc.lock is damaged" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"), [("steps.py", b"hello", b"Hello"), ("build/mug/prepare.txt", b"1", b"2")]
+)
+@pytest.mark.parametrize("years", [0, -50, 70])
+def test_edit_shows_though_size_and_time_are_what_they_were(workspace, name, old, new, years):
+    """As `cp -p` leaves them, or a clock that was set."""
+    path = workspace.root / name
+    when = time.time() + years * 365 * 86400
+    for _ in range(2):  # the second records that time
+        build(["mug"], root=workspace.root)
+        os.utime(path, (when, when))
+    build(["mug"], root=workspace.root)
+    workspace.ran()
+    text = path.read_bytes()
+    path.chmod(0o644)
+    path.write_bytes(text.replace(old, new))
+    os.utime(path, (when, when))
+    assert build(["mug"], root=workspace.root).ok
+    is_source = name == "steps.py"
+    assert ("prepare@mug" in workspace.ran()) == is_source
+    assert path.read_bytes() == (text.replace(old, new) if is_source else text)
 
 
 @pytest.mark.parametrize("garbage", ["", '{"write": {', '{"write": 3}', "\x00\x00"])

@@ -4,6 +4,7 @@ import os
 import signal
 import time
 
+import psutil
 import pytest
 
 from objectfolder.engine.build import build
@@ -36,8 +37,13 @@ def resume(workspace):
     workspace.check_clean()
 
 
-def test_killed_engine_leaves_no_child_and_the_next_build_completes(workspace):
+@pytest.mark.parametrize("stopped", [False, True])
+def test_killed_engine_leaves_no_child_and_the_next_build_completes(workspace, stopped):
     engine, stage = start_and_hang(workspace)
+    if stopped:  # the supervisor, which is the engine's child
+        os.kill(
+            next(p.pid for p in psutil.Process(stage).parents() if p.ppid() == engine.pid), signal.SIGSTOP
+        )
     time.sleep(1)  # for the engine to save what has ended; the run cache keeps it even without dvc.lock
     engine.kill()
     engine.wait()

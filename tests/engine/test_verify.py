@@ -96,7 +96,6 @@ def test_dvc_does_not_see_what_verify_finds_and_repairs(workspace):
     spoil(cached(workspace, "build/mug/prepare.txt"))
     spoil(workspace.root / "build/bowl/prepare.txt")
     assert "up to date" in workspace.dvc("status")
-    assert set(build(root=workspace.root).counts().items()) >= {("skipped", 9)}
     report = verify((), workspace.root)
     said = {one.path: (one.key, one.stage, one.problem, one.remedy) for one in report.findings}
     assert said == {

@@ -304,14 +304,19 @@ PIPELINE = "stages: {end: {cmd: python -m stages.end wait, outs: [stage, child]}
 ENGINE = "from objectfolder.engine.build import build; build()"
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
-def test_forks_end_with_the_engine(make_workspace, root, number):
+@pytest.mark.parametrize(
+    ("number", "stopped"),
+    [(signal.SIGKILL, False), (signal.SIGKILL, True), (signal.SIGINT, False), (signal.SIGTERM, False)],
+)
+def test_forks_end_with_the_engine(make_workspace, root, number, stopped):
     workspace = make_workspace(PIPELINE)
     for name in ("stages", "objectfolder", "tools.py"):
         (root / name).rename(workspace.root / name)
     engine = start(workspace, "-c", ENGINE)
     pids = numbers(workspace.root)
     (starter,) = (child.pid for child in psutil.Process(engine.pid).children())
+    if stopped:
+        os.kill(starter, signal.SIGSTOP)
     engine.send_signal(number)
     engine.wait(60)
     check_dead([starter, *pids])

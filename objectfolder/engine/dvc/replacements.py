@@ -4,7 +4,8 @@ DVC parses ``params.yaml`` for every stage, queries its hash database each time 
 rewrites a file of read and write locks around each of its calls, commits a transaction for every output that
 it checks out, and parses ``dvc.lock`` at every start. With a thousand objects, that dominates a build. While
 the lock is held nobody else changes the repository, so parsed files and hashes are cached until the file
-changes, the inner locks are skipped, and transactions are batched.
+changes, the inner locks are skipped, and transactions are batched. One replacement is not for speed: DVC's
+database takes files of equal inode, size and time of modification for the same file.
 
 DVC is pinned. tests/engine/dvc/test_contract.py checks each replaced name and its signature.
 """
@@ -21,6 +22,7 @@ from dvc.dependency import param
 from dvc.dvcfile import Lockfile
 from dvc.output import Output
 from dvc.utils import serialize
+from dvc_data.hashfile import state as hash_state
 from dvc_data.hashfile.state import State
 from dvc_objects.fs.utils import relpath
 
@@ -35,6 +37,7 @@ REPLACED: tuple[tuple[Any, str], ...] = (
     (param, "read_param_file"),
     (rwlock, "rwlock"),
     (State, "set_link"),
+    (hash_state, "_checksum"),
     (serialize, "dump_yaml"),
     (Output, "_get_hash_meta"),
     (Lockfile, "_load"),
@@ -58,6 +61,7 @@ def replacements(lockfiles: LockFiles) -> Iterator[None]:
         _Params(param.read_param_file),
         lambda *_: nullcontext(),
         set_link,
+        _with_status_time(hash_state._checksum),
         lambda path, data: Path(path).write_text(emit.dumps(data)),
         _cached_hashes(Output._get_hash_meta),
         load_lockfile,
@@ -104,7 +108,7 @@ class _Params:
 
 def _cached_hashes(get_hash_meta: Any) -> Any:
     """Wrap `Output._get_hash_meta` to hash a file only if it has changed, as DVC's database decides."""
-    hashes: dict[tuple[str, str], tuple[tuple[int, int, int], Any]] = {}
+    hashes: dict[tuple[str, str], tuple[tuple[int, int, int, int], Any]] = {}
 
     def cached(out: Output) -> Any:
         if out.protocol != "local":
@@ -112,13 +116,27 @@ def _cached_hashes(get_hash_meta: Any) -> Any:
         status = Path(out.fs_path).stat()
         if not stat.S_ISREG(status.st_mode):
             return get_hash_meta(out)
-        stamp = status.st_mtime_ns, status.st_ino, status.st_size
+        stamp = status.st_mtime_ns, status.st_ino, status.st_size, status.st_ctime_ns
         key = out.fs_path, out.hash_name
         if key not in hashes or hashes[key][0] != stamp:
             hashes[key] = stamp, get_hash_meta(out)
         return hashes[key][1]
 
     return cached
+
+
+def _with_status_time(checksum: Any) -> Any:
+    """Wrap the identity of a file in DVC's database of hashes, which time of modification and size are.
+
+    Both may stay what they were: `cp -p` and `rsync --inplace -t` write the same file again, and archives
+    give all of their files one time. The time of its status cannot be set back; see `inputs.stamps`.
+    """
+
+    def identify(info: dict[str, Any]) -> Any:
+        linked = info["islink"] or info["nlink"] > 1
+        return checksum({**info, "mtime": (info["mtime"], 0 if linked else info["created"])})
+
+    return identify
 
 
 def _get(values: Any, key_path: str) -> Any:

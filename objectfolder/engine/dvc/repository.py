@@ -1,5 +1,6 @@
 """Open a DVC workspace exclusively, without DVC's log output."""
 
+import getpass
 import itertools
 import json
 import logging
@@ -91,6 +92,27 @@ class OpenRepository:
         """Path of a cached object by its hash."""
         return Path(self.repo.cache.local.oid_to_path(oid))
 
+    def check_cache(self) -> None:
+        """Check that this user can write to every folder of the cache.
+
+        Raises
+        ------
+        ObjectFolderError
+            If not: else a stage would run, and its outputs could not be kept.
+        """
+        folders = [self.cache_dir, self.cache, self.cache_dir / "runs"]
+        folders += [
+            place for folder in folders[1:] if folder.is_dir() for place in folder.glob("[0-9a-f][0-9a-f]")
+        ]
+        for folder in filter(Path.exists, folders):
+            if not os.access(folder, os.W_OK | os.X_OK):
+                raise ObjectFolderError(
+                    f"cannot write to {folder}, a part of DVC's cache, where a build keeps its outputs. Make "
+                    f"{self.cache_dir} writable (for several users: `dvc config cache.shared group`, once "
+                    "`chmod -R g+w` on it), or take another with `dvc cache dir --local PATH`, and this one "
+                    "as a remote: `dvc remote add --local -d shared` with its path, then `build --pull`"
+                )
+
     def use_run_cache(self, pull: bool) -> None:
         """Verify what the run cache restores; if ``pull``, fetch what it lacks from the default remote."""
         self.repo.stage_cache = RunCache(self.repo, restores=True, pull=pull)
@@ -152,6 +174,7 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
                 "another disk: `dvc cache dir PATH` and `dvc config cache.type symlink`"
             )
     with quiet(), chdir(root), _site_cache():
+        _give_user_a_name()
         try:
             repo = Repo()
         except NotDvcRepoError as error:
@@ -160,6 +183,8 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
             git = "; run `git init` in it, or clone the repository" if "not a git" in str(error) else ""
             raise ObjectFolderError(f"DVC cannot open {root}: {error}{git}") from error
         repo.stage_cache = RunCache(repo)
+        # DVC removes a file before it finds out that it cannot link it; then it copies it.
+        repo.cache.local.cache_types = [*dict.fromkeys((*repo.cache.local.cache_types, "copy"))]
         with repo, _alone(repo, wait):
             lockfiles = LockFiles(Path(repo.root_dir))
             with repo.scm_context(quiet=True), replacements(lockfiles):
@@ -219,6 +244,14 @@ def _site_cache() -> Iterator[None]:
             f"DVC cannot use its databases in {folder}: {error}; {free_bytes(folder) / 1e6:.1f} MB are free "
             "there; make space, or delete that folder, which DVC makes anew"
         ) from error
+
+
+def _give_user_a_name() -> None:
+    """Let DVC, which asks for the user's name, have the number where there is no name, as in containers."""
+    try:
+        getpass.getuser()
+    except (KeyError, OSError):
+        os.environ["LOGNAME"] = str(os.getuid())
 
 
 @contextmanager

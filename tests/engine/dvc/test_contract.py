@@ -28,6 +28,7 @@ REPLACED_PARAMETERS = {
     "read_param_file": "fs path key_paths flatten **load_kwargs",
     "rwlock": "tmp_dir fs cmd read write hardlink",
     "set_link": "self path inode mtime",
+    "_checksum": "info",
     "dump_yaml": "path data fs **kwargs",
     "_get_hash_meta": "self",
     "_load": "self **kwargs",
