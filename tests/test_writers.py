@@ -100,7 +100,8 @@ EXCEPTIONS = {
     "objectfolder/engine/dvc/lockfile.py:LockFiles._restore": "a rename, which replaces links",
     "objectfolder/engine/dvc/replacements.py:replacements": "DVC gives a random name in the run cache",
     "objectfolder/engine/dvc/savedruns.py:remove_saved_run": "a rename to a random name",
-    "objectfolder/engine/process.py:Children.run": "a pipe; the log is removed before and opened with O_EXCL",
+    "objectfolder/engine/process.py:Children.run": "a pipe",
+    "objectfolder/engine/process.py:opened": "O_NOFOLLOW; a link is removed before",
     "objectfolder/engine/repair.py:restore_files": "rmtree of an output, which follows no links",
     "objectfolder/fetch/download.py:_receive": "O_EXCL, or goes on with a file that is no link",
     "objectfolder/fetch/download.py:download_to": "a rename, which replaces links, into a temporary folder",
@@ -109,6 +110,7 @@ EXCEPTIONS = {
     "objectfolder/workspace/objects.py:add_mesh": "removes the folder that it has placed",
     "objectfolder/touch/taxim.py:export_taxim": "to the stream that its _write gives",
     "objectfolder/cli/__init__.py:main": "opens the null device",
+    "objectfolder/engine/warm.py:serve": "opens the null device",
 }
 
 
