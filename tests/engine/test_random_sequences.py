@@ -30,7 +30,7 @@ from .processes import DIE_AT_A_CHANGE
 from .tiny_project import KEYS, LIBRARY, PROFILES, STAGES, VERSIONS, Sources, parameters
 
 FUZZING = settings.get_current_profile_name() == "fuzz"
-SEQUENCES, STEPS = (300, 20) if FUZZING else (1, 6)
+SEQUENCES, STEPS = (300, 12) if FUZZING else (1, 6)
 MESH = "data/objects/bell.dvc"
 #: Picks one of a list. Neither what is drawn nor which rules apply may depend on files: what a killed build
 #: leaves depends on timing, and hypothesis ends if equal draws are followed by others.

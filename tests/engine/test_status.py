@@ -17,6 +17,7 @@ from objectfolder.engine.status import Outlook, StageStatus, State, status
 from objectfolder.engine.summary import StageOutcome
 from objectfolder.errors import ObjectFolderError
 
+from . import tiny_project
 from .conftest import KEYS, everything
 
 
@@ -312,3 +313,16 @@ def test_without_objects_it_says_how_to_add_one():
         "- hash_code  never built",
         "1 stage never built; no objects yet: `objectfolder add MESH --name NAME --material MATERIAL`",
     ]
+
+
+def test_a_directory_of_outputs_that_come_back_is_predicted(template, tmp_path):
+    root = shutil.copytree(template.parent, tmp_path / "copy") / template.name
+    start = tiny_project.Sources()
+    for sources in (start.with_parameter(("objects", "bell", "wall"), 0.5), start):
+        (root / "params.yaml").write_text(sources.params())
+        said = {one.address: one.outlook for one in status(root=root)}
+        did = {address: one.status for address, one in build(root=root).stages.items()}
+    stages = ("normalize@bell", "observe@bell", "recognize")
+    assert {said[address] for address in stages} == {Outlook.RESTORE}
+    assert {did[address] for address in stages} == {StageOutcome.RESTORED}
+    assert said["normalize@mug"] == Outlook.SKIP

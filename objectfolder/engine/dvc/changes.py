@@ -2,6 +2,8 @@
 
 import hashlib
 import os
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,6 +18,7 @@ from dvc_data.hashfile.tree import Tree
 
 from objectfolder.engine.dvc import steps
 from objectfolder.engine.dvc.graph import StageGraph
+from objectfolder.engine.dvc.recorded import listing_of
 from objectfolder.engine.dvc.runcache import is_there
 from objectfolder.engine.dvc.savedruns import saved_run
 from objectfolder.errors import shortened
@@ -94,7 +97,7 @@ class ChangeTracker:
             if isinstance(dep, ParamsDependency):
                 own += _changed_params(dep)
                 continue
-            producer, expected = self._expected(address, dep.fs_path)
+            producer, expected = self._expected(address, dep)
             if not producer:
                 own += [self._code_change(dep) or f"{dep} {_words(word)}" for word in dep.status().values()]
             elif expected is None:
@@ -134,19 +137,21 @@ class ChangeTracker:
             self.future[address] = dict.fromkeys((out.fs_path for out in stage.outs), None)
         return Changes(missing=missing, altered=altered, restorable=restorable)
 
-    def _expected(self, address: str, path: str) -> tuple[str, tuple[Meta, HashInfo] | None]:
-        """Return the stale stage that will write a path, or an empty string, and the predicted content."""
+    def _expected(self, address: str, dep: Any) -> tuple[str, tuple[Meta, HashInfo] | None]:
+        """Return the stale stage that will write a dependency, or nothing, and the predicted content."""
+        path, first = dep.fs_path, ""
+        inside: dict[tuple[str, ...], Content | None] = {}
         for producer in sorted(self.graph.upstream[address]):
             for out, content in self.future.get(producer, {}).items():
-                if out.startswith(path + os.sep):
-                    return producer, None  # a directory that holds the output and other files
+                if out.startswith(path + os.sep):  # a directory that may hold other files, too
+                    inside[Path(out).relative_to(path).parts] = content
+                    first = first or producer
                 if path != out and not path.startswith(out + os.sep):
                     continue
                 if Path(out) == self.root / CODE:
                     return producer, self._code(path)
-                inside = Path(path).relative_to(out).parts
-                return producer, (content or {}).get(inside)
-        return "", None
+                return producer, (content or {}).get(Path(path).relative_to(out).parts)
+        return first, _directory(dep, inside) if inside else None
 
     def _code(self, path: str) -> tuple[Meta, HashInfo] | None:
         """Return the future content of a list of modules, predicted from the sources."""
@@ -230,6 +235,25 @@ def _find_run(stage: Stage, hashes: dict[int, tuple[Meta, HashInfo]], changed: b
         return saved_run(stage, changed)
     except (DvcException, OSError):  # a dependency is missing: the stage will fail
         return None
+
+
+def _directory(dep: Any, inside: Mapping[tuple[str, ...], Content | None]) -> tuple[Meta, HashInfo] | None:
+    """Return the future hash of a directory from that of the outputs in it; None if one is not known."""
+    digests: dict[tuple[str, ...], str] = {}
+    with suppress(DvcException, OSError):  # there is none yet
+        now = dep._build(
+            *(dep.cache, dep.fs_path, dep.fs, dep.hash_name),
+            ignore=dep.dvcignore, dry_run=True, no_progress_bar=True,
+        )[2]  # fmt: skip
+        for parts, _, found in now if isinstance(now, Tree) else ():
+            if not any(parts[: len(place)] == place for place in inside):
+                digests[parts] = str(found.value)
+    for place, content in inside.items():
+        members = {parts: found for parts, (_, found) in (content or {}).items()}
+        if (whole := members.pop((), None)) is None or (whole.isdir and not members):
+            return None
+        digests |= {(*place, *parts): str(found.value) for parts, found in (members or {(): whole}).items()}
+    return Meta(isdir=True), HashInfo("md5", listing_of(digests)[0])
 
 
 def _content(out: Any) -> Content:
