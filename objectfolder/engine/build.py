@@ -26,10 +26,10 @@ from objectfolder.engine.failures import LOGS, forget_failure, log_path, record_
 from objectfolder.engine.process import (
     Command,
     CommandResult,
+    await_end,
     describe_result,
     stage_environment,
     tail,
-    users,
 )
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
 from objectfolder.engine.schedule import Schedule, object_groups
@@ -55,9 +55,6 @@ from objectfolder.workspace.template import note_own_code
 OBJECTS_PER_CORE = 2
 #: Restarts of a stage whose worker was lost, or whose inputs changed while it ran.
 RESTARTS = 3
-#: Seconds for the processes of a stage to end, after a killed engine or worker.
-END = 30.0
-_POLL = 0.1
 LONGEST = 1e8  #: time limit of a stage, s
 _log = logging.getLogger(__name__)
 
@@ -284,7 +281,7 @@ class _Build:
             self.repository.check_cache()
             self.checked = True
         try:
-            self._await_end(log)
+            await_end(log, self.signals.raise_if_caught)
             if not self.options.force and steps.restore_run(stage):
                 self.lockfiles.add(stage)
                 forget_cost(self.logs, address)
@@ -302,22 +299,6 @@ class _Build:
             self.compared = True
         self.workers.submit(address, Command(shell.lines, shell.cwd, env, log, needs.timeout), needs)
         self.on_event(Started(address, log))
-
-    def _await_end(self, log: Path) -> None:
-        """Wait until no process of an earlier run of a stage is left, which would write the same files."""
-        deadline = time.monotonic() + END
-        while (left := users(log)) is not None:
-            if time.monotonic() > deadline:
-                who = (
-                    f"processes {', '.join(map(str, left))}"
-                    if left
-                    else "a process, perhaps of another node,"
-                )
-                raise ObjectFolderError(
-                    f"{who} of an earlier run of it still write to {log}; end them (kill -9), and build again"
-                )
-            self.signals.raise_if_caught()
-            time.sleep(_POLL)
 
     def _collect_finished(self) -> None:
         while not self.finished.empty():

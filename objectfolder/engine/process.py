@@ -14,8 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from objectfolder.errors import ObjectFolderError
+
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 TAIL_LINES = 15
+#: Seconds for the processes of a stage to end, after a killed engine or worker.
+END = 30.0
+_POLL = 0.1
 TAIL_BYTES = 16_384
 
 
@@ -190,6 +195,33 @@ def users(log: Path) -> list[int] | None:
             if link.samefile(log):
                 found.append(int(link.parts[2]))
     return sorted(found)
+
+
+def await_end(log: Path, check: Callable[[], None]) -> None:
+    """Wait until no process of an earlier run of a stage writes its log, as it would write the same outputs.
+
+    Parameters
+    ----------
+    log : Path
+        Of the stage.
+    check : callable
+        Called again and again meanwhile; may raise.
+
+    Raises
+    ------
+    ObjectFolderError
+        If one still does after `END` seconds.
+    """
+    deadline = time.monotonic() + END
+    while (left := users(log)) is not None:
+        if time.monotonic() > deadline:
+            numbers = ", ".join(map(str, left))
+            who = f"processes {numbers}" if left else "a process, perhaps of another node,"
+            raise ObjectFolderError(
+                f"{who} of an earlier run of it still write to {log}; end them (kill -9), and build again"
+            )
+        check()
+        time.sleep(_POLL)
 
 
 def stage_environment(base: Mapping[str, str], threads: int = 1) -> dict[str, str]:
