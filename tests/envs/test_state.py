@@ -223,7 +223,10 @@ def test_a_model_that_is_not_finite_is_refused_at_once(body, brick, kind, field)
         Hearing(model, [brick], "ear") if kind == "Hearing" else Feeling(model, "pad", [brick])
 
 
-@pytest.mark.parametrize("given", [None, 3, "data", [None], np.zeros(3), mujoco.MjSpec()], ids=repr)
+NO_DATA = [None, 3, "data", [None], np.zeros(3), mujoco.MjSpec()]
+
+
+@pytest.mark.parametrize("given", NO_DATA, ids=lambda given: type(given).__name__)
 def test_what_is_no_data_is_named(stepped, given):
     _, data, hearing, hear = stepped("Hearing")
     _, felt, _, feel = stepped("Feeling")
