@@ -6,6 +6,7 @@ import doctest
 import importlib
 import re
 import shlex
+import shutil
 import tokenize
 from io import StringIO
 from pathlib import Path
@@ -19,6 +20,7 @@ from objectfolder.cli import app
 from objectfolder.io import file_digest
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.objectfile.dataset import INDEX, IndexEntry
+from objectfolder.objectfile.samples import sample_path
 from objectfolder.release.entries import index_text
 
 ROOT = Path(__file__).parents[1]
@@ -71,17 +73,17 @@ def run(source, names):
 
 @pytest.fixture
 def workspace(brick_path, tmp_path, monkeypatch):
-    """A folder where build/mug/ObjectFile.safetensors and the bell of a release are there: the brick."""
+    """A folder with build/mug/ObjectFile.safetensors, which is the brick, and a release of the bell."""
     (tmp_path / "build" / "mug").mkdir(parents=True)
     (tmp_path / "build" / "mug" / "ObjectFile.safetensors").symlink_to(brick_path)
     bell = IndexEntry(
         **{"key": "bell", "path": "objects/bell.safetensors", "category": "household", "material": "steel"},
         **{"size": 0.1, "split": "train", "modes": 12, "lowest_hz": None, "vision_psnr": None},
-        **{"gain_error": None, "touch_psnr": None, "bytes": brick_path.stat().st_size},
-        **{"sha256": file_digest(brick_path), "licence": "CC0-1.0", "source": ""},
+        **{"gain_error": None, "touch_psnr": None, "bytes": sample_path("bell").stat().st_size},
+        **{"sha256": file_digest(sample_path("bell")), "licence": "CC0-1.0", "source": ""},
     )
     (tmp_path / "kitchen" / "objects").mkdir(parents=True)
-    (tmp_path / "kitchen" / bell.path).symlink_to(brick_path)
+    shutil.copyfile(sample_path("bell"), tmp_path / "kitchen" / bell.path)
     (tmp_path / "kitchen" / INDEX).write_text(index_text([bell]))
     monkeypatch.chdir(tmp_path)
 

@@ -50,7 +50,7 @@ from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.creation import create_workspace
 from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.objects import add_catalogue, add_mesh, set_material
-from objectfolder.workspace.template import note_own_code
+from objectfolder.workspace.template import note_foreign_code
 
 ROOT = Path(__file__).parents[1]
 MODULES = sorted([*ROOT.glob("objectfolder/**/*.py"), *ROOT.glob("stages/*.py")])
@@ -101,7 +101,7 @@ EXCEPTIONS = {
     "objectfolder/engine/dvc/replacements.py:replacements": "DVC gives a random name in the run cache",
     "objectfolder/engine/dvc/savedruns.py:remove_saved_run": "a rename to a random name",
     "objectfolder/engine/process.py:Children.run": "a pipe",
-    "objectfolder/engine/process.py:opened": "O_NOFOLLOW; a link is removed before",
+    "objectfolder/engine/process.py:open_log": "O_NOFOLLOW; a link is removed before",
     "objectfolder/engine/repair.py:restore_files": "rmtree of an output, which follows no links",
     "objectfolder/fetch/download.py:_receive": "O_EXCL, or goes on with a file that is no link",
     "objectfolder/fetch/download.py:download_to": "a rename, which replaces links, into a temporary folder",
@@ -322,7 +322,7 @@ WRITERS = {
     "checksums": lambda given: record_checksums(Path("data/checksums.yaml"), "mug", {"a": "b"}),
     "lock file": lock_file,
     "held parameters": lambda given: hold_params([], Path(), Path("held")),
-    "own code": lambda given: note_own_code(Path.cwd(), [Path.cwd() / "params.yaml"], Path("notes")),
+    "own code": lambda given: note_foreign_code(Path.cwd(), [Path.cwd() / "params.yaml"], Path("notes")),
     "cost": lambda given: record_cost(Path("logs"), "a@b", CommandResult(0, 1.0, 1.0)),
     "failure": lambda given: record_failure(Path("logs"), StageResult("a@b", StageOutcome.FAILED), {}),
     "log": log,

@@ -49,7 +49,7 @@ from objectfolder.engine.summary import (
 from objectfolder.engine.workers import FinishedQueue, LocalWorkers, WorkerLost, Workers
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.installed import check_installed
-from objectfolder.workspace.template import note_own_code
+from objectfolder.workspace.template import note_foreign_code
 
 #: Objects in progress at a time, per core.
 OBJECTS_PER_CORE = 2
@@ -144,7 +144,7 @@ def build(
         graph = stage_graph(repository, targets)
         remove_partial_outputs(graph.stages.values())
         graphs = {Path(stage.path) for stage in graph.stages.values() if stage.cmd}
-        note_own_code(repository.root, graphs, repository.own_files)
+        note_foreign_code(repository.root, graphs, repository.own_files)
         held = hold_params(graph.stages.values(), repository.root, repository.own_files)
         reached = options.pull and remote.pull_build(repository.repo, graph.stages.values())
         repository.use_run_cache(pull=reached)

@@ -131,7 +131,7 @@ class Children:
         command.log.parent.mkdir(parents=True, exist_ok=True)
         read, write = os.pipe()
         with os.fdopen(read, "rb") as report:
-            with os.fdopen(write, "wb"), opened(command.log) as log:
+            with os.fdopen(write, "wb"), open_log(command.log) as log:
                 reap = start(command, log.fileno(), write)
             said = report.readline().decode().strip()
             if not said.isdigit():
@@ -167,7 +167,7 @@ class Children:
                 _kill(group)
 
 
-def opened(log: Path) -> BinaryIO:
+def open_log(log: Path) -> BinaryIO:
     """Open the log of a command, empty and locked: by that, `users` sees the command and its children."""
     if log.is_symlink():
         log.unlink()  # it is replaced, not followed

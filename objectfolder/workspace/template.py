@@ -53,7 +53,7 @@ def tool_files() -> dict[str, str]:
     return files | {name: (_TEMPLATE / source).read_text() for name, source in OWN_FILES.items()}
 
 
-def own_code(root: Path, graphs: Iterable[Path]) -> dict[str, str]:
+def foreign_code(root: Path, graphs: Iterable[Path]) -> dict[str, str]:
     """Map the files whose code a build of a workspace runs and this version did not write to their contents.
 
     They are graphs, files of ``stages``, and modules at the top level, which Python finds before others. The
@@ -88,21 +88,21 @@ def own_code(root: Path, graphs: Iterable[Path]) -> dict[str, str]:
     return found
 
 
-def note_own_code(root: Path, graphs: Iterable[Path], folder: Path) -> None:
-    """Warn that a build of a workspace runs code of its own, see `own_code`: once, until that changes.
+def note_foreign_code(root: Path, graphs: Iterable[Path], folder: Path) -> None:
+    """Warn that a build of a workspace runs code of its own, see `foreign_code`: once, until that changes.
 
     Parameters
     ----------
     root, graphs
-        See `own_code`.
+        See `foreign_code`.
     folder : Path
         For the record of what was said.
     """
-    if not (code := own_code(root, graphs)):
+    if not (code := foreign_code(root, graphs)):
         return
     place = root.stat()  # a clone that brings a record along cannot know it
     state = hashlib.sha256(repr((place.st_dev, place.st_ino, code)).encode()).hexdigest()
-    said = folder / "own_code.sha256"
+    said = folder / "foreign_code.sha256"
     with suppress(OSError):
         if said.read_text() == state:
             return

@@ -16,7 +16,7 @@ from disks import mounted, small_disk
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.dvc.repository import track
 from objectfolder.engine.failures import LOGS, log_path
-from objectfolder.engine.process import Children, opened
+from objectfolder.engine.process import Children, open_log
 from objectfolder.engine.summary import Finished, StageOutcome
 from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
@@ -81,7 +81,7 @@ def test_a_stage_does_not_start_beside_a_process_of_an_earlier_run(workspace, mo
     monkeypatch.setattr("objectfolder.engine.process.END", 0.3)
     log = log_path(workspace.root / LOGS, "prepare@mug")
     log.parent.mkdir(parents=True)
-    with opened(log) as stream:
+    with open_log(log) as stream:
         left = subprocess.Popen(["sleep", "60"], stdout=stream)
     with left:
         (failure,) = build(["prepare@mug"], root=workspace.root).failures

@@ -10,7 +10,7 @@ from objectfolder.engine.dvc.lockfile import COPIES
 from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.installed import INSTALLED
-from objectfolder.workspace.template import own_code
+from objectfolder.workspace.template import foreign_code
 
 MESSAGE = "this build runs code of the workspace that is not as objectfolder has it: "
 
@@ -40,9 +40,9 @@ def test_code_of_a_workspace_is_named_once_until_it_changes(workspace, caplog, t
     assert built(root) == []
     # A record that a clone brings along is not believed.
     shutil.copytree(root, tmp_path / "clone", symlinks=True)
-    assert (tmp_path / "clone" / COPIES / "own_code.sha256").is_file()
+    assert (tmp_path / "clone" / COPIES / "foreign_code.sha256").is_file()
     assert len(built(tmp_path / "clone")) == 1
-    assert own_code(INSTALLED, [INSTALLED / "dvc.yaml"]) == {}
+    assert foreign_code(INSTALLED, [INSTALLED / "dvc.yaml"]) == {}
 
 
 @pytest.mark.parametrize("place", ["build", "build/mug", "build/.logs", COPIES.as_posix()])

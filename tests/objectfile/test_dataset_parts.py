@@ -19,6 +19,7 @@ MATERIALS = ("wood", "plastic", "steel", "steel")
 def dataset(tmp_path, brick):
     """Four objects, of which only the brick has a file."""
     blank = {name: "" if kind is str else 0 for name, kind in COLUMNS.items()}
+    blank |= {"split": "test", "sha256": 64 * "0", "licence": "CC0-1.0", "bytes": 1, "lowest_hz": 20.0}
     entries = [
         IndexEntry(
             **blank | {"key": key, "path": f"{OBJECTS}/{key}", "material": material, "size": 0.1 * place}
