@@ -39,7 +39,7 @@ def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
     Parameters
     ----------
     values : mapping
-    in_quotes : str
+    *in_quotes : str
         Names of texts that are written in quotes whether they need them or not.
     """
     from ruamel.yaml import YAML

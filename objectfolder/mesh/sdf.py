@@ -17,10 +17,10 @@ from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh, signed_volume
 
 REFINEMENTS = (1.0, 4 / 3, 5 / 3, 2.0)  #: of the asked resolution, where walls are thin
-#: Walls have at least this many voxels, up to `FINEST`. Distances are interpolated linearly, but have a kink
+#: Walls have at least this many voxels, up to ``FINEST``. Distances are interpolated linearly, but have a kink
 #: midway through a wall: in walls under two voxels it moves the surface inward, under one it tears it.
 WALL_VOXELS = 1.4
-VOLUME_ERROR = 0.01  #: a grid that changes the volume by more is refined, up to `FINEST`
+VOLUME_ERROR = 0.01  #: a grid that changes the volume by more is refined, up to ``FINEST``
 MIN_KEPT_VOLUME = 0.7
 _BLOCK = 16  # samples along each side of the blocks in which the search for the surface starts
 _CHUNK = 1_000_000
@@ -41,7 +41,7 @@ def fitting_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int, name:
     """Compute a distance grid that is as fine as the walls of a closed surface require.
 
     The resolution is the asked one, or the first of its `REFINEMENTS` at which walls have `WALL_VOXELS` and
-    the volume of the stored surface is within `VOLUME_ERROR`, at most `FINEST`.
+    the volume of the stored surface is within `VOLUME_ERROR`, at most ``FINEST``.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Read and check ``params.yaml``: objects, and one section of settings for each stage.
 
-A section is a frozen dataclass beside the code that uses it, such as `objectfolder.fem.modal.ModalConfig`.
+A section is a frozen dataclass beside the code that uses it, such as `objectfolder.fem.settings.ModalConfig`.
 Its annotations are the checks (`objectfolder.settings`).
 """
 

@@ -64,7 +64,7 @@ def recorded_inputs(entry: Mapping[str, Any]) -> str:
 def maker(cache: StageCache, record: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the saved run of a record's outputs if it had other inputs than those recorded; else None.
 
-    `dvc repro` records such outputs if a parameter is called ``size`` or ``nfiles``.
+    ``dvc repro`` records such outputs if a parameter is called ``size`` or ``nfiles``.
     """
     if not _has_unseen(record.get("params")):  # the key tells all others apart
         return None
