@@ -25,7 +25,7 @@ STRUCTURE = (
     "geom_bodyid", "site_bodyid", "body_rootid", "body_mocapid", "body_geomadr", "body_geomnum",
     "mesh_vertadr", "mesh_vertnum",
 )  # fmt: skip
-#: Fields of the model that say how large bodies are; of ``mesh_vert``, some rows of the objects' meshes count.
+#: Fields of the model that say how large bodies are; of ``mesh_vert``, some rows of each mesh count.
 SHAPES = (
     "geom_type", "geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_contype",
     "geom_conaffinity", "mesh_vert",

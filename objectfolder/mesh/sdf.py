@@ -17,7 +17,7 @@ from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh, signed_volume
 
 REFINEMENTS = (1.0, 4 / 3, 5 / 3, 2.0)  #: of the asked resolution, where walls are thin
-#: Walls have at least this many voxels, up to ``FINEST``. Distances are interpolated linearly, but have a kink
+#: Walls have at least this many voxels, up to ``FINEST``. Distances are interpolated linearly, with a kink
 #: midway through a wall: in walls under two voxels it moves the surface inward, under one it tears it.
 WALL_VOXELS = 1.4
 VOLUME_ERROR = 0.01  #: a grid that changes the volume by more is refined, up to ``FINEST``
