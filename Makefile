@@ -36,7 +36,7 @@ test-slow: .venv/.dev
 test-extras: .venv/.dev
 	@PIP_ARGS="$(PIP_ARGS)" $(BIN)/python tests/extras/run.py
 
-# Ten minutes each; the last are random sequences of edits, faults and builds, and each parameter alone.
+# Ten minutes each; random sequences of edits, faults and builds, and each parameter alone, take an hour.
 fuzz: .venv/.dev
 	$(INSTALL) atheris
 	$(BIN)/python fuzz/objectfile.py -max_total_time=600
