@@ -17,8 +17,8 @@ from results import object_tables, shared_tables
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.benchmarks.reporting import published
-from objectfolder.benchmarks.reporting.tables import score_table
+from objectfolder.benchmarks.tasks import retrieve
+from objectfolder.benchmarks.tasks.task import list_tasks
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic, read_json
 from objectfolder.workspace.layout import Benchmarks
@@ -54,7 +54,7 @@ def found_in(
         if (path := folder.result(task, split)).is_file():
             scores = read_json(path)
             try:
-                score_table(task, split, scores)
+                list_tasks()[task].tables({split: scores})
             except ObjectFolderError as error:
                 print(f"left out: {path}: {error}")
             else:
@@ -92,13 +92,13 @@ def missed(results: Mapping[str, dict[str, Any]]) -> Iterator[str]:
             if measured[name] < least:
                 yield f"{name} recognized {100 * measured[name]:.1f} %, target {100 * least:g} %"
     if found := scores("retrieve", "seen").get("directions"):
-        for direction, (paper, _) in published.RETRIEVAL.items():
+        for direction, (paper, _) in retrieve.RETRIEVAL.items():
             least = RETRIEVED.get(direction, paper)
             score = found[direction]
             if score["map"] < least:
                 yield f"{direction} retrieved {score['map']:.3f}, target {least:g}"
     if found := scores("retrieve", "unseen").get("directions"):
-        for direction in published.RETRIEVAL:
+        for direction in retrieve.RETRIEVAL:
             score = found[direction]
             if score["map"] <= score["cca"]:
                 yield f"{direction} of unseen objects {score['map']:.3f}, CCA {score['cca']:.3f}"

@@ -20,12 +20,13 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Undefined
 from query import FIGURES, significant
 from ruamel.yaml import YAML
 
-from objectfolder.benchmarks.params import splits_of
-from objectfolder.benchmarks.reporting import tables
+from objectfolder.benchmarks.reporting.tables import Table
 from objectfolder.benchmarks.tasks.running import machine
+from objectfolder.benchmarks.tasks.task import Task, find_task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_text
 from objectfolder.workspace.layout import Benchmarks
+from objectfolder.workspace.params import BENCHMARKS
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"
@@ -46,18 +47,27 @@ BETTER = {
 }
 #: Objects by which `slope_smoothing` of tacto_digit was chosen (docs/sensors.md), left out of its means.
 FITTED = ("ycb_mug", "ycb_power_drill", "polyhaven_teapot", "ycb_wood_block")
-COMMANDS = {
-    **{"recognize": "recognition", "materials": "recognition --label material"},
-    **{"retrieve": "retrieval", "reconstruct": "reconstruction", "vision_to_touch": "vision-to-touch"},
+#: What is trained with every seed, of the scores of a task on single objects.
+TRAINED: dict[str, Callable[[dict], dict]] = {
+    "localize": lambda scores: scores["TA"]["net"],
+    "grasp_policy": itemgetter("touch"),
+    "reach": itemgetter("ppo"),
+    "metaworld_reach": itemgetter("ppo"),
 }
-SECTIONS = {"materials": "recognize"}  #: of the parameters, where they are not the task's own
-#: Tasks on single objects: command, table, section of the parameters, what is trained with every seed.
-SINGLE_OBJECT: dict[str, tuple[str, Callable[..., tables.Table], str, Callable[[dict], dict]]] = {
-    "localize": ("localization", tables.localization_table, "localize", lambda scores: scores["TA"]["net"]),
-    "grasp_policy": ("grasping", tables.grasping_table, "grasp_policy", itemgetter("touch")),
-    "reach": ("reach", tables.reach_table, "reach", itemgetter("ppo")),
-    "metaworld_reach": ("reach --metaworld", tables.reach_table, "reach", itemgetter("ppo")),
-}
+
+
+def bench_commands() -> dict[str, tuple[Task, str, str]]:
+    """Return each benchmark task, the command that runs it, and the section of its parameters, by name."""
+    found = {}
+    for name in BENCHMARKS:
+        task = find_task(name)
+        command = name.replace("_", "-")
+        found[name] = task, command, name
+        if task.variant is not None:
+            other, value = task.variant.task, task.variant.values[1]
+            option = f" --{task.variant.option}" + (f" {value}" if isinstance(value, str) else "")
+            found[other.name] = other, command + option, name
+    return found
 
 
 def render(page: str, records: Path = RECORDS) -> str:
@@ -168,18 +178,18 @@ def shared_tables(
 ) -> Iterator[dict]:
     """Yield the tables of tasks over many objects, and add these objects to `keys`."""
     sections = read_yaml(f"params/{preset}.yaml")
-    for task, command in COMMANDS.items():
-        for split in splits_of(task):
+    for task, (declared, command, section) in bench_commands().items():
+        for split in declared.splits if task != "grasp_stability" else ():
             if folder.result(task, split).is_file():
                 scores = read_json(folder.result(task, split))
                 keys |= dict.fromkeys(scores["keys"])
-                option = f" --split {split}" if len(splits_of(task)) > 1 else ""
+                option = f" --split {split}" if len(declared.splits) > 1 else ""
                 several = (scores.get("directions") or scores).values()
                 trained = next(score for score in several if isinstance(score, dict) and "seeds" in score)
-                option += seeds_option(trained, sections[SECTIONS.get(task, task)])
+                option += seeds_option(trained, sections[section])
                 runs = [read_json(folder.machine(task, split))]
                 try:
-                    shown = tables.score_table(task, split, scores)
+                    (shown,) = declared.tables({split: scores})
                 except ObjectFolderError as error:
                     print(f"left out: {folder.result(task, split)}: {error}")
                     continue
@@ -189,17 +199,19 @@ def shared_tables(
 def object_tables(folder: Benchmarks, preset: str, options: str = "") -> Iterator[dict]:
     """Yield the tables of grasp stability and of tasks on single objects."""
     sections = read_yaml(f"params/{preset}.yaml")
-    for split in splits_of("grasp_stability"):
+    stability = find_task("grasp_stability")
+    for split in stability.splits:
         if folder.result("grasp_stability", split).is_file():
             scores = read_json(folder.result("grasp_stability", split))
             found = next(iter(scores["sizes"].values()))
-            command = f"stability --preset {preset} --split {split}"
+            command = f"grasp-stability --preset {preset} --split {split}"
             command += seeds_option(found["V"], sections["grasp_stability"]) + options
             runs = [read_json(folder.machine("grasp_stability", split))]
-            record = table_record(tables.score_table("grasp_stability", split, scores), command, runs)
+            record = table_record(*stability.tables({split: scores}), command, runs)
             record["note"] += f"\n\nObjects: {', '.join(scores['keys'])}."
             yield record
-    for task, (command, layout, section, trained) in SINGLE_OBJECT.items():
+    for task, trained in TRAINED.items():
+        declared, command, section = bench_commands()[task]
         ran = [path.stem.removeprefix(f"{task}_") for path in sorted(folder.dir.glob(f"{task}_*.csv"))]
         scores = {
             key: read_json(folder.result(task, key)) for key in ran if folder.machine(task, key).is_file()
@@ -211,10 +223,10 @@ def object_tables(folder: Benchmarks, preset: str, options: str = "") -> Iterato
         for (seeds, _), keys in alike.items():
             runs = [read_json(folder.machine(task, key)) for key in keys]
             words = [f"{command} --preset {preset}{seeds}{options}", *(f"build/{key}" for key in keys)]
-            yield table_record(layout({key: scores[key] for key in keys}), " ".join(words), runs)
+            yield table_record(*declared.tables({key: scores[key] for key in keys}), " ".join(words), runs)
 
 
-def table_record(shown: tables.Table, command: str, runs: list[dict]) -> dict:
+def table_record(shown: Table, command: str, runs: list[dict]) -> dict:
     """Return a table with the command that prints it and the duration of its runs."""
     return {
         "title": shown.title,

@@ -1,6 +1,6 @@
 """How touch recognition grows with data and training: `python perf/touch_curve.py BUILD --out DIR`.
 
-Trains the net of row T of `objectfolder bench recognition --preset laptop`, one seed, on fewer and on more
+Trains the net of row T of `objectfolder bench recognize --preset laptop`, one seed, on fewer and on more
 touches of each object and for fewer and more steps, on the same validation and test touches. DIR is the
 benchmark's: observations are taken from it; touches beyond them are sampled with two processes, and only
 learnt from. An interrupted call goes on when repeated; other objects, settings or code begin anew.
@@ -20,18 +20,17 @@ from rich.progress import track
 from rich.table import Table
 from torch.nn import functional as F
 
-from objectfolder.benchmarks.collect import LoadedFile, collect_observations, load_object_files
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.datasets.observe_config import ObserveConfig
 from objectfolder.benchmarks.datasets.sampling import ask, draw_queries
+from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.models.classifier import Classifier
 from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.inputs import encoder_inputs, shifted
-from objectfolder.benchmarks.run import BenchmarkOptions
+from objectfolder.benchmarks.run import BenchmarkOptions, LoadedFile, collect_observations, load_object_files
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.recognition import FLAT, RECOGNIZE
-from objectfolder.benchmarks.tasks.recognition_config import RecognizeConfig
-from objectfolder.benchmarks.tasks.running import SplitRun
+from objectfolder.benchmarks.tasks.recognize import TASK, RecognizeConfig
+from objectfolder.benchmarks.tasks.recognize_training import FLAT, recognize
+from objectfolder.benchmarks.tasks.running import Run
 from objectfolder.engine.pool import in_processes
 from objectfolder.io import write_npz
 from objectfolder.objectfile.file import ObjectFile
@@ -167,11 +166,14 @@ def main() -> None:
     console = Console()
     options = BenchmarkOptions(files=[given.build], preset="laptop", out=given.out)
     values, path = options.values()
-    params = options.task_params(RECOGNIZE, values, path)
+    params = options.params(TASK, values, path)
     sources = load_object_files(options.files)
     observe = workspace.settings(ObserveConfig, values, path)
     folders = collect_observations(sources, observe, params.seed, options.folder, 2, track)
-    whole = SplitRun(RECOGNIZE, "seen", Observations(folders), params, options.folder, device="cpu")
+    whole = Run(
+        **{"task": TASK, "training": recognize, "part": "seen", "inputs": Observations(folders)},
+        **{"params": params, "folder": options.folder, "device": "cpu"},
+    )
     progress = options.folder.progress("touch_curve", "seen", whole.identity())
     progress.mkdir(parents=True, exist_ok=True)
     job = whole.job(progress, console.print)

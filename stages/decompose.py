@@ -1,6 +1,6 @@
 """decompose: ObjectFile.safetensors -> hulls.npz: the surface as a few convex hulls."""
 
-from objectfolder.benchmarks.datasets.decompose_config import DecomposeConfig
+from objectfolder.benchmarks.datasets.settings import DecomposeConfig
 from objectfolder.envs.hulls import convex_hulls, write_hulls
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Build

@@ -1,7 +1,7 @@
 """grasp_data: Object File, hulls, surface.ply -> benchmarks/grasps/<object>: seen, felt, how it ended."""
 
-from objectfolder.benchmarks.datasets.grasp_config import GraspDataConfig
 from objectfolder.benchmarks.datasets.grasp_data import collect_grasps
+from objectfolder.benchmarks.datasets.settings import GraspDataConfig
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.hulls import read_hulls
 from objectfolder.mesh.ply import read_surface

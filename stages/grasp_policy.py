@@ -1,20 +1,21 @@
 """grasp_policy: Object File, hulls -> benchmarks/grasp_policy_<object>.json, .csv, .safetensors, .gif."""
 
-from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
-from objectfolder.benchmarks.params import robot_params
-from objectfolder.benchmarks.tasks.grasp_policy import GRASP_POLICY
-from objectfolder.benchmarks.tasks.robots import ObjectRun
-from objectfolder.benchmarks.tasks.running import run_benchmark
-from objectfolder.envs.hulls import read_hulls
+from objectfolder.benchmarks.datasets.samples import object_digest
+from objectfolder.benchmarks.tasks.grasp_policy import TASK
+from objectfolder.benchmarks.tasks.grasp_policy_training import grasp_policy
+from objectfolder.benchmarks.tasks.running import KnownObject, run_stage
+from objectfolder.envs.body import rigid_body
+from objectfolder.envs.hulls import hulls_digest, read_hulls
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.workspace.layout import Benchmarks, Build
+from objectfolder.workspace.layout import Build
 from stages import run
 
 
 def main(key: str) -> None:
-    build, params = Build(key), robot_params(GraspPolicyConfig)
+    build = Build(key)
     file, hulls = ObjectFile.load(build.object_file), read_hulls(build.hulls)
-    run_benchmark(ObjectRun(GRASP_POLICY, file, hulls, params, Benchmarks()), print)
+    known = KnownObject(file, object_digest(file) + hulls_digest(hulls), rigid_body(file, hulls))
+    run_stage(TASK, grasp_policy, key, known)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """observe: ObjectFile.safetensors -> benchmarks/observations/<object>: random views, impacts and touches."""
 
-from objectfolder.benchmarks.datasets.observe_config import ObserveConfig
 from objectfolder.benchmarks.datasets.sampling import sample_observations
+from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.objectfile.placed import load_placed
 from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.params import stage_params

@@ -1,20 +1,21 @@
 """reach: Object File and its hulls -> benchmarks/reach_<key>.json, .csv, .safetensors, .gif: PPO on reach."""
 
-from objectfolder.benchmarks.models.ppo_config import ReachConfig
-from objectfolder.benchmarks.params import robot_params
-from objectfolder.benchmarks.tasks.reach import REACH
-from objectfolder.benchmarks.tasks.robots import ObjectRun
-from objectfolder.benchmarks.tasks.running import run_benchmark
-from objectfolder.envs.hulls import read_hulls
+from objectfolder.benchmarks.datasets.samples import object_digest
+from objectfolder.benchmarks.tasks.reach import TASK
+from objectfolder.benchmarks.tasks.reach_training import reach
+from objectfolder.benchmarks.tasks.running import KnownObject, run_stage
+from objectfolder.envs.body import rigid_body
+from objectfolder.envs.hulls import hulls_digest, read_hulls
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.workspace.layout import Benchmarks, Build
+from objectfolder.workspace.layout import Build
 from stages import run
 
 
 def main(key: str) -> None:
-    build, params = Build(key), robot_params(ReachConfig)
+    build = Build(key)
     file, hulls = ObjectFile.load(build.object_file), read_hulls(build.hulls)
-    run_benchmark(ObjectRun(REACH, file, hulls, params, Benchmarks()), print)
+    known = KnownObject(file, object_digest(file) + hulls_digest(hulls), rigid_body(file, hulls))
+    run_stage(TASK, reach, key, known)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,17 @@
 """reconstruct: observations of all objects -> benchmarks/reconstruct_<split>.{json,csv,safetensors,png}."""
 
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.params import object_keys, task_params
-from objectfolder.benchmarks.tasks.reconstruction import RECONSTRUCT
-from objectfolder.benchmarks.tasks.reconstruction_config import ReconstructConfig
-from objectfolder.benchmarks.tasks.running import SplitRun, run_benchmark
+from objectfolder.benchmarks.tasks.reconstruct import TASK
+from objectfolder.benchmarks.tasks.reconstruct_training import reconstruct
+from objectfolder.benchmarks.tasks.running import run_stage
 from objectfolder.workspace.layout import Benchmarks
+from objectfolder.workspace.params import read
 from stages import run
 
 
 def main(split: str) -> None:
-    params, folder = task_params(ReconstructConfig), Benchmarks()
-    observations = Observations({key: folder.observations(key) for key in object_keys("reconstruct")})
-    run_benchmark(SplitRun(RECONSTRUCT, split, observations, params, folder), print)
+    samples = Observations({key: Benchmarks().observations(key) for key in read()["objects"]})
+    run_stage(TASK, reconstruct, split, samples)
 
 
 if __name__ == "__main__":

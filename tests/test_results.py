@@ -12,6 +12,7 @@ import pytest
 import results
 from harness import encoded, rewrite, write_record
 
+from objectfolder.benchmarks.tasks import grasp_policy, localize
 from objectfolder.io import read_json, write_json
 
 #: Records that are shown on other pages, or as means alone.
@@ -31,13 +32,13 @@ MATERIALS = RECOGNITION | {
     "chance": {"majority": 0.6, "uniform": 0.5},
 }
 BELIEF = {"mean": 0.1, "median": 0.08, "together": 0.02, "interval_95": None, "seeds": [0.1]}
-LOCALIZATION = {key: {"net": BELIEF, "nearest": BELIEF} for key in results.tables.SENSES} | {
+LOCALIZATION = {key: {"net": BELIEF, "nearest": BELIEF} for key in localize.SENSES} | {
     "constant": 0.4,
     "random": 0.5,
     "contacts": {"train": 80, "val": 10, "test": 10},
 }
 RATE = {"rate": 0.5, "interval_95": [0.4, 0.6], "seeds": [0.5]}
-GRASPING = dict.fromkeys(results.tables.GRASP_POLICIES, RATE) | {
+GRASPING = dict.fromkeys(grasp_policy.GRASP_POLICIES, RATE) | {
     "rollouts": 20,
     "episodes": 300,
     "presses": 40,
@@ -203,7 +204,7 @@ def test_scores_and_benchmarks_are_collected(repository):
     scores = read_json(results.RECORDS / "scores.json")["objects"]
     write_json(repository / "metrics/cup.json", scores["mug"])
     folder = results.Benchmarks(repository / "benchmarks/quick")
-    (split,) = results.splits_of("recognize")
+    split = "seen"
     write_json(folder.result("recognize", split), RECOGNITION)
     write_json(folder.machine("recognize", split), RUN)
     write_json(folder.result("materials", "unseen"), MATERIALS)
@@ -227,11 +228,11 @@ def test_scores_and_benchmarks_are_collected(repository):
     assert "Preset `quick`, seed 0." in page
     assert "1 objects of catalogs/procedural.yaml: blue_vase.\n1 scanned objects: scan." in page
     took = "2 min wall-clock time with 2 thread(s), 3 CPU min in total"
-    assert f"`objectfolder bench recognition --preset quick --seeds 2`: {took}" in page
+    assert f"`objectfolder bench recognize --preset quick --seeds 2`: {took}" in page
     assert "| V | 50.0 ± 10.0 |  | 40.0 60.0 | 94.8 |" in page
-    assert "`objectfolder bench recognition --label material --preset quick --split unseen --seeds 2`" in page
+    assert "`objectfolder bench recognize --label material --preset quick --split unseen --seeds 2`" in page
     assert "Classification of 2 materials, 2 objects, unseen: accuracy in %" in page
-    assert "`objectfolder bench localization --preset quick build/cup`: 2 min" in page
+    assert "`objectfolder bench localize --preset quick build/cup`: 2 min" in page
     assert "| touch + sound | cup | 10.0 | 8.0 | 2.0 |" in page
-    assert "`objectfolder bench grasping --preset quick --seeds 1 build/cup`: 2 min" in page
-    assert "`objectfolder bench grasping --preset quick build/tonic_bottle`: 86 min" in page  # kept
+    assert "`objectfolder bench grasp-policy --preset quick --seeds 1 build/cup`: 2 min" in page
+    assert "`objectfolder bench grasp-policy --preset quick build/tonic_bottle`: 86 min" in page  # kept

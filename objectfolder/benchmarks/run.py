@@ -1,49 +1,55 @@
-"""Run benchmarks on Object Files outside the pipeline, as the command line does."""
+"""Run benchmarks on Object Files from anywhere: load them, sample what a task needs, train and score.
 
-from collections.abc import Callable, Iterator, Sequence
+The stages of a build run the same code (`objectfolder.benchmarks.tasks.running`), with one thread and with
+the settings and objects of the workspace.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
 
-from objectfolder.benchmarks.collect import (
-    Tracker,
-    collect_all_grasps,
-    collect_glances,
-    collect_observations,
-    load_object_files,
+from objectfolder.benchmarks.datasets import grasps, observations
+from objectfolder.benchmarks.datasets.close_ups import (
+    CloseUps,
+    close_up_request,
+    has_close_ups,
+    sample_close_ups,
 )
-from objectfolder.benchmarks.datasets.glances import Glances
-from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.datasets.observe_config import ObserveConfig
+from objectfolder.benchmarks.datasets.samples import Samples, object_digest
+from objectfolder.benchmarks.datasets.sampling import is_sampled, observation_request, sample_observations
+from objectfolder.benchmarks.datasets.settings import DecomposeConfig, GraspDataConfig, ObserveConfig
 from objectfolder.benchmarks.datasets.splits import label_order, named_split
 from objectfolder.benchmarks.models.encoders import check_encoder, read_weights
-from objectfolder.benchmarks.params import RobotParams, TaskParams, robot_params, splits_of, task_params
-from objectfolder.benchmarks.tasks.running import (
-    Objects,
-    Report,
-    Run,
-    SplitRun,
-    Task,
-    machine,
-    run_benchmark,
-    training_device,
-)
+from objectfolder.benchmarks.tasks.job import Report
+from objectfolder.benchmarks.tasks.running import KnownObject, Run, machine, run_benchmark, training_device
+from objectfolder.benchmarks.tasks.task import Objects, Scores, Task, TaskParams
 from objectfolder.engine.pool import in_processes
 from objectfolder.engine.resources import cores
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import read_json, write_json
+from objectfolder.objectfile.dataset import INDEX, Dataset
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace import params as workspace
 from objectfolder.workspace.installed import pipeline_folder
-from objectfolder.workspace.layout import Benchmarks
+from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.presets import read_preset
 
-Scores = dict[str, dict[str, Any]]  #: contents of result files, by split or object
+#: Wraps an iteration in a progress bar, given its description and length.
+Tracker = Callable[[Iterable[Any], str, int], Iterable[Any]]
+#: Open the samples that tasks name, given their folders by key.
+SAMPLES: dict[str, Callable[[Mapping[str, Path]], Samples]] = {
+    "observations": observations.Observations,
+    "close_ups": CloseUps,
+    "grasps": grasps.Grasps,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,18 +63,14 @@ class BenchmarkOptions:
     seeds: int | None = None
     encoder: str | None = None
     weights: Path | None = None
-    threads: int | None = None  #: default: one per core
+    threads: int | None = None  #: in total; default: one per core
     device: str | None = None  #: default: a GPU if there is one
+    jobs: int | None = None  #: objects in parallel, which share the threads; default: see `run_task`
 
     @property
     def folder(self) -> Benchmarks:
         """Folder of results."""
         return Benchmarks(self.out or Path("benchmarks") / (self.preset or "own"))
-
-    @property
-    def cores(self) -> int:
-        """Threads to use in total."""
-        return self.threads or cores()
 
     def values(self) -> tuple[dict[str, Any], Path]:
         """Return ``params.yaml`` with the preset merged into it, and the file to name in errors.
@@ -89,19 +91,21 @@ class BenchmarkOptions:
             values |= sections
         return values, path
 
-    def with_seeds(self, settings: Any) -> Any:
-        """Return a task's section with the chosen number of seeds."""
-        return settings if self.seeds is None else replace(settings, seeds=self.seeds)
-
-    def task_params(self, task: Task, values: dict[str, Any], path: Path) -> TaskParams[Any]:
+    def params(self, task: Task, values: dict[str, Any], path: Path) -> TaskParams[Any]:
         """Return the parameters of a task, with the chosen encoder and number of seeds."""
-        params = task_params(task.config, values, path)
-        encode = params.encode if self.encoder is None else replace(params.encode, encoder=self.encoder)
-        return replace(params, settings=self.with_seeds(params.settings), encode=encode)
+        params = task.params(values, path)
+        if self.seeds is not None:
+            params = replace(params, settings=replace(params.settings, seeds=self.seeds))
+        if self.encoder is not None and params.encode is not None:
+            params = replace(params, encode=replace(params.encode, encoder=self.encoder))
+        return params
 
 
-def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: Tracker) -> Scores:
-    """Collect the samples of all objects and run a task on each split; splits run in parallel on a CPU.
+def run_task(task: Task, options: BenchmarkOptions, report: Report, track: Tracker) -> dict[str, Scores]:
+    """Run a task on each split of its samples, or with each object.
+
+    Splits run in parallel on a CPU. Objects run one after another with all threads, or as many at a time as
+    ``options.jobs``; of a task that has no use for several threads, as many as there are cores.
 
     Parameters
     ----------
@@ -114,69 +118,83 @@ def run_on_splits(task: Task, options: BenchmarkOptions, report: Report, track: 
 
     Returns
     -------
-    Scores by split.
+    Scores by split or object key.
 
     Raises
     ------
     ObjectFolderError
         If an option is wrong or a split cannot be made, before any work; or if sampling or the task fails.
     """
-    known = splits_of(task.name)
-    splits = list(dict.fromkeys(options.splits or known))
+    wanted = _chosen_splits(task, options)
+    if not task.splits:
+        task.check()
+    values, path = options.values()
+    params = options.params(task, values, path)
+    weights = None if options.weights is None else read_weights(options.weights)
+    if params.encode is not None:
+        check_encoder(params.encode, task.encodes, weights)  # these fail before any work
+    device = training_device(options.device) if task.trains_nets else "cpu"
+    sources, folder, threads = load_object_files(options.files), options.folder, options.threads or cores()
+    given: dict[str, Any]
+    if task.splits:
+        parts = _possible_splits(task, options, wanted, sources, _count(task, params, values, path), report)
+        given = dict.fromkeys(
+            parts, _collect(task, sources, params, values, path, folder, threads, track, report)
+        )
+        jobs = min(threads, len(parts)) if device == "cpu" else 1
+    else:
+        max_hulls = workspace.settings(DecomposeConfig, values, path).hulls if task.robot else 0
+        given = {key: (source.path, max_hulls) for key, source in sources.items()}
+        jobs = options.jobs or (threads if task.single_threaded else 1)
+    each = 1 if task.single_threaded else max(1, threads // jobs)
+    shared = (params, folder, options.weights, each, device, report)
+    _call_all(_run_part, [(task, part, inputs, *shared) for part, inputs in given.items()], jobs)
+    return {part: read_json(folder.result(task.name, part)) for part in given}
+
+
+def _chosen_splits(task: Task, options: BenchmarkOptions) -> list[str]:
+    splits = list(dict.fromkeys(options.splits or task.splits))
     for split in splits:
-        if split not in known:
+        if split not in task.splits:
             why = "; materials are recognized of unseen objects, too: --label material"
             raise ObjectFolderError(
-                f"--split {split!r} is unknown here, expected {' or '.join(known)}"
+                f"--split {split!r} is unknown here, expected {' or '.join(task.splits)}"
                 f"{why if task.name == 'recognize' else ''}"
             )
-    values, path = options.values()
-    params = options.task_params(task, values, path)
-    weights = None if options.weights is None else read_weights(options.weights)
-    check_encoder(params.encode, task.encodes, weights)  # these two fail before any work
-    device = training_device(options.device)
-    sources, folder, cores = load_object_files(options.files), options.folder, options.cores
-
-    def announce(count: int, samples: str) -> None:
-        keys = label_order(sources)
-        labels = np.repeat(np.arange(len(keys)), count)
-        objects = Objects(keys, labels, [sources[key].file.material for key in keys])
-        problems = {}
-        for split in splits:  # fails before any work
-            try:
-                task.check(named_split(split, keys, count), objects)
-            except ObjectFolderError as error:
-                problems[split] = error
-        if problems and (options.splits or len(problems) == len(splits)):
-            raise next(iter(problems.values()))
-        for split, problem in problems.items():
-            splits.remove(split)
-            report(f"left out: {problem}")
-        report(f"{plural(len(sources), 'object')}, {count} {samples} of each")
-
-    if task.samples is Observations:
-        observe = workspace.settings(ObserveConfig, values, path)
-        announce(observe.observations, "observations")
-        folders = collect_observations(sources, observe, params.seed, folder, cores, track)
-    elif task.samples is Glances:
-        count, size = params.settings.contacts, params.encode.touch
-        announce(count, "close views and touches")
-        folders = collect_glances(sources, count, size, params.seed, folder, cores, track)
-    else:
-        wanted = workspace.settings(workspace.section_config("grasp_data"), values, path)
-        announce(wanted.grasps, "grasps")
-        hulls = _max_hulls(values, path)
-        folders = collect_all_grasps(sources, wanted, hulls, params.seed, folder, cores, track, report)
-    jobs = min(cores, len(splits)) if device == "cpu" else 1
-    shared = (folders, params, folder, options.weights, cores // jobs, device, report)
-    _call_all(_run_split, [(task, split, *shared) for split in splits], jobs)
-    return {split: read_json(folder.result(task.name, split)) for split in splits}
+    return splits
 
 
-def _run_split(
+def _possible_splits(
     task: Task,
-    split: str,
-    folders: dict[str, Path],
+    options: BenchmarkOptions,
+    splits: Sequence[str],
+    sources: Mapping[str, "LoadedFile"],
+    count: int,
+    report: Report,
+) -> list[str]:
+    """Return the splits that the task can be trained on; report what is left out, unless it was asked for."""
+    keys = label_order(sources)
+    labels = np.repeat(np.arange(len(keys)), count)
+    objects = Objects(keys, labels, [sources[key].file.material for key in keys])
+    problems = {}
+    for split in splits:
+        try:
+            task.check(named_split(split, keys, count), objects)
+        except ObjectFolderError as error:
+            problems[split] = error
+    if problems and (options.splits or len(problems) == len(splits)):
+        raise next(iter(problems.values()))
+    for problem in problems.values():
+        report(f"left out: {problem}")
+    samples = {"close_ups": "close views and touches"}.get(task.samples or "", task.samples)
+    report(f"{plural(len(sources), 'object')}, {count} {samples} of each")
+    return [split for split in splits if split not in problems]
+
+
+def _run_part(
+    task: Task,
+    part: str,
+    inputs: Any,
     params: TaskParams[Any],
     folder: Benchmarks,
     weights: Path | None,
@@ -184,131 +202,50 @@ def _run_split(
     device: str,
     report: Report,
 ) -> None:
-    assert task.samples is not None
-    with _bound(threads):
-        initial = None if weights is None else read_weights(weights)
-        spec = SplitRun(task, split, task.samples(folders), params, folder, initial, device)
-        _run_timed(spec, report, threads, device)
-
-
-def run_on_objects(task: Task, options: BenchmarkOptions, report: Report, jobs: int = 1) -> Scores:
-    """Run a robot's task with each object.
-
-    Parameters
-    ----------
-    task : Task
-    options : BenchmarkOptions
-        ``threads`` are those of one object's simulation.
-    report : callable
-        A module-level function, called with lines of text, also in other processes.
-    jobs : int
-        Objects in parallel.
-
-    Returns
-    -------
-    Scores by object key.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is wrong, before any work; or if the task fails.
-    """
-    values, path = options.values()
-    params = robot_params(task.config, values, path)
-    params = replace(params, settings=options.with_seeds(params.settings))
-    hulls, folder = _max_hulls(values, path), options.folder
-    sources = load_object_files(options.files)
-    shared = (hulls, params, folder, options.cores, report)
-    _call_all(_run_object, [(task, source.path, *shared) for source in sources.values()], jobs)
-    return {key: read_json(folder.result(task.name, key)) for key in sources}
-
-
-def run_on_contacts(options: BenchmarkOptions, report: Report, jobs: int = 1) -> Scores:
-    """Localize contacts on each object (`objectfolder.benchmarks.tasks.localization.localize`).
-
-    Parameters
-    ----------
-    options : BenchmarkOptions
-    report : callable
-        A module-level function, called with lines of text, also in other processes.
-    jobs : int
-        Objects in parallel, which share the threads.
-
-    Returns
-    -------
-    Scores by object key.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is wrong, before any work; or if the task fails.
-    """
-    from objectfolder.benchmarks.datasets.contacts import contact_split
-    from objectfolder.benchmarks.tasks.localization import LOCALIZE
-
-    values, path = options.values()
-    params = options.task_params(LOCALIZE, values, path)
-    check_encoder(params.encode, LOCALIZE.encodes)  # these three fail before any work
-    contact_split(params.settings.contacts)
-    device = training_device(options.device)
-    sources, folder = load_object_files(options.files), options.folder
-    threads = max(1, options.cores // jobs)
-    shared = (params, folder, threads, device, report)
-    _call_all(_localize, [(source.path, *shared) for source in sources.values()], jobs)
-    return {key: read_json(folder.result(LOCALIZE.name, key)) for key in sources}
-
-
-def _localize(
-    path: Path,
-    params: TaskParams[Any],
-    folder: Benchmarks,
-    threads: int,
-    device: str,
-    report: Report,
-) -> None:
-    from objectfolder.benchmarks.tasks.localization import ContactRun
-    from objectfolder.objectfile.file import ObjectFile
-
-    with _bound(threads):
+    """Run a task on a split, given folders of samples, or with an object, given its path and hulls."""
+    with _bind(threads if task.trains_nets else 1):
+        place = "" if task.splits else f"{inputs[0]}: "
         try:
-            _run_timed(ContactRun(ObjectFile.load(path), params, folder, device), report, threads, device)
+            run = Run(
+                task=task,
+                training=task.load(),
+                part=part,
+                inputs=SAMPLES[str(task.samples)](inputs)
+                if task.splits
+                else _known_object(task, folder, *inputs),
+                params=params,
+                folder=folder,
+                weights=None if weights is None else read_weights(weights),
+                device=device,
+                threads=threads,
+            )
+            _run_timed(run, report, threads, device)
         except ObjectFolderError as error:
-            raise ObjectFolderError(f"{path}: {error}") from error
+            raise ObjectFolderError(f"{place}{error}") from error
 
 
-def _run_object(
-    task: Task,
-    path: Path,
-    max_hulls: int,
-    params: RobotParams[Any],
-    folder: Benchmarks,
-    threads: int,
-    report: Report,
-) -> None:
-    from objectfolder.benchmarks.tasks.robots import ObjectRun
-    from objectfolder.envs.hulls import cached_hulls
-    from objectfolder.objectfile.file import ObjectFile
+def _known_object(task: Task, folder: Benchmarks, path: Path, max_hulls: int) -> KnownObject:
+    file = ObjectFile.load(path)
+    if not task.robot:
+        return KnownObject(file, object_digest(file))
+    from objectfolder.envs.body import rigid_body
+    from objectfolder.envs.hulls import cached_hulls, hulls_digest
 
-    with _bound(1):
-        file = ObjectFile.load(path)
-        try:
-            hulls = cached_hulls(file, folder.hulls, max_hulls)
-            _run_timed(ObjectRun(task, file, hulls, params, folder, threads), report, threads, "cpu")
-        except ObjectFolderError as error:
-            raise ObjectFolderError(f"{path}: {error}") from error
+    hulls = cached_hulls(file, folder.hulls, max_hulls)
+    return KnownObject(file, object_digest(file) + hulls_digest(hulls), rigid_body(file, hulls))
 
 
 @contextmanager
-def _bound(threads: int) -> Iterator[None]:
+def _bind(threads: int) -> Iterator[None]:
     """Bind torch and numpy to so many threads."""
     torch.set_num_threads(threads)
     with threadpool_limits(threads):
         yield
 
 
-def _run_timed(spec: Run, report: Report, threads: int, device: str) -> None:
+def _run_timed(run: Run, report: Report, threads: int, device: str) -> None:
     """Run a task, and write its cost beside the results; that of a finished run stays."""
-    cost, path = run_benchmark(spec, report), spec.folder.machine(spec.task.name, spec.part)
+    cost, path = run_benchmark(run, report), run.folder.machine(run.task.name, run.part)
     if path.is_file() and read_json(path).get("seconds") == cost.seconds:
         return
     today = datetime.now(UTC).date().isoformat()
@@ -345,6 +282,215 @@ def _problem(call: Callable[..., None], *arguments: Any) -> str | None:
     return None
 
 
-def _max_hulls(values: dict[str, Any], path: Path) -> int:
-    hulls: int = workspace.settings(workspace.section_config("decompose"), values, path).hulls
-    return hulls
+class LoadedFile(NamedTuple):
+    """An Object File and its path."""
+
+    path: Path
+    file: ObjectFile
+
+
+def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
+    """Load Object Files; return them by key.
+
+    Parameters
+    ----------
+    places : sequence of Path, optional
+        Object Files, folders that contain some, or releases. Default: ``build``.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a place has none, one is invalid, or two are of the same object.
+    """
+    sources: dict[str, LoadedFile] = {}
+    for path, file in (found for place in places or [Build("any").dir.parent] for found in _files_in(place)):
+        if file.key in sources:
+            raise ObjectFolderError(
+                f"{path} and {sources[file.key].path} are both of {file.key}; give each object once"
+            )
+        sources[file.key] = LoadedFile(path, file)
+    return sources
+
+
+def _files_in(place: Path) -> Iterator[tuple[Path, ObjectFile]]:
+    if (place / INDEX).is_file():
+        dataset = Dataset(place)
+        yield from zip(map(dataset.path, dataset.keys), dataset)
+        return
+    if place.is_file():
+        yield place, ObjectFile.load(place)
+        return
+    name = Build("any").object_file.name
+    # Skip the copies in folders of observations, which queries are written to first.
+    found = [path for path in sorted(place.rglob(name)) if not (path.parent / observations.QUERIES).exists()]
+    if not found:
+        raise ObjectFolderError(
+            f"no Object Files in {place}: no {name} in it or below; run `objectfolder build`, or name others"
+        )
+    yield from ((path, ObjectFile.load(path)) for path in found)
+
+
+def _count(task: Task, params: TaskParams[Any], values: dict[str, Any], path: Path) -> int:
+    """Return the number of a task's samples of each object."""
+    if task.samples == "close_ups":
+        return int(params.settings.contacts)
+    if task.samples == "grasps":
+        return workspace.settings(GraspDataConfig, values, path).grasps
+    return workspace.settings(ObserveConfig, values, path).observations
+
+
+def _collect(
+    task: Task,
+    sources: Mapping[str, LoadedFile],
+    params: TaskParams[Any],
+    values: dict[str, Any],
+    path: Path,
+    folder: Benchmarks,
+    jobs: int,
+    track: Tracker,
+    report: Report,
+) -> dict[str, Path]:
+    """Collect a task's samples of all objects; return the folders by key."""
+    if task.samples == "close_ups":
+        assert params.encode is not None
+        size = params.encode.touch
+        return collect_close_ups(sources, params.settings.contacts, size, params.seed, folder, jobs, track)
+    if task.samples == "grasps":
+        wanted = workspace.settings(GraspDataConfig, values, path)
+        hulls = workspace.settings(DecomposeConfig, values, path).hulls
+        return collect_all_grasps(sources, wanted, hulls, params.seed, folder, jobs, track, report)
+    observe = workspace.settings(ObserveConfig, values, path)
+    return collect_observations(sources, observe, params.seed, folder, jobs, track)
+
+
+def _sample_all(
+    sample: Callable[..., None], new: Sequence[tuple[Any, ...]], jobs: int, track: Tracker, description: str
+) -> None:
+    """Call a function for each of the new objects, several at a time."""
+    if new:  # starting processes takes seconds
+        for _ in track(in_processes(sample, new, jobs), description, len(new)):
+            pass
+
+
+def collect_observations(
+    sources: Mapping[str, LoadedFile],
+    wanted: ObserveConfig,
+    seed: int,
+    folder: Benchmarks,
+    jobs: int,
+    track: Tracker,
+) -> dict[str, Path]:
+    """Sample observations of each object, unless its folder is complete; return the folders by key."""
+    settings = (wanted.observations, wanted.resolution, seed)
+    folders = {key: folder.observations(key) for key in sources}
+    new = []
+    for key, source in sources.items():
+        if (folders[key] / observations.RECORD).is_file() and is_sampled(
+            observation_request(source.file, *settings), folders[key]
+        ):
+            continue
+        new.append((source.path, *settings, folders[key]))
+    _sample_all(_sample_observations, new, jobs, track, "observing objects")
+    return folders
+
+
+def _sample_observations(path: Path, count: int, resolution: int, seed: int, folder: Path) -> None:
+    torch.set_num_threads(1)
+    sample_observations(ObjectFile.load(path), count, resolution, seed, folder)
+
+
+def collect_close_ups(
+    sources: Mapping[str, LoadedFile],
+    count: int,
+    size: tuple[int, int],
+    seed: int,
+    folder: Benchmarks,
+    jobs: int,
+    track: Tracker,
+) -> dict[str, Path]:
+    """See and press each object from close by, unless its folder is complete; return the folders by key."""
+    folders = {key: folder.close_ups(key) for key in sources}
+    requests = {key: close_up_request(source.file, count, size, seed) for key, source in sources.items()}
+    new = [
+        (source.path, count, size, seed, folders[key])
+        for key, source in sources.items()
+        if not has_close_ups(requests[key], folders[key])
+    ]
+    _sample_all(_sample_close_ups, new, jobs, track, "looking and touching")
+    return folders
+
+
+def _sample_close_ups(path: Path, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
+    torch.set_num_threads(1)
+    sample_close_ups(ObjectFile.load(path), count, size, seed, folder)
+
+
+def collect_all_grasps(
+    sources: Mapping[str, LoadedFile],
+    wanted: GraspDataConfig,
+    max_hulls: int,
+    seed: int,
+    folder: Benchmarks,
+    jobs: int,
+    track: Tracker,
+    report: Report,
+) -> dict[str, Path]:
+    """Simulate grasps of each object, unless its folder is complete; return the folders by key.
+
+    Touches are also simulated on the true surfaces if these lie beside all Object Files, and all touch nets
+    answer the presses of pads.
+    """
+    from objectfolder.benchmarks.datasets.grasp_data import grasp_request, is_collected
+    from objectfolder.envs.body import rigid_body
+    from objectfolder.envs.hulls import cached_hulls
+    from objectfolder.mesh.ply import read_surface
+
+    folders = {key: folder.grasps(key) for key in sources}
+    surfaces = {key: source.path.with_name(Build(key).surface.name) for key, source in sources.items()}
+    lacking = [key for key, surface in surfaces.items() if not surface.is_file()]
+    fixed = [key for key, source in sources.items() if source.file.fixed_contact]
+    for keys, reason in (
+        (lacking, "no true surface beside the Object File of"),
+        (fixed, "a touch net of images, which knows one press alone, in"),
+    ):
+        if keys:
+            report(
+                f"{reason} {', '.join(keys)}: touches are simulated from Object Files only, "
+                "without explicit ones to compare with"
+            )
+    new = []
+    for key, source in sources.items():
+        surface = None if lacking or fixed else surfaces[key]
+        if (folders[key] / grasps.RECORD).is_file():  # and hence its hulls
+            body = rigid_body(source.file, cached_hulls(source.file, folder.hulls, max_hulls))
+            truth = None if surface is None else read_surface(surface)
+            if is_collected(grasp_request(source.file, body, wanted, seed, truth), folders[key]):
+                continue
+        new.append((source.path, surface, wanted, max_hulls, seed, folder, report))
+    _sample_all(_collect_grasps, new, jobs, track, "grasping objects")
+    return folders
+
+
+def _collect_grasps(
+    path: Path,
+    surface: Path | None,
+    wanted: GraspDataConfig,
+    max_hulls: int,
+    seed: int,
+    folder: Benchmarks,
+    report: Report,
+) -> None:
+    from objectfolder.benchmarks.datasets.grasp_data import collect_grasps
+    from objectfolder.envs.body import rigid_body
+    from objectfolder.envs.hulls import cached_hulls
+    from objectfolder.mesh.ply import read_surface
+
+    torch.set_num_threads(1)
+    with threadpool_limits(1):
+        file = ObjectFile.load(path)
+        body = rigid_body(file, cached_hulls(file, folder.hulls, max_hulls))
+        truth = None if surface is None else read_surface(surface)
+        start = time.perf_counter()
+        collect_grasps(file, body, wanted, seed, folder.grasps(file.key), truth)
+        seconds = time.perf_counter() - start
+    report(f"{file.key}: {wanted.grasps} grasps in {seconds:.0f} s, {wanted.grasps / seconds:.1f} per second")

@@ -12,7 +12,6 @@ from typer.core import TyperGroup
 
 from objectfolder.cli import (
     bench,
-    bench_robots,
     creation,
     doctor,
     export,
@@ -118,9 +117,6 @@ app.command("import")(released.import_released)
 app.add_typer(objectfile.query_app, name="query")
 app.add_typer(sample.sample_app, name="sample")
 app.add_typer(sensor.sensor_app, name="sensor")
-bench.bench_app.command()(bench_robots.stability)
-bench.bench_app.command()(bench_robots.grasping)
-bench.bench_app.command()(bench_robots.reach)
 app.add_typer(bench.bench_app, name="bench")
 app.add_typer(export.export_app, name="export")
 app.add_typer(fit.fit_app, name="fit")

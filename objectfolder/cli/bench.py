@@ -1,38 +1,32 @@
-"""Commands that run the benchmark tasks on Object Files, without the pipeline: bench."""
+"""Commands that run the benchmark tasks on Object Files, without a build: bench.
 
-from enum import StrEnum
+Each command and its options follow from the declaration of its task (`objectfolder.benchmarks.tasks.task`).
+"""
+
+from collections.abc import Callable, Iterator
+from enum import Enum
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
+from objectfolder.benchmarks.reporting.tables import Table
+from objectfolder.benchmarks.tasks.task import Task, Variant, find_task
 from objectfolder.cli.console import print_line, print_wide, tracked
 from objectfolder.cli.files import SAMPLE, files_or_folders
-
-if TYPE_CHECKING:
-    from objectfolder.benchmarks.reporting.tables import Table
-    from objectfolder.benchmarks.run import BenchmarkOptions
-    from objectfolder.benchmarks.tasks.running import Task
+from objectfolder.workspace.params import BENCHMARKS
 
 bench_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Run the paper's benchmark tasks on Object Files: `recognition`, `retrieval`, `reconstruction`,"
-    " `localization`, `vision-to-touch`, and, with a robot, `stability`, `grasping`, `reach`.\n\n"
+    help="Run the paper's benchmark tasks on Object Files; some are a robot's.\n\n"
     "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
-    "grasps in OUT/grasps, close views in OUT/glances; later tasks reuse them. Interrupted "
+    "grasps in OUT/grasps, close views in OUT/close_ups; later tasks reuse them. Interrupted "
     "commands resume when repeated, and more --seeds train only the missing ones.",
 )
 
-
-class Label(StrEnum):
-    """What `recognition` recognizes."""
-
-    object = "object"
-    material = "material"
-
-
-FilesArgument = Annotated[
+FILES = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="[FILE]...",
@@ -40,7 +34,7 @@ FilesArgument = Annotated[
         callback=files_or_folders,
     ),
 ]
-PresetOption = Annotated[
+PRESET = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
@@ -48,14 +42,14 @@ PresetOption = Annotated[
         "Default: the settings in params.yaml. With it and files, no workspace is needed.",
     ),
 ]
-OutOption = Annotated[
+OUT = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
         help="Folder of results; default: benchmarks/PRESET, or benchmarks/own without --preset.",
     ),
 ]
-SplitOption = Annotated[
+SPLIT = Annotated[
     list[str] | None,
     typer.Option(
         "--split",
@@ -63,10 +57,8 @@ SplitOption = Annotated[
         "for both; default: all splits of the task that can be made of these objects.",
     ),
 ]
-SeedsOption = Annotated[
-    int | None, typer.Option(min=1, help="Training runs to average; default: the preset's.")
-]
-EncoderOption = Annotated[
+SEEDS = Annotated[int | None, typer.Option(min=1, help="Training runs to average; default: the preset's.")]
+ENCODER = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.py:NAME",
@@ -74,219 +66,120 @@ EncoderOption = Annotated[
         "registered by FILE.py (docs/benchmarks.md).",
     ),
 ]
-WeightsOption = Annotated[
+WEIGHTS = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.pth",
         help="Initial weights, such as torchvision's ImageNet weights of resnet18; default: random.",
     ),
 ]
-ThreadsOption = Annotated[
+THREADS = Annotated[
     int | None,
     typer.Option(
         min=1,
-        help="Default: all cores, shared by the splits, which run in parallel. Results are reproducible for "
-        "a given number; what was finished with another is kept.",
+        help="Default: all cores, shared by the splits or objects that run in parallel. Results are "
+        "reproducible for a given number; what was finished with another is kept.",
     ),
 ]
-DeviceOption = Annotated[
+DEVICE = Annotated[
     str | None, typer.Option(help="Device to train on, such as cpu or cuda; default: a GPU if there is one.")
+]
+JOBS = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Objects in parallel, which share the threads; default: one, or of a task without use for "
+        "several threads the number of cores.",
+    ),
 ]
 
 
-@bench_app.command()
-def recognition(
-    files: FilesArgument = None,
-    label: Annotated[
-        Label, typer.Option(help="What is recognized: the object, or its material, also of unseen objects.")
-    ] = Label.object,
-    preset: PresetOption = None,
-    out: OutOption = None,
-    split: SplitOption = None,
-    seeds: SeedsOption = None,
-    encoder: EncoderOption = None,
-    weights: WeightsOption = None,
-    threads: ThreadsOption = None,
-    device: DeviceOption = None,
-) -> None:
-    """Recognize an object, or its material, from a view, an impact sound, a touch, or any combination.
+def add_commands(app: typer.Typer) -> None:
+    """Add the command of each task, also by its former names."""
+    for task in map(find_task, BENCHMARKS):
+        for name in (task.name.replace("_", "-"), *task.former):
+            app.command(name, help=task.help, hidden=name in task.former)(make_command(task))
 
-    Accuracy on held-out observations with its 95 % interval over seeds, next to chance and published figures;
-    also of several touches together. The figure OUT/recognize_seen.png
-    (OUT/materials_SPLIT.png) shows what is taken for what.
 
-    `objectfolder bench recognition --preset quick`
+def make_command(task: Task) -> Callable[..., None]:
+    """Return the function of a task's command, with the parameters that concern the task."""
 
-    `objectfolder bench recognition --preset laptop --label material --split unseen`
-    """
-    from objectfolder.benchmarks.run import BenchmarkOptions
-    from objectfolder.benchmarks.tasks.recognition import MATERIALS, RECOGNIZE
+    def command(**given: Any) -> None:
+        chosen = task
+        if task.variant is not None:
+            value = given.pop(task.variant.option)
+            if getattr(value, "value", value) == task.variant.values[1]:
+                chosen = task.variant.task
+        run_task(chosen, given)
 
-    options = BenchmarkOptions(
-        files=files,
-        preset=preset,
-        out=out,
-        splits=split,
-        seeds=seeds,
-        encoder=encoder,
-        weights=weights,
-        threads=threads,
-        device=device,
+    parameters = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=hint) for name, hint in options(task)
+    ]
+    if task.variant is not None:
+        parameters.append(_variant_parameter(task.variant))
+    command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    return command
+
+
+def options(task: Task) -> Iterator[tuple[str, Any]]:
+    """Yield the options that concern a task: fields of `objectfolder.benchmarks.run.BenchmarkOptions`."""
+    yield from (("files", FILES), ("preset", PRESET), ("out", OUT), ("seeds", SEEDS))
+    if task.splits:
+        yield "splits", SPLIT
+    else:
+        yield "jobs", JOBS
+    if task.encodes:
+        yield from (("encoder", ENCODER), ("weights", WEIGHTS))
+    if not task.single_threaded:
+        yield "threads", THREADS
+    if task.trains_nets:
+        yield "device", DEVICE
+
+
+def _variant_parameter(variant: Variant) -> Parameter:
+    default, other = variant.values
+    if isinstance(default, bool):
+        kind, option = bool, typer.Option(f"--{variant.option}", help=variant.help)
+    else:
+        kind = Enum(variant.option, {value: value for value in (default, other)}, type=str)
+        default, option = kind(default), typer.Option(help=variant.help)
+    return Parameter(
+        variant.option, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
     )
-    run_on_splits(MATERIALS if label is Label.material else RECOGNIZE, options)
 
 
-@bench_app.command()
-def retrieval(
-    files: FilesArgument = None,
-    preset: PresetOption = None,
-    out: OutOption = None,
-    split: SplitOption = None,
-    seeds: SeedsOption = None,
-    encoder: EncoderOption = None,
-    weights: WeightsOption = None,
-    threads: ThreadsOption = None,
-    device: DeviceOption = None,
-) -> None:
-    """Retrieve observations of the same object in another modality, such as sounds from views.
+def run_task(task: Task, given: dict[str, Any]) -> None:
+    """Run a task, and print its tables and where its results are."""
+    from objectfolder.benchmarks import run  # imports torch
 
-    Mean average precision for all six directions, next to CCA, chance and the paper's Table 3.
-
-    `objectfolder bench retrieval --preset quick --split unseen`
-    """
-    from objectfolder.benchmarks.run import BenchmarkOptions
-    from objectfolder.benchmarks.tasks.retrieval import RETRIEVE
-
-    options = BenchmarkOptions(
-        files=files,
-        preset=preset,
-        out=out,
-        splits=split,
-        seeds=seeds,
-        encoder=encoder,
-        weights=weights,
-        threads=threads,
-        device=device,
-    )
-    run_on_splits(RETRIEVE, options)
+    options = run.BenchmarkOptions(**given)
+    scores = run.run_task(task, options, print_line, tracked)
+    paths = [_describe_files(task.name, part, options.folder) for part in scores]
+    for table in task.tables(scores):
+        print_scores(table)
+        if task.splits:
+            print_line(paths.pop(0))
+    for path in paths:
+        print_line(path)
 
 
-@bench_app.command()
-def reconstruction(
-    files: FilesArgument = None,
-    preset: PresetOption = None,
-    out: OutOption = None,
-    split: SplitOption = None,
-    seeds: SeedsOption = None,
-    encoder: EncoderOption = None,
-    weights: WeightsOption = None,
-    threads: ThreadsOption = None,
-    device: DeviceOption = None,
-) -> None:
-    """Reconstruct an object's shape from a view, an impact sound, both, or several touches.
-
-    IoU, Chamfer-L1 and normal consistency, next to the average shape and the paper's Table 4. The model for
-    views is kept: `objectfolder reconstruct PHOTO.jpg MESH.ply --model OUT/reconstruct_seen.safetensors`.
-
-    `objectfolder bench reconstruction --preset quick --split seen`
-    """
-    from objectfolder.benchmarks.run import BenchmarkOptions
-    from objectfolder.benchmarks.tasks.reconstruction import RECONSTRUCT
-
-    options = BenchmarkOptions(
-        files=files,
-        preset=preset,
-        out=out,
-        splits=split,
-        seeds=seeds,
-        encoder=encoder,
-        weights=weights,
-        threads=threads,
-        device=device,
-    )
-    run_on_splits(RECONSTRUCT, options)
+def _describe_files(task: str, part: str, folder: Any) -> str:
+    film = folder.film(task, part)
+    shown = f"  film: {film}" if film.is_file() else ""
+    return f"{folder.result(task, part)}  curves: {folder.curve(task, part)}{shown}"
 
 
-@bench_app.command()
-def localization(
-    files: FilesArgument = None,
-    preset: PresetOption = None,
-    out: OutOption = None,
-    seeds: SeedsOption = None,
-    encoder: EncoderOption = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Objects in parallel, which share the threads.")] = 1,
-    threads: Annotated[
-        int | None,
-        typer.Option(min=1, help="Default: all cores. Results are reproducible for a given number."),
-    ] = None,
-    device: DeviceOption = None,
-) -> None:
-    """Find where a known object was touched or struck: by one touch, one sound, both, or eight in a row.
-
-    Mean errors in percent of the object's longest side, next to the most similar contact of the training, the
-    best constant answer and a random one.
-
-    `objectfolder bench localization --preset quick build/mug`
-    """
-    from objectfolder.benchmarks.reporting.tables import localization_table
-    from objectfolder.benchmarks.run import BenchmarkOptions, run_on_contacts
-
-    options = BenchmarkOptions(
-        files=files, preset=preset, out=out, seeds=seeds, encoder=encoder, threads=threads, device=device
-    )
-    scores = run_on_contacts(options, print_line, jobs)
-    print_scores(localization_table(scores))
-    for key in scores:
-        print_line(
-            f"{options.folder.result('localize', key)}  curves: {options.folder.curve('localize', key)}"
-        )
-
-
-@bench_app.command("vision-to-touch")
-def vision_to_touch(
-    files: FilesArgument = None,
-    preset: PresetOption = None,
-    out: OutOption = None,
-    split: SplitOption = None,
-    seeds: SeedsOption = None,
-    threads: ThreadsOption = None,
-    device: DeviceOption = None,
-) -> None:
-    """Draw the tactile image of a contact from a close view of it.
-
-    PSNR and SSIM on held-out contacts of the training objects or of new ones, next to the touch of the most
-    similar view and to the mean touch. The figure OUT/vision_to_touch_SPLIT.png shows view, answer and truth.
-
-    `objectfolder bench vision-to-touch --preset quick --split unseen`
-    """
-    from objectfolder.benchmarks.run import BenchmarkOptions
-    from objectfolder.benchmarks.tasks.vision_to_touch import VISION_TO_TOUCH
-
-    options = BenchmarkOptions(
-        files=files, preset=preset, out=out, splits=split, seeds=seeds, threads=threads, device=device
-    )
-    run_on_splits(VISION_TO_TOUCH, options)
-
-
-def run_on_splits(task: "Task", options: "BenchmarkOptions") -> None:
-    """Run a task on its splits and print the tables."""
-    from objectfolder.benchmarks import run
-    from objectfolder.benchmarks.reporting.tables import score_table
-
-    folder = options.folder
-    for split, scores in run.run_on_splits(task, options, print_line, tracked).items():
-        print_scores(score_table(task.name, split, scores))
-        print_line(f"{folder.result(task.name, split)}  curves: {folder.curve(task.name, split)}")
-
-
-def print_scores(table: "Table") -> None:
+def print_scores(table: Table) -> None:
     """Print a table of scores and its note."""
-    from rich.table import Table
+    from rich.table import Table as Grid
 
-    grid = Table(title=table.title)
+    grid = Grid(title=table.title)
     for i, column in enumerate(table.columns):
         grid.add_column(column, justify="right" if i else "left")
     for row in table.rows:
         grid.add_row(*row)
     print_wide(grid)
     print_line(table.note)
+
+
+add_commands(bench_app)

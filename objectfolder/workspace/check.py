@@ -9,13 +9,16 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import create_model
+
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import own_material
 from objectfolder.workspace.params import (
+    BENCHMARKS,
+    OBJECT_TASKS,
     PARAMS_FILE,
     ROBOT_STAGES,
     SECTIONS,
-    TASKS,
     ObjectEntry,
     ProceduralEntry,
     Record,
@@ -29,18 +32,14 @@ from objectfolder.workspace.params import (
     shared,
 )
 
-
-class Selection(Record):
-    """Benchmarks that a build runs: ``benchmarks`` in ``params.yaml``, splits or objects by stage."""
-
-    recognize: list[Literal["seen"]]
-    retrieve: list[Literal["seen", "unseen"]]
-    reconstruct: list[Literal["seen", "unseen"]]
-    grasp_stability: list[Literal["seen", "unseen"]]
-    decompose: list[str]
-    grasp_data: list[str]
-    grasp_policy: list[str]
-    reach: list[str]
+#: Benchmarks that a build runs: ``benchmarks`` in ``params.yaml``, splits or objects by stage.
+Selection: type[Record] = create_model(
+    "Selection",
+    __base__=Record,
+    **{name: (list[Literal[splits] if splits else str], ...) for name, splits in BENCHMARKS.items()},
+    decompose=(list[str], ...),
+    grasp_data=(list[str], ...),
+)
 
 
 def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
@@ -131,11 +130,13 @@ def _check_selection(values: dict[str, Any], path: str | Path) -> None:
             f"{path} lacks `benchmarks`, the benchmarks that a build runs; add `benchmarks: {{{empty}}}`"
         )
     selection = checked(Selection, values["benchmarks"], f"{path}: benchmarks")
-    for stage in ROBOT_STAGES:
-        keys = getattr(selection, stage)
-        _require(f"{path}: benchmarks.{stage}", keys, values["objects"], "is not an object")
-        _require(f"{path}: benchmarks.{stage}", keys, selection.decompose, "lacks in benchmarks.decompose")
-    if selection.grasp_stability and len(selection.grasp_data) < 2:
+    chosen = selection.model_dump()
+    for stage in dict.fromkeys((*OBJECT_TASKS, *ROBOT_STAGES)):
+        where = f"{path}: benchmarks.{stage}"
+        _require(where, chosen[stage], values["objects"], "is not an object")
+        if stage in ROBOT_STAGES:
+            _require(where, chosen[stage], chosen["decompose"], "lacks in benchmarks.decompose")
+    if chosen["grasp_stability"] and len(chosen["grasp_data"]) < 2:
         raise ObjectFolderError(
             f"{path}: benchmarks.grasp_stability needs the grasps of at least two objects; list them in "
             "benchmarks.grasp_data"
@@ -145,7 +146,7 @@ def _check_selection(values: dict[str, Any], path: str | Path) -> None:
 def _check_encoder(values: dict[str, Any], path: str | Path) -> None:
     """Check that a build sees the code of the encoder that its benchmarks train."""
     encoder, selected = values["encode"]["encoder"], values["benchmarks"]
-    if ":" in encoder and any(selected[task] for task in TASKS):
+    if ":" in encoder and any(selected[task] for task in BENCHMARKS):
         raise ObjectFolderError(
             f"{path}: encode.encoder is {quoted(encoder)}, whose changes a build would not see; "
             "run `objectfolder bench --encoder`, or select no benchmarks"

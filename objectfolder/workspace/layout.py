@@ -97,9 +97,9 @@ class Benchmarks:
         """Return the folder of an object's grasps."""
         return self.dir / "grasps" / key
 
-    def glances(self, key: str) -> Path:
+    def close_ups(self, key: str) -> Path:
         """Return the folder of an object's close views and touches."""
-        return self.dir / "glances" / key
+        return self.dir / "close_ups" / key
 
     def result(self, task: str, split: str) -> Path:
         """Return the path of the scores (JSON)."""

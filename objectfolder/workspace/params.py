@@ -54,18 +54,30 @@ SECTIONS = {
     "train_audio": "objectfolder.nets.audio_config:AudioConfig",
     "train_touch": "objectfolder.nets.touch_config:TouchConfig",
     "evaluate": "objectfolder.objectfile.settings:EvaluateConfig",
-    "observe": "objectfolder.benchmarks.datasets.observe_config:ObserveConfig",
+    "observe": "objectfolder.benchmarks.datasets.settings:ObserveConfig",
     "encode": "objectfolder.benchmarks.models.encode_config:EncodeConfig",
-    "recognize": "objectfolder.benchmarks.tasks.recognition_config:RecognizeConfig",
-    "retrieve": "objectfolder.benchmarks.tasks.retrieval_config:RetrieveConfig",
-    "reconstruct": "objectfolder.benchmarks.tasks.reconstruction_config:ReconstructConfig",
-    "localize": "objectfolder.benchmarks.tasks.localization_config:LocalizeConfig",
-    "vision_to_touch": "objectfolder.benchmarks.tasks.vision_to_touch_config:VisionToTouchConfig",
-    "decompose": "objectfolder.benchmarks.datasets.decompose_config:DecomposeConfig",
-    "grasp_data": "objectfolder.benchmarks.datasets.grasp_config:GraspDataConfig",
-    "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability_config:GraspStabilityConfig",
+    "recognize": "objectfolder.benchmarks.tasks.recognize:RecognizeConfig",
+    "retrieve": "objectfolder.benchmarks.tasks.retrieve:RetrieveConfig",
+    "reconstruct": "objectfolder.benchmarks.tasks.reconstruct:ReconstructConfig",
+    "localize": "objectfolder.benchmarks.tasks.localize:LocalizeConfig",
+    "vision_to_touch": "objectfolder.benchmarks.tasks.vision_to_touch:VisionToTouchConfig",
+    "decompose": "objectfolder.benchmarks.datasets.settings:DecomposeConfig",
+    "grasp_data": "objectfolder.benchmarks.datasets.settings:GraspDataConfig",
+    "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability:GraspStabilityConfig",
     "grasp_policy": "objectfolder.benchmarks.models.trpo_config:GraspPolicyConfig",
     "reach": "objectfolder.benchmarks.models.ppo_config:ReachConfig",
+}
+#: Benchmark tasks, each declared in the module of its name in `objectfolder.benchmarks.tasks`, and their
+#: splits; none for tasks on single objects.
+BENCHMARKS: dict[str, tuple[str, ...]] = {
+    "recognize": ("seen",),
+    "retrieve": ("seen", "unseen"),
+    "reconstruct": ("seen", "unseen"),
+    "vision_to_touch": ("seen", "unseen"),
+    "localize": (),
+    "grasp_stability": ("seen", "unseen"),
+    "grasp_policy": (),
+    "reach": (),
 }
 #: Stages of single objects that every build runs.
 OBJECT_STAGES = (
@@ -73,10 +85,12 @@ OBJECT_STAGES = (
     *("train_vision", "train_audio", "train_touch", "pack", "evaluate"),
 )
 #: Stages of single objects that run only for the tasks that need them, or if a target names them.
-ON_DEMAND = ("observe",)
+ON_DEMAND = ("observe", "close_ups")
 #: Stages over all objects, or over those that are grasped, by split.
-TASKS = ("recognize", "retrieve", "reconstruct", "grasp_stability")
-#: Stages of the objects that ``benchmarks`` in ``params.yaml`` names.
+TASKS = tuple(name for name, splits in BENCHMARKS.items() if splits)
+#: Benchmark stages of the objects that ``benchmarks`` in ``params.yaml`` names.
+OBJECT_TASKS = tuple(name for name, splits in BENCHMARKS.items() if not splits)
+#: Stages of robots with the objects that ``benchmarks`` in ``params.yaml`` names.
 ROBOT_STAGES = ("decompose", "grasp_data", "grasp_policy", "reach")
 #: Stages before those of the objects.
 FIRST_STAGES = ("hash_code", "generate")
@@ -219,7 +233,7 @@ def check_key(key: Any, where: str = "object key") -> str:
     ObjectFolderError
         If it is not a slug, or too long. DVC drops integer keys silently and takes a dot for a path.
     """
-    stages = {*FIRST_STAGES, *OBJECT_STAGES, *ON_DEMAND, *TASKS, *ROBOT_STAGES}
+    stages = {*FIRST_STAGES, *OBJECT_STAGES, *ON_DEMAND, *BENCHMARKS, *ROBOT_STAGES}
     if isinstance(key, str) and len(key) <= MAX_KEY and KEY.fullmatch(key) and key not in stages:
         return key
     reason = (

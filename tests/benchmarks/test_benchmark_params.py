@@ -1,14 +1,16 @@
 import json
+import subprocess
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from objectfolder.benchmarks.params import object_keys, splits_of, task_params
-from objectfolder.benchmarks.tasks.grasp_stability_config import GraspStabilityConfig
+from objectfolder.benchmarks.tasks.grasp_stability import GraspStabilityConfig
+from objectfolder.benchmarks.tasks.task import find_task
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.check import check_all
-from objectfolder.workspace.params import TASKS, check_key, read, section_config, settings
+from objectfolder.workspace.params import BENCHMARKS, check_key, read, section_config, settings
 
 ROOT = Path(__file__).parents[2]
 ENCODE = {
@@ -44,13 +46,27 @@ def as_yaml(settings):
     return json.loads(json.dumps(asdict(settings)))
 
 
-def test_a_task_gets_its_section_what_encoders_see_and_the_seed(values):
-    for task in TASKS:
-        params = task_params(section_config(task), values)
-        assert params.settings == settings(section_config(task), values)
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_a_task_is_what_its_declaration_says_everywhere(values, name):
+    task = find_task(name)
+    assert (task.name, task.splits) == (name, BENCHMARKS[name])
+    assert task.settings is section_config(name)
+    assert task.load().__module__ == f"objectfolder.benchmarks.tasks.{name}_training"
+    assert f"## {task.page}\n" in (ROOT / "docs/protocols.md").read_text()
+    assert f"`bench {name.replace('_', '-')}`" in (ROOT / "docs/benchmarks.md").read_text()
+    params = task.params(values)
+    assert params.settings == settings(task.settings, values)
+    assert params.seed == values["seed"]
+    if task.trains_nets:
         assert as_yaml(params.encode) == values["encode"]
-        assert params.seed == values["seed"]
-    assert object_keys("retrieve", ROOT / "params.yaml") == tuple(values["objects"])
+    with pytest.raises(ObjectFolderError, match="name of a stage"):
+        check_key(name)
+
+
+def test_declarations_are_read_without_torch():
+    """A command that shows its help needs no libraries of training."""
+    code = "import sys, objectfolder.cli; assert not {'torch', 'mujoco', 'gymnasium'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize(
@@ -79,14 +95,6 @@ def test_lacking_sections_say_what_to_do(values, section):
     del values[section]
     with pytest.raises(ObjectFolderError, match=r"lacks .*(preset quick|add `benchmarks: \{recognize: \[\])"):
         check_all(values)
-
-
-def test_splits_and_reserved_names():
-    assert splits_of("recognize") == ("seen",)
-    assert splits_of("reconstruct") == ("seen", "unseen")
-    for task in TASKS:
-        with pytest.raises(ObjectFolderError, match="name of a stage"):
-            check_key(task)
 
 
 @pytest.mark.parametrize("sizes", [[], [1, 100], [1000, 100], [100, 100]])

@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import object_split
-from objectfolder.benchmarks.tasks.recognition import RECOGNIZE
-from objectfolder.benchmarks.tasks.retrieval import RETRIEVE
+from objectfolder.benchmarks.tasks import recognize, retrieve
 from objectfolder.cli import app
 from objectfolder.cli.console import tracked
 from objectfolder.errors import ObjectFolderError
@@ -109,13 +108,13 @@ def results(folder):
 @pytest.mark.parametrize(
     ("command", "name"),
     [
-        pytest.param("recognition", "recognize_seen", marks=pytest.mark.slow),
-        pytest.param("retrieval", "retrieve_seen", marks=pytest.mark.slow),
-        ("reconstruction", "reconstruct_seen"),
+        pytest.param("recognize", "recognize_seen", marks=pytest.mark.slow),
+        pytest.param("retrieve", "retrieve_seen", marks=pytest.mark.slow),
+        ("reconstruct", "reconstruct_seen"),
     ],
 )
 def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace, command, name):
-    split = () if command == "recognition" else ("--split", "seen")
+    split = () if command == "recognize" else ("--split", "seen")
     output = bench(command, files, "--out", "first", *split)
     assert "paper" in output
     assert f"first/{name}.json" in output
@@ -125,7 +124,7 @@ def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace
         curve = list(csv.DictReader(stream))
     assert {"epoch", "train_loss"} < set(curve[0])
     assert json.loads(Path(f"first/{name}_machine.json").read_text())["threads"] == 1
-    if command == "reconstruction":  # a model names no file whose code would run when it is read
+    if command == "reconstruct":  # a model names no file whose code would run when it is read
         assert open_safetensors(f"first/{name}.safetensors")[1]["encoder"] == "tiny"
     bench(command, files, "--out", "second", *split)
     assert results(Path("first")) == results(Path("second"))
@@ -133,7 +132,7 @@ def test_a_task_prints_its_table_and_gives_the_same_bytes_again(files, workspace
 
 @pytest.mark.slow
 def test_contacts_are_localized_on_each_object(files, workspace):
-    output = bench("localization", files, "--out", "first")
+    output = bench("localize", files, "--out", "first")
     assert "touch + sound" in output
     assert "mean of " in output
     assert "64 contacts to train with, 8 for validation, 8 for the test" in output
@@ -143,8 +142,8 @@ def test_contacts_are_localized_on_each_object(files, workspace):
 
 @pytest.mark.slow
 def test_two_objects_at_a_time_are_localized_as_one_after_another(files, workspace):
-    bench("localization", files, "--out", "first")
-    bench("localization", files, "--out", "second", "--jobs", "2", "--threads", "2")
+    bench("localize", files, "--out", "first")
+    bench("localize", files, "--out", "second", "--jobs", "2", "--threads", "2")
     assert results(Path("first")) == results(Path("second"))
 
 
@@ -154,7 +153,7 @@ def test_touches_are_drawn_from_close_views(files, workspace):
     assert "touch of the most similar view" in output
     assert "2 objects; 16 contacts to train with" in output
     assert Path("first/vision_to_touch_seen.png").is_file()
-    times = {path: path.stat().st_mtime_ns for path in Path("first/glances").rglob("*")}
+    times = {path: path.stat().st_mtime_ns for path in Path("first/close_ups").rglob("*")}
     bench("vision-to-touch", files, "--out", "first", "--split", "seen", "--seeds", "2")
     assert times == {path: path.stat().st_mtime_ns for path in times}  # made once
     assert Path("first/vision_to_touch_seen.png").is_file()
@@ -162,7 +161,7 @@ def test_touches_are_drawn_from_close_views(files, workspace):
 
 @pytest.mark.slow  # each task has it without the command
 def test_an_interrupted_task_goes_on_and_ends_the_same(files, workspace, monkeypatch):
-    bench("recognition", files, "--out", "whole")
+    bench("recognize", files, "--out", "whole")
     lines, run_benchmark = [], run.run_benchmark
 
     def stop(line):
@@ -176,9 +175,9 @@ def test_an_interrupted_task_goes_on_and_ends_the_same(files, workspace, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr(run, "run_benchmark", interrupted)
         with pytest.raises(RuntimeError, match="stopped"):
-            bench("recognition", files, "--out", "parts")
+            bench("recognize", files, "--out", "parts")
     assert not Path("parts/recognize_seen.json").exists()
-    output = bench("recognition", files, "--out", "parts")
+    output = bench("recognize", files, "--out", "parts")
     first = lines[0].partition(":")[0]
     assert first.startswith("recognize V, seed 1")
     assert first not in output
@@ -187,22 +186,22 @@ def test_an_interrupted_task_goes_on_and_ends_the_same(files, workspace, monkeyp
 
 @pytest.mark.slow
 def test_a_split_beside_another_gives_what_it_gives_alone(files, workspace):
-    bench("reconstruction", files, "--out", "first", "--split", "unseen")
+    bench("reconstruct", files, "--out", "first", "--split", "unseen")
     alone = results(Path("first"))
     assert len(alone) == 4
-    output = bench("reconstruction", files, "--out", "second", "--threads", "2")
+    output = bench("reconstruct", files, "--out", "second", "--threads", "2")
     assert all(f"reconstruct_{split}.json" in output for split in ("seen", "unseen"))
     assert alone.items() < results(Path("second")).items()
     assert json.loads(Path("second/reconstruct_unseen_machine.json").read_text())["threads"] == 1
 
 
 def test_another_seed_or_encoder_begins_anew(files, workspace):
-    bench("recognition", files, "--out", "out")
+    bench("recognize", files, "--out", "out")
     before = results(Path("out"))
     (workspace / "mine.py").write_text(ENCODER.replace("5, 3", "3, 2"))
-    bench("recognition", files, "--out", "out")
+    bench("recognize", files, "--out", "out")
     assert results(Path("out"))["recognize_seen.csv"] != before["recognize_seen.csv"]
-    bench("recognition", files, "--out", "out", "--seeds", "1")
+    bench("recognize", files, "--out", "out", "--seeds", "1")
     assert len(json.loads(Path("out/recognize_seen.json").read_text())["V"]["seeds"]) == 1
 
 
@@ -215,27 +214,27 @@ def refused(*arguments):
 
 def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
     one, other = sorted(files.iterdir())
-    assert "needs two at least" in refused("recognition", one)
-    assert "no Object Files in build" in refused("recognition")
-    assert "give each object once" in refused("recognition", one, other, other)
-    assert "expected seen or unseen" in refused("retrieval", files, "--split", "sen")
+    assert "needs two at least" in refused("recognize", one)
+    assert "no Object Files in build" in refused("recognize")
+    assert "give each object once" in refused("recognize", one, other, other)
+    assert "expected seen or unseen" in refused("retrieve", files, "--split", "sen")
     assert "expected one of faithful, faithful-small, laptop, quick, standard" in refused(
-        "recognition", files, "--preset", "fast"
+        "recognize", files, "--preset", "fast"
     )
-    assert "nothing.pth does not exist" in refused("recognition", files, "--weights", "nothing.pth")
+    assert "nothing.pth does not exist" in refused("recognize", files, "--weights", "nothing.pth")
     torch.save({"layer9.weight": torch.zeros(3)}, "other.pth")
-    assert "layer9.weight" in refused("recognition", files, "--preset", "quick", "--weights", "other.pth")
+    assert "layer9.weight" in refused("recognize", files, "--preset", "quick", "--weights", "other.pth")
     assert "--split 'unseen' is unknown here, expected seen" in refused(
-        "recognition", files, "--split", "unseen"
+        "recognize", files, "--split", "unseen"
     )
-    assert "nowhere.py does not exist" in refused("recognition", files, "--encoder", "nowhere.py:net")
+    assert "nowhere.py does not exist" in refused("recognize", files, "--encoder", "nowhere.py:net")
     Path("wide.py").write_text(ENCODER.replace("features = 4", "features = 8"))
-    for command in ("recognition", "retrieval", "reconstruction", "localization"):
+    for command in ("recognize", "retrieve", "reconstruct", "localize"):
         message = refused(command, files, "--encoder", "wide.py:tiny", "--out", "new")
         assert message.startswith("encoder wide.py:tiny, ")
         assert message.endswith("gives (2, 4), expected (2, 8): (B, features)")
-    assert "--device gpu" in refused("recognition", files, "--device", "gpu", "--out", "new")
-    assert "--device gpu" in refused("localization", files, "--device", "gpu", "--out", "new")
+    assert "--device gpu" in refused("recognize", files, "--device", "gpu", "--out", "new")
+    assert "--device gpu" in refused("localize", files, "--device", "gpu", "--out", "new")
     assert not Path("new").exists()
 
 
@@ -243,27 +242,27 @@ def test_files_and_a_preset_need_no_workspace(files, workspace, tmp_path, monkey
     """Elsewhere all settings are the package's; in a workspace whose seed is the same, they are equal."""
     one, other = sorted(files.iterdir())
     options = run.BenchmarkOptions(files=[files], preset="quick")
-    inside = options.task_params(RECOGNIZE, *options.values())
+    inside = options.params(recognize.TASK, *options.values())
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     values, path = options.values()
     assert values == read(ROOT / "params.yaml") | read_preset("quick", ROOT)[0]
     assert path == ROOT / "params/quick.yaml"
-    assert options.task_params(RECOGNIZE, values, path) == inside
+    assert options.params(recognize.TASK, values, path) == inside
     assert options.folder.dir == Path("benchmarks/quick")
-    assert "needs two at least" in refused("recognition", one, "--preset", "quick")
-    assert "expected one of faithful" in refused("recognition", one, other, "--preset", "fast")
+    assert "needs two at least" in refused("recognize", one, "--preset", "quick")
+    assert "expected one of faithful" in refused("recognize", one, other, "--preset", "fast")
     for words in ((one, other), ("--preset", "quick"), ()):
-        message = refused("recognition", *words)
+        message = refused("recognize", *words)
         assert message.startswith("params.yaml does not exist; run inside an objectfolder workspace, or name")
         assert "give --preset" in message
     assert list(Path().iterdir()) == []
 
 
 def test_a_split_with_nothing_to_tell_apart_is_refused_before_objects_are_sampled(files, workspace):
-    message = refused("retrieval", files, "--split", "unseen")
+    message = refused("retrieve", files, "--split", "unseen")
     assert re.search(r"split unseen trains on brick_\d+ alone", message)
-    message = refused("recognition", files, "--label", "material", "--split", "seen")
+    message = refused("recognize", files, "--label", "material", "--split", "seen")
     assert re.search(r"split seen: all objects for training are of \w+; add", message)
 
 
@@ -273,7 +272,7 @@ def test_an_object_file_that_lacks_a_part_is_named(brick, files, workspace):
     header = {key: value for key, value in brick.header.items() if key != "audio"}
     write_safetensors("silent.safetensors", silent, {**header, "key": "silent"})
     with pytest.raises(ObjectFolderError, match=r"silent.*audio"):
-        bench("recognition", files, "silent.safetensors", "--out", "out")
+        bench("recognize", files, "silent.safetensors", "--out", "out")
     assert not list(Path("out").glob("*.json"))
 
 
@@ -282,7 +281,7 @@ def test_unseen_needs_objects_to_test_with(brick, workspace, monkeypatch):
     for key in keys:
         write_safetensors(f"{key}.safetensors", dict(brick.tensors), {**brick.header, "key": key})
     files = [f"{key}.safetensors" for key in keys]
-    message = refused("retrieval", *files, "--split", "unseen")
+    message = refused("retrieve", *files, "--split", "unseen")
     assert all(text in message for text in (*keys, "none is a test object", "split seen"))
 
     asked = []
@@ -290,8 +289,7 @@ def test_unseen_needs_objects_to_test_with(brick, workspace, monkeypatch):
     monkeypatch.setattr(run, "_call_all", lambda call, given, jobs: asked.extend(row[1] for row in given))
     monkeypatch.setattr(run, "read_json", lambda path: {})
     lines = []
-    scores = run.run_on_splits(
-        RETRIEVE, run.BenchmarkOptions(files=[*map(Path, files)]), lines.append, tracked
-    )
+    options = run.BenchmarkOptions(files=[*map(Path, files)])
+    scores = run.run_task(retrieve.TASK, options, lines.append, tracked)
     assert asked == [*scores] == ["seen"]
     assert lines[0].startswith("left out: split unseen: of brick_")

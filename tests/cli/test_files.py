@@ -8,7 +8,7 @@ import pytest
 from brick import SCALE, SIDES
 from typer.main import get_command
 
-from objectfolder.benchmarks.collect import load_object_files
+from objectfolder.benchmarks.run import load_object_files
 from objectfolder.cli import app, main
 from objectfolder.cli.files import file_or_folder, object_file
 from objectfolder.errors import ObjectFolderError

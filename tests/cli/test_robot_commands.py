@@ -82,7 +82,7 @@ def test_an_object_that_no_jaw_holds_is_named_before_any_grasp(workspace, brick)
     big.save(workspace / "build" / "crate" / "ObjectFile.safetensors")
     shutil.copytree(ROOT / "params", workspace / "params")
     with pytest.raises(ObjectFolderError, match="crate is too large for the gripper"):
-        bench("grasping", "build/crate", "--preset", "quick", "--out", "here", "--threads", "1")
+        bench("grasp-policy", "build/crate", "--preset", "quick", "--out", "here", "--threads", "1")
     assert not list((workspace / "here").glob("*.json"))
 
 

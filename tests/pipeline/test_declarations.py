@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from objectfolder.benchmarks.tasks.task import find_task
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.code_digests import imported_files
@@ -47,40 +48,41 @@ def test_code_lists_are_made_from_all_sources():
 
 
 def parameters_read(stage):
-    """Return the parameters that a stage's script reads, as dvc.yaml names them.
+    """Return the parameters that a stage reads, as dvc.yaml names them.
 
-    Scripts use ``params.<name>`` and ``params.entry.<field>``. They pass ``params`` whole only to a task,
-    which reads its section and the seed.
+    Scripts of objects use ``params.<name>`` and ``params.entry.<field>``; what a task reads, it declares.
     """
+    if stage in params.BENCHMARKS:
+        task = find_task(stage)
+        read = {stage, "seed"} | ({"encode"} if task.trains_nets else set())
+        if task.splits:
+            read.add("benchmarks.grasp_data" if task.samples == "grasps" else "objects")
+        return read
     tree = ast.parse((ROOT / "stages" / f"{stage}.py").read_text())
     parents = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
     read = set()
     for node in ast.walk(tree):
-        if not isinstance(node, ast.Call) or getattr(node.func, "id", "") not in READERS:
-            continue
-        if node.func.id == "object_keys":
-            read.add(KEYS_OF.get(node.args[0].value, "objects"))
+        if not isinstance(node, ast.Call) or getattr(node.func, "id", "") != "stage_params":
             continue
         section = {place.rpartition(":")[2]: name for name, place in params.SECTIONS.items()}
-        read |= {section[node.args[0].id]} | READERS[node.func.id]
+        read.add(section[node.args[0].id])
         if isinstance(parents[node], ast.Attribute):  # stage_params(...).settings
             assert parents[node].attr == "settings"
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and node.id == "params" and isinstance(node.ctx, ast.Load):
             used = parents[node]
-            if isinstance(used, ast.Call):
-                assert stage in {*params.TASKS, *params.ROBOT_STAGES}
-                read.add("seed")
-            elif used.attr == "entry":
+            if used.attr == "entry":
                 read.add(f"objects.${{key}}.{parents[used].attr}")
             elif used.attr != "settings":
                 read.add(used.attr)
-    return read
+    return {PARTS_OF_SECTIONS.get((stage, name), name) for name in read}
 
 
-READERS = {"stage_params": set(), "robot_params": set(), "task_params": {"encode"}, "object_keys": set()}
-#: Where a task finds the names of its objects, if not under ``objects``.
-KEYS_OF = {"grasp_stability": "benchmarks.grasp_data"}
+#: Stages that read one setting of a section of another stage.
+PARTS_OF_SECTIONS = {
+    ("close_ups", "encode"): "encode.touch",
+    ("close_ups", "vision_to_touch"): "vision_to_touch.contacts",
+}
 
 
 @pytest.mark.parametrize("stage", sorted(set(STAGES) - {"generate"}))
@@ -91,19 +93,29 @@ def test_declared_params_are_the_ones_the_stage_reads(stage):
 
 
 def test_stage_names_are_those_of_the_graph():
-    known = (*OF_OBJECTS, *params.TASKS, *params.ROBOT_STAGES)
+    known = {*OF_OBJECTS, *params.BENCHMARKS, *params.ROBOT_STAGES}
     assert {*known, *params.FIRST_STAGES} == {*STAGES, "hash_code"}
-    assert len(known) == len(set(known))
 
 
-@pytest.mark.parametrize("task", params.TASKS)
-def test_tasks_depend_on_all_observations(task):
-    declared = STAGES[task]["do"]
-    assert STAGES[task]["foreach"] == f"${{benchmarks.{task}}}"
-    seen = Benchmarks().grasps if task == "grasp_stability" else Benchmarks().observations
-    assert seen("any").parent.as_posix() in declared["deps"]
-    assert STAGES["observe"]["do"]["outs"] == [Benchmarks().observations("${key}").as_posix()]
-    assert STAGES["grasp_data"]["do"]["outs"] == [Benchmarks().grasps("${item}").as_posix()]
+@pytest.mark.parametrize("name", params.BENCHMARKS)
+def test_tasks_depend_on_what_they_declare(name):
+    task, declared = find_task(name), STAGES[name]["do"]
+    assert STAGES[name]["foreach"] == f"${{benchmarks.{name}}}"
+    assert f"{task.training.partition(':')[0].replace('.', '/')}.py" in modules(name)
+    (plot,) = declared["plots"]
+    ((curve, axes),) = plot.items()
+    assert curve == Benchmarks().curve(name, "${item}").as_posix()
+    assert set(axes.values()) < set(task.columns)
+    if task.samples is None:
+        assert Build("${item}").object_file.as_posix() in declared["deps"]
+    else:
+        folder, stage, item = {
+            "observations": (Benchmarks().observations, "observe", "${key}"),
+            "close_ups": (Benchmarks().close_ups, "close_ups", "${key}"),
+            "grasps": (Benchmarks().grasps, "grasp_data", "${item}"),
+        }[task.samples]
+        assert folder("any").parent.as_posix() in declared["deps"]
+        assert STAGES[stage]["do"]["outs"] == [folder(item).as_posix()]
 
 
 @pytest.mark.parametrize("stage", params.ROBOT_STAGES)
@@ -129,22 +141,22 @@ MAX_MODULES = {
     "pack": 16,
     "evaluate": 106,
     "observe": 108,
-    "recognize": 37,
-    "retrieve": 36,
-    "reconstruct": 129,
+    "close_ups": 112,
     "decompose": 102,
     "grasp_data": 119,
-    "grasp_stability": 33,
-    "grasp_policy": 135,
-    "reach": 127,
+    # Of benchmarks: those that ask for samples alone, and those that ask an object.
+    "samples": 50,
+    "objects": 136,
+    "reconstruct": 130,
 }
 
 
 def test_stages_import_few_modules():
     counts = {stage: len(modules(stage)) for stage in STAGES}
     print(*(f"{stage:16}{count:4}" for stage, count in counts.items()), sep="\n")
-    assert counts.keys() == MAX_MODULES.keys()
-    assert {stage: n for stage, n in counts.items() if n > MAX_MODULES[stage]} == {}
+    kinds = {name: "samples" if splits else "objects" for name, splits in params.BENCHMARKS.items()}
+    most = {stage: MAX_MODULES.get(stage) or MAX_MODULES[kinds[stage]] for stage in STAGES}
+    assert {stage: n for stage, n in counts.items() if n > most[stage]} == {}
 
 
 def test_stages_without_nets_start_without_torch():
@@ -155,7 +167,7 @@ def test_stages_without_nets_start_without_torch():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-@pytest.mark.parametrize("stage", sorted({*OF_OBJECTS, "generate"} - {"pack", "evaluate", "observe"}))
+@pytest.mark.parametrize("stage", sorted({*OF_OBJECTS, "generate"} - {"pack", "evaluate", *params.ON_DEMAND}))
 def test_queries_may_change_without_rebuilding(stage):
     senses = {f"objectfolder/objectfile/{name}.py" for name in ("file", "parts", "vision", "audio", "touch")}
     assert not senses & modules(stage)
@@ -178,7 +190,7 @@ def test_lanes_do_not_depend_on_each_other():
 
 def test_command_takes_one_word_only():
     for name, stage in STAGES.items():
-        word = "item" if name in {*params.TASKS, *params.ROBOT_STAGES} else "key"
+        word = "item" if name in {*params.BENCHMARKS, *params.ROBOT_STAGES} else "key"
         assert stage["do"]["cmd"] == f"python -m stages.{name} ${{{word}}}"
 
 

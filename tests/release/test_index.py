@@ -9,7 +9,7 @@ from dataclasses import asdict
 import pytest
 
 from objectfolder import Dataset
-from objectfolder.benchmarks.collect import load_object_files
+from objectfolder.benchmarks.run import load_object_files
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest
 from objectfolder.objectfile.dataset import COLUMNS, IndexEntry, read_index

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from objectfolder import Dataset
-from objectfolder.benchmarks.collect import load_object_files
+from objectfolder.benchmarks.run import load_object_files
 from objectfolder.cli import app
 from objectfolder.engine.costs import record_cost
 from objectfolder.engine.failures import LOGS

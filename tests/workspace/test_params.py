@@ -21,13 +21,13 @@ from objectfolder.metrics import ssim
 from objectfolder.vision.settings import SMALLEST
 from objectfolder.workspace.check import Selection, check_all, check_entries, check_object
 from objectfolder.workspace.params import (
+    BENCHMARKS,
     FIRST_STAGES,
     HELD_PARAMS,
     OBJECT_STAGES,
     ON_DEMAND,
     ROBOT_STAGES,
     SECTIONS,
-    TASKS,
     UNSEEN_BY_DVC,
     ObjectEntry,
     Shared,
@@ -50,7 +50,7 @@ MUG = {
     "wall": None,
     "bridge": "all",
 }
-NONE = {name: [] for name in (*TASKS, *ROBOT_STAGES)}
+NONE = {name: [] for name in Selection.model_fields}
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_a_key_that_is_no_slug_is_refused_with_the_reason(key, reason):
 
 @given(st.from_regex(r"[a-z][a-z0-9_]*", fullmatch=True))
 def test_slugs_are_keys(key):
-    if key not in {*FIRST_STAGES, *OBJECT_STAGES, *ON_DEMAND, *ROBOT_STAGES, *TASKS}:
+    if key not in {*FIRST_STAGES, *OBJECT_STAGES, *ON_DEMAND, *BENCHMARKS, *ROBOT_STAGES}:
         assert check_key(key) == key
 
 

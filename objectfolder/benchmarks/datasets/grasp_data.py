@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.benchmarks.datasets.grasp_config import GraspDataConfig
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
 from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
+from objectfolder.benchmarks.datasets.settings import GraspDataConfig
 from objectfolder.disk import enough_space, refuse_links
 from objectfolder.envs.body import RigidBody
 from objectfolder.envs.camera import ExternalCamera

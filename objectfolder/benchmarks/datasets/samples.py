@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch.nn import functional as F
 
 from objectfolder.errors import ObjectFolderError
 
@@ -134,8 +132,11 @@ def are_written(folder: Path, names: Iterable[str], count: int) -> bool:
 
 def averaged_images(images: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Average images (N, H, W, 3) uint8 to a smaller size, (N, h, w, 3) uint8."""
+    import torch  # here, because the declarations of tasks, which commands read, need no torch
+    from torch.nn.functional import adaptive_avg_pool2d
+
     channels = torch.from_numpy(images).permute(0, 3, 1, 2).float()
-    return F.adaptive_avg_pool2d(channels, size).round().byte().permute(0, 2, 3, 1).numpy()
+    return adaptive_avg_pool2d(channels, size).round().byte().permute(0, 2, 3, 1).numpy()
 
 
 def check_equal_shapes(name: str, shapes: Mapping[str, Any], remedy: str) -> None:

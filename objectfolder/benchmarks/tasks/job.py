@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -12,18 +12,23 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, without_rows
-from objectfolder.benchmarks.models.encode_config import InputSizes
-from objectfolder.benchmarks.models.encoders import Weights, make_encoder
+from objectfolder.benchmarks.models.encode_config import EncodeConfig, InputSizes
+from objectfolder.benchmarks.models.encoders import Weights, make_encoder, registered
 from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flipped, shifted
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, train
 from objectfolder.benchmarks.models.training_config import TrainingConfig
 from objectfolder.io import read_json, write_json
-from objectfolder.settings import Precision
 from objectfolder.workspace.layout import SPLITS
+
+if TYPE_CHECKING:
+    from objectfolder.envs.body import RigidBody
+    from objectfolder.objectfile.file import ObjectFile
 
 GROUND = 1000  #: training touches at most to find their `Ground` of
 KEPT_BYTES = 2**31  #: of all that is kept of rows, such as spectrograms: they take longer than the encoder
 
+Report = Callable[[str], None]
+_Config = TypeVar("_Config")
 _Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
 
@@ -52,27 +57,51 @@ class Kept:
 
 
 @dataclass(frozen=True)
+class ObjectJob(Generic[_Config]):
+    """Train and score with one object; ``report`` gets a line about each part."""
+
+    task: str  #: name of the task
+    file: "ObjectFile"
+    body: "RigidBody | None"  #: of the same object, for a robot
+    params: _Config  #: the task's section of ``params.yaml``
+    seed: int
+    #: Folder of checkpoints and of files to keep. An interrupted call resumes from it, so it must be empty or
+    #: of a call with the same arguments.
+    progress: Path
+    report: Report = lambda line: None
+    threads: int = 1  #: of a simulation; results do not depend on it
+    encode: EncodeConfig | None = None  #: of a task that trains nets
+    weights: Weights | None = None
+    device: str | torch.device = "cpu"
+
+
+@dataclass(frozen=True)
 class Job(Generic[_Params]):
     """Train and score a task's nets on one split of observations; ``report`` gets a line about each epoch."""
 
     observations: Samples
     split: Split
     params: _Params  #: the task's section of ``params.yaml``
-    encoder: str  #: registered in `objectfolder.benchmarks.models.encoders`
-    sizes: InputSizes
+    encode: EncodeConfig
     seed: int
     #: Folder of finished parts and checkpoints. An interrupted call resumes from it, so it must be empty or
     #: of a call with the same arguments.
     progress: Path
     weights: Weights | None = None  #: initial weights of encoders; default: random
     device: str | torch.device = "cpu"
-    report: Callable[[str], None] = lambda line: None
-    subtract: bool = False  #: the `ground` from touches
-    shift: int = 0  #: pixels by which touches are moved at most in training
-    precision: Precision = "float32"  #: of training
-    flip: bool = False  #: half of the views in training
+    report: Report = lambda line: None
     #: By name, shared by jobs on parts of the split; see `once`.
     kept: dict[str, Kept] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def sizes(self) -> InputSizes:
+        """Sizes of encoder inputs."""
+        return self.encode.sizes
+
+    @cached_property
+    def encoder(self) -> str:
+        """Registered name of the encoder, whose own file is run for it."""
+        return registered(self.encode.encoder)
 
     def repeats(self, modalities: Iterable[str], answers: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Return which rows repeat an input with the same answer, by modality; see `repeated_rows`."""
@@ -155,12 +184,12 @@ class Job(Generic[_Params]):
             return self._spectra(rows).to(self.device)
         raw = self.observations.read(modality, rows)
         inputs = encoder_inputs(modality, raw, self.sizes, rng, self.device)
-        if modality == "vision" and self.flip and rng is not None:
+        if modality == "vision" and self.encode.flip and rng is not None:
             inputs = flipped(inputs, rng)
-        if modality == "touch" and self.subtract:
+        if modality == "touch" and self.encode.subtract:
             inputs = self.ground.subtracted(inputs)
-        if modality == "touch" and self.shift and rng is not None:
-            inputs = shifted(inputs, self.shift, rng)
+        if modality == "touch" and self.encode.shift and rng is not None:
+            inputs = shifted(inputs, self.encode.shift, rng)
         return inputs
 
     def _spectra(self, rows: np.ndarray) -> torch.Tensor:
@@ -257,7 +286,7 @@ class Job(Generic[_Params]):
             weight_decay=params.weight_decay,
             patience=params.patience,
             cycle=cycle,
-            precision=self.precision,
+            precision=self.encode.precision,
             statistics=statistics,
             checkpoint=checkpoint,
             device=self.device,

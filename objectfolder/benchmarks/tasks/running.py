@@ -8,22 +8,25 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, named_split
-from objectfolder.benchmarks.models.encoders import Weights, own_code, registered
-from objectfolder.benchmarks.params import TaskParams
-from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.models.encoders import Weights, own_code
+from objectfolder.benchmarks.tasks.job import Job, ObjectJob, Report
+from objectfolder.benchmarks.tasks.task import Scores, Task, TaskParams
 from objectfolder.disk import refuse_links
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, read_json, write_json, write_text
 from objectfolder.locks import exclusive, remove_unused
 from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import Benchmarks
+
+if TYPE_CHECKING:
+    from objectfolder.envs.body import RigidBody
+    from objectfolder.objectfile.file import ObjectFile
 
 #: Files in a progress folder that are kept as results: a trained model, a figure, an animation.
 KEPT = {
@@ -32,112 +35,59 @@ KEPT = {
     "episodes.gif": Benchmarks.film,
 }
 
-Report = Callable[[str], None]
-
 
 @dataclass(frozen=True)
-class Objects:
-    """Objects of a split, known before they are sampled."""
+class KnownObject:
+    """Object of a run."""
 
-    keys: Sequence[str]  #: in label order
-    labels: np.ndarray  #: (rows,) int64, the object of each row
-    materials: Sequence[str] = ()  #: of the objects, as far as a task asks for them
-
-
-def any_objects(split: Split, objects: Objects) -> None:
-    """Accept all objects from which the split can be made."""
+    file: "ObjectFile"
+    digest: str  #: of all that the result depends on
+    body: "RigidBody | None" = None  #: for a robot
 
 
-@dataclass(frozen=True)
-class Task:
-    """A benchmark task; each task module declares its own."""
-
-    name: str  #: of the stage, and prefix of result files
-    config: type[Any]  #: dataclass of the task's section in ``params.yaml``
-    #: Takes a `Job` or a `objectfolder.benchmarks.tasks.robots.RobotJob`. Returns scores, including the
-    #: ``seconds`` taken, and rows of training curves.
-    run: Callable[[Any], tuple[dict[str, Any], list[list[Any]]]]
-    columns: tuple[str, ...]  #: of the training curves
-    samples: Callable[[dict[str, Path]], Samples] | None = None  #: opens samples by key; None for robots
-    #: Raises ObjectFolderError if the task cannot be trained on a split of these objects.
-    check: Callable[[Split, Objects], None] = any_objects
-    encodes: tuple[str, ...] = ()  #: modalities that it makes encoders for
-
-
-class Run(Protocol):
-    """One run of a task: `SplitRun` or `objectfolder.benchmarks.tasks.robots.ObjectRun`."""
-
-    @property
-    def task(self) -> Task:
-        """Task to run."""
-
-    @property
-    def part(self) -> str:
-        """Split or object key, which names the result files."""
-
-    @property
-    def folder(self) -> Benchmarks:
-        """Folder of results."""
-
-    def identity(self) -> tuple[Any, ...]:
-        """Return everything that the result of each seed depends on."""
-
-    def job(self, progress: Path, report: Report) -> Any:
-        """Return the argument of the task."""
-
-    def description(self) -> dict[str, Any]:
-        """Return entries to add to the scores."""
-
-
-@dataclass(frozen=True)
-class SplitRun:
-    """Run of a task on one split of the samples of many objects."""
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One run of a task: on a split of the samples of many objects, or with one object."""
 
     task: Task
-    part: str  #: split, "seen" or "unseen"
-    samples: Samples
+    training: Callable[[Any], tuple[Scores, list[list[Any]]]]  #: `Task.load`
+    part: str  #: split, "seen" or "unseen", or object key
+    inputs: Samples | KnownObject
     params: TaskParams[Any]
-    folder: Benchmarks
+    folder: Benchmarks  #: of results
     weights: Weights | None = None  #: initial weights of encoders; default: random
-    device: str | None = None  #: to train on; default: a GPU if there is one
+    device: str | None = None  #: to train nets on; default: a GPU if there is one
+    threads: int = 1  #: of a simulation; results do not depend on it
 
     def identity(self) -> tuple[Any, ...]:
         """Return everything that the result of each seed depends on."""
-        weights = [] if self.weights is None else [file_digest(self.weights.path)]
-        given = weights, own_code(self.params.encode.encoder)
-        # The frozen list of objects is data, which is part of no code.
-        rows = self.split.digest
-        device = torch.device(training_device(self.device)).type  # a GPU trains in bfloat16
-        return self.samples.digest, rows, self.params.one_seed(), code_digest(self.task.run), given, device
+        given: tuple[Any, ...] = (self.inputs.digest, self.params.one_seed(), code_digest(self.training))
+        if not isinstance(self.inputs, KnownObject):
+            given += (self.split.digest,)  # the frozen list of objects is data, which is part of no code
+        if self.params.encode is not None:
+            given += (
+                None if self.weights is None else file_digest(self.weights.path),
+                own_code(self.params.encode.encoder),
+                torch.device(training_device(self.device)).type,  # a GPU trains in bfloat16
+            )
+        return given
 
     @property
     def split(self) -> Split:
         """Rows of each part."""
-        return named_split(self.part, self.samples.keys, self.samples.count)
+        assert not isinstance(self.inputs, KnownObject)
+        return named_split(self.part, self.inputs.keys, self.inputs.count)
 
-    def job(self, progress: Path, report: Report) -> Job[Any]:
-        """Return the argument of the task."""
-        encode = self.params.encode
-        return Job(
-            self.samples,
-            self.split,
-            self.params.settings,
-            registered(encode.encoder),
-            encode.sizes,
-            self.params.seed,
-            progress,
-            self.weights,
-            training_device(self.device),
-            report,
-            encode.subtract,
-            encode.shift,
-            encode.precision,
-            encode.flip,
-        )
-
-    def description(self) -> dict[str, Any]:
-        """Return entries to add to the scores."""
-        return {"keys": self.samples.keys}
+    def job(self, progress: Path, report: Report) -> Job[Any] | ObjectJob[Any]:
+        """Return the argument of the training function."""
+        settings, encode, seed = self.params.settings, self.params.encode, self.params.seed
+        device = "cpu" if encode is None else training_device(self.device)
+        if isinstance(self.inputs, KnownObject):
+            known = self.task.name, self.inputs.file, self.inputs.body, settings, seed
+            return ObjectJob(*known, progress, report, self.threads, encode, self.weights, device)
+        assert encode is not None
+        inputs = self.inputs, self.split, settings, encode, seed
+        return Job(*inputs, progress, self.weights, device, report)
 
 
 @dataclass(frozen=True)
@@ -162,29 +112,32 @@ class _ProcessorTime:
         return seconds
 
 
-def run_benchmark(spec: Run, report: Report) -> RunTime:
+def run_stage(
+    task: Task,
+    training: Callable[[Any], tuple[Scores, list[list[Any]]]],
+    part: str,
+    inputs: Samples | KnownObject,
+) -> None:
+    """Run a task as a stage of a build: with the settings and in the folder of the workspace."""
+    params, folder = task.params(), Benchmarks()
+    run_benchmark(
+        Run(task=task, training=training, part=part, inputs=inputs, params=params, folder=folder), print
+    )
+
+
+def run_benchmark(run: Run, report: Report) -> RunTime:
     """Run a task and write its scores, training curves and the files in `KEPT`.
 
     An interrupted run is resumed, unless its inputs, parameters or code have changed. What was finished is
-    kept for the next run, which may have more seeds.
-
-    Parameters
-    ----------
-    spec : SplitRun or ObjectRun
-    report : callable
-        Called with a line of text about each part of the training.
-
-    Returns
-    -------
-    RunTime
+    kept for the next run, which may have more seeds. ``report`` gets a line about each part of the training.
 
     Raises
     ------
     ObjectFolderError
         If the split cannot be made from these objects, or the task fails.
     """
-    task, part, folder = spec.task, spec.part, spec.folder
-    progress = folder.progress(task.name, part, spec.identity())
+    task, part, folder = run.task, run.part, run.folder
+    progress = folder.progress(task.name, part, run.identity())
     refuse_links(progress, folder.dir)
     waiting = f"waiting for another process that runs {task.name}, {part}, in {folder.dir}"
     with exclusive(progress, lambda: report(waiting)):  # and then find everything finished
@@ -194,8 +147,10 @@ def run_benchmark(spec: Run, report: Report) -> RunTime:
             spent.keep()
             report(line)
 
-        scores, curve = task.run(spec.job(progress, keep_and_report))
-        write_results(task, part, folder, progress, scores | spec.description(), curve)
+        scores, curve = run.training(run.job(progress, keep_and_report))
+        if not isinstance(run.inputs, KnownObject):
+            scores |= {"keys": run.inputs.keys}
+        write_results(task, part, folder, progress, scores, curve)
         cost = RunTime(scores["seconds"], spent.keep())
     for other in folder.outdated_progress(task.name, part, progress):
         remove_unused(other)

@@ -29,7 +29,7 @@ from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import THRESHOLDS, best_level
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import CHUNK, train_namer
-from objectfolder.benchmarks.tasks.reconstruction_config import ReconstructConfig
+from objectfolder.benchmarks.tasks.reconstruct import ReconstructConfig
 from objectfolder.seeding import numpy_generator, seeded
 
 #: Inputs of each variant. VA comes last: it starts from the nets of the others.
@@ -117,7 +117,7 @@ class ShapeTraining:
         with seeded(job.seed, *self._purpose):
             net = new_net(setup, job.weights)
             naming = nn.Linear(net.fusion.get_parameter("0.weight").shape[1], len(self._classes))
-        if job.subtract and "touch" in self.modalities:
+        if job.encode.subtract and "touch" in self.modalities:
             cast(SeveralTouches, net.encoders["touch"]).set_ground(job.ground)
         model, before, epochs = ShapeModel(setup, net), 0.0, params.epochs
         if parts:
@@ -140,7 +140,7 @@ class ShapeTraining:
             if modality != "vision":
                 return job.inputs(modality, rows, rng)
             views = self._views(rows, rng)
-            return flipped(views, rng) if job.flip and rng is not None else views
+            return flipped(views, rng) if job.encode.flip and rng is not None else views
 
         rate = params.pretrain_rate / params.learning_rate
         namer, curve = train_namer(

@@ -9,7 +9,6 @@ import pytest
 from brick import with_images
 
 from objectfolder import disk as space
-from objectfolder.benchmarks.collect import load_object_files
 from objectfolder.benchmarks.datasets import sampling
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.samples import object_digest
@@ -20,6 +19,7 @@ from objectfolder.benchmarks.datasets.sampling import (
     observation_request,
     sample_observations,
 )
+from objectfolder.benchmarks.run import load_object_files
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import load_profile

@@ -9,12 +9,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial import cKDTree
 from solids import box, join, sphere
 
-from objectfolder.benchmarks.datasets.occupancy import (
-    HALF_SIDE,
-    extract_mesh,
-    grid_points,
-    uniform_points,
-)
+from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, extract_mesh, grid_points, uniform_points
 from objectfolder.benchmarks.scoring.shapes import (
     EMPTY_CHAMFER,
     SampledSurface,

@@ -7,10 +7,10 @@ from PIL import Image
 
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
-from objectfolder.benchmarks.reporting.tables import grasping_table
-from objectfolder.benchmarks.tasks import grasp_policy as grasp_policy_module
-from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, rollout_successes
-from objectfolder.benchmarks.tasks.robots import RobotJob
+from objectfolder.benchmarks.tasks import grasp_policy_training as grasp_policy_module
+from objectfolder.benchmarks.tasks.grasp_policy import TASK
+from objectfolder.benchmarks.tasks.grasp_policy_training import grasp_policy, rollout_successes
+from objectfolder.benchmarks.tasks.job import ObjectJob
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchFeatures
@@ -48,7 +48,7 @@ def task(brick):
 
 
 def job(brick, progress, report=lambda line: None):
-    return RobotJob("grasp_policy", brick, brick_body(brick), PARAMS, 0, progress, report)
+    return ObjectJob("grasp_policy", brick, brick_body(brick), PARAMS, 0, progress, report)
 
 
 @pytest.fixture(scope="module")
@@ -68,11 +68,11 @@ def test_scores_curves_and_what_is_kept(whole):
         low, high = scores[name]["interval_95"]
         assert 0 <= low <= scores[name]["rate"] <= high <= 1
     assert [row[2] for row in curve if row[0] == "touch"] == [8, 16]
-    assert all(len(row) == len(CURVE_COLUMNS) for row in curve)
+    assert all(len(row) == len(TASK.columns) for row in curve)
     assert Actor.load(folder / "model.safetensors").mean.shape == (2 * TouchFeatures.size + 3,)
     with Image.open(folder / "episodes.gif") as film:
         assert film.n_frames > 20
-    shown = grasping_table({"brick": scores})
+    (shown,) = TASK.tables({"brick": scores})
     assert [row[1] for row in shown.rows][-1] == "none"
     assert [row[1] for row in shown.rows if "75.5" in row] == ["tactile images alone"]
 

@@ -3,6 +3,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from encoding import encoding
 from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import object_split, per_object, per_sample
@@ -10,9 +11,9 @@ from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.grasp_baselines import BASELINES, baselines
-from objectfolder.benchmarks.tasks.grasp_stability import (
+from objectfolder.benchmarks.tasks.grasp_stability import TASK
+from objectfolder.benchmarks.tasks.grasp_stability_training import (
     COMPARED,
-    CURVE_COLUMNS,
     TRANSFERRED,
     VARIANTS,
     StabilityNet,
@@ -95,7 +96,7 @@ def _small_encoder(monkeypatch):
 def _job(grasps, folder, split=None, report=lambda line: None, **changes):
     params = SimpleNamespace(**{**vars(PARAMS), **changes})
     split = split or per_sample(grasps.keys, grasps.count)
-    return Job(grasps, split, params, "small_grip", SIZES, 1, folder, report=report)
+    return Job(grasps, split, params, encoding("small_grip", SIZES), 1, folder, report=report)
 
 
 def _run(grasps, folder, split=None, **changes):
@@ -123,7 +124,7 @@ def test_touch_decides_and_vision_does_not(tmp_path):
     assert found["compared"]["VT - V"]["difference"] == pytest.approx(
         found["VT"]["accuracy"] - found["V"]["accuracy"]
     )
-    assert len(CURVE_COLUMNS) == len(curve[0])
+    assert len(TASK.columns) == len(curve[0])
     assert [tuple(row[:4]) for row in curve] == [
         (size, 0, name, epoch)
         for size in (40, 160)

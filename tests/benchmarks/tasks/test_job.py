@@ -1,5 +1,6 @@
 import numpy as np
 import torch
+from encoding import encoding
 
 from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.inputs import encoder_inputs
@@ -12,7 +13,7 @@ SIZES = InputSizes(12, (16, 10), (8, 6))
 def test_what_is_kept_has_one_limit(tmp_path, monkeypatch):
     """Of three tensors of 80 bytes, the third finds no room; one of 160 would leave none for the others."""
     monkeypatch.setattr(job, "KEPT_BYTES", 200)
-    task = Job(Sounds(), None, None, "tiny", SIZES, seed=0, progress=tmp_path)
+    task = Job(Sounds(), None, None, encoding("tiny", SIZES), seed=0, progress=tmp_path)
 
     def computed(name, width):
         """Ask twice for a row; return how often it was computed."""
@@ -47,7 +48,7 @@ def test_each_spectrogram_is_computed_once(tmp_path, monkeypatch):
     for most, asked in ((2**20, [1, 3, 7, 0]), (100, [3, 1, 3, 7, 7, 0, 1, 3])):
         monkeypatch.setattr(job, "KEPT_BYTES", most)
         sounds = Sounds()
-        task = Job(sounds, None, None, "tiny", SIZES, seed=0, progress=tmp_path)
+        task = Job(sounds, None, None, encoding("tiny", SIZES), seed=0, progress=tmp_path)
         for some, inputs in zip(rows, expected):
             assert torch.equal(task.inputs("audio", some), inputs)
         assert sounds.asked == asked

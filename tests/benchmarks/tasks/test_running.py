@@ -9,17 +9,16 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from encoding import encoding
 from threadpoolctl import threadpool_info
 
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets import splits
 from objectfolder.benchmarks.models import encoders
-from objectfolder.benchmarks.models.encode_config import EncodeConfig
-from objectfolder.benchmarks.params import TaskParams
-from objectfolder.benchmarks.tasks import localization, running
-from objectfolder.benchmarks.tasks.retrieval import RETRIEVE
-from objectfolder.benchmarks.tasks.retrieval_config import RetrieveConfig
-from objectfolder.benchmarks.tasks.running import SplitRun
+from objectfolder.benchmarks.tasks import localize, retrieve, running
+from objectfolder.benchmarks.tasks.retrieve import RetrieveConfig
+from objectfolder.benchmarks.tasks.running import KnownObject, Run
+from objectfolder.benchmarks.tasks.task import TaskParams
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json
 from objectfolder.locks import exclusive, remove_unused
@@ -37,22 +36,27 @@ SETTINGS = RetrieveConfig(
     pretrain_epochs=0,
     schedule="cosine",
 )
-ENCODE = EncodeConfig(
-    encoder="resnet18",
-    image=8,
-    spectrogram=(8, 8),
-    touch=(8, 8),
-    subtract=False,
-    shift=0,
-    flip=False,
-    precision="float32",
-)
-PARAMS = TaskParams(SETTINGS, ENCODE, 0)
+PARAMS = TaskParams(SETTINGS, encoding(), 0)
+
+
+def run_of(inputs, part="seen", params=PARAMS, task=retrieve.TASK, **more):
+    known = {"task": task, "part": part, "inputs": inputs, "params": params}
+    return Run(training=print, folder=Benchmarks("out"), **known, **more)
+
+
+def small_run(folder, training, identity="same", job=0.5):
+    """A run of a task that only reports and returns."""
+    known = KnownObject(None, "")
+    task = SimpleNamespace(name="small", columns=("a",))
+    return SimpleNamespace(
+        **{"task": task, "training": training, "part": "seen", "folder": folder, "inputs": known},
+        **{"identity": lambda: identity, "job": lambda progress, report: report if job is None else job},
+    )
 
 
 def test_an_object_that_changes_its_part_changes_the_run(monkeypatch):
     samples = SimpleNamespace(digest="x", keys=("espresso_mug", "tea_beaker", "own"), count=10)
-    spec = SplitRun(RETRIEVE, "unseen", samples, PARAMS, Benchmarks("out"))
+    spec = run_of(samples, "unseen")
     monkeypatch.setattr(running, "code_digest", lambda function: "code")  # takes seconds
     listed, parts = splits._listed(), []
     for part in ("train", "test", "train"):
@@ -69,18 +73,10 @@ def test_a_finished_run_keeps_the_progress_of_one_that_still_runs(tmp_path):
         assert folder.progress("small", "seen", "new").is_dir()
         return {"seconds": 1.0, "score": job}, []
 
-    task = SimpleNamespace(name="small", run=run_task, columns=("a",))
-
-    def spec(identity):
-        return SimpleNamespace(
-            **{"task": task, "part": "seen", "folder": folder, "identity": lambda: identity},
-            **{"job": lambda progress, report: 0.5, "description": lambda: {}},
-        )
-
     running_now, left = (folder.progress("small", "seen", name) for name in ("running", "left"))
     left.mkdir(parents=True)
     with exclusive(running_now):
-        assert running.run_benchmark(spec("new"), print).seconds == 1.0
+        assert running.run_benchmark(small_run(folder, run_task, "new"), print).seconds == 1.0
     assert read_json(folder.result("small", "seen")) == {"score": 0.5}
     assert running_now.is_dir()
     assert not left.exists()
@@ -101,11 +97,7 @@ def test_processor_time_includes_that_of_an_interrupted_call(tmp_path, monkeypat
             raise KeyboardInterrupt
         return {"seconds": 60.0}, []
 
-    task = SimpleNamespace(name="small", run=run_task, columns=("a",))
-    spec = SimpleNamespace(
-        **{"task": task, "part": "seen", "folder": Benchmarks(tmp_path), "identity": lambda: "same"},
-        **{"job": lambda progress, report: report, "description": lambda: {}},
-    )
+    spec = small_run(Benchmarks(tmp_path), run_task, job=None)
     with pytest.raises(KeyboardInterrupt):
         running.run_benchmark(spec, lines.append)
     clock.now, clock.stop = 7.0, False  # of another process
@@ -160,9 +152,10 @@ def test_threads_are_those_of_every_pool(monkeypatch, brick_path, threads):
         found.append({pool["num_threads"] for pool in threadpool_info()} | {torch.get_num_threads()})
 
     monkeypatch.setattr(run, "_run_timed", look)
-    task = SimpleNamespace(samples=lambda folders: None)
-    run._run_split(task, "seen", {}, PARAMS, Benchmarks("out"), None, threads, "cpu", print)
-    run._localize(brick_path, PARAMS, Benchmarks("out"), threads, "cpu", print)
+    monkeypatch.setitem(run.SAMPLES, "observations", lambda folders: None)
+    rest = PARAMS, Benchmarks("out"), None, threads, "cpu", print
+    run._run_part(retrieve.TASK, "seen", {}, *rest)
+    run._run_part(localize.TASK, "brick", (brick_path, 0), *rest)
     torch.set_num_threads(before)
     assert found == [{threads}] * 2
 
@@ -179,27 +172,22 @@ def test_a_run_on_another_device_is_another_run(monkeypatch):
     monkeypatch.setattr(running, "code_digest", lambda function: "code")  # takes seconds
     monkeypatch.setattr(running, "training_device", lambda device: device)
     devices = ("cpu", "cuda", "cuda:0")
-    runs = [SplitRun(RETRIEVE, "seen", samples, PARAMS, Benchmarks("out"), device=name) for name in devices]
+    runs = [run_of(samples, device=name) for name in devices]
     cpu, gpu, same = (spec.identity() for spec in runs)
     assert cpu != gpu == same
 
 
 def test_a_run_with_another_module_of_its_own_encoder_is_another_run(monkeypatch, tmp_path):
     monkeypatch.setattr(running, "code_digest", lambda function: "code")  # takes seconds
-    monkeypatch.setattr(localization, "code_digest", lambda function: "code")
-    monkeypatch.setattr(localization, "object_digest", lambda file: "object")
     monkeypatch.setattr(encoders, "_FACTORIES", dict(encoders._FACTORIES))
     (tmp_path / "mine.py").write_text(
         "import beside_an_encoder\n"
         "from objectfolder.benchmarks.models.encoders import register_encoder\n"
         'register_encoder("own")(None)\n'
     )
-    params = replace(PARAMS, encode=replace(ENCODE, encoder=f"{tmp_path / 'mine.py'}:own"))
+    params = replace(PARAMS, encode=encoding(f"{tmp_path / 'mine.py'}:own"))
     samples = SimpleNamespace(digest="x", keys=("espresso_mug", "tea_beaker"), count=10)
-    runs = [
-        SplitRun(RETRIEVE, "seen", samples, params, Benchmarks("out")),
-        localization.ContactRun(None, params, Benchmarks("out")),
-    ]
+    runs = [run_of(samples, params=params), run_of(KnownObject(None, "object"), params=params)]
     found = []
     for width in ("WIDTH = 4", "WIDTH = 16", "WIDTH = 4"):
         (tmp_path / "beside_an_encoder.py").write_text(width)

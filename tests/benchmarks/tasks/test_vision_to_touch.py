@@ -2,14 +2,15 @@ import json
 
 import numpy as np
 import pytest
+from encoding import encoding
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import per_sample
 from objectfolder.benchmarks.models.encode_config import InputSizes
-from objectfolder.benchmarks.tasks import vision_to_touch as task
+from objectfolder.benchmarks.tasks import vision_to_touch_training as task
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.vision_to_touch import CURVE_COLUMNS, compared, vision_to_touch
-from objectfolder.benchmarks.tasks.vision_to_touch_config import VisionToTouchConfig
+from objectfolder.benchmarks.tasks.vision_to_touch import TASK, VisionToTouchConfig
+from objectfolder.benchmarks.tasks.vision_to_touch_training import compared, vision_to_touch
 
 SIZE = (16, 12)
 
@@ -34,7 +35,7 @@ def job(progress, samples=None, **changed):
     samples = pairs() if samples is None else samples
     split, sizes = per_sample(samples.keys, samples.count), InputSizes(8, (8, 8), SIZE)
     settings = VisionToTouchConfig(**(values | changed))
-    return Job(samples, split, settings, "resnet18", sizes, seed=1, progress=progress)
+    return Job(samples, split, settings, encoding("resnet18", sizes), seed=1, progress=progress)
 
 
 def test_the_net_draws_what_the_view_shows(tmp_path):
@@ -45,7 +46,7 @@ def test_the_net_draws_what_the_view_shows(tmp_path):
     # The bar of the nearest view lies where that of the test view does, or one row beside it.
     assert scores["nearest"]["psnr_pooled"] > blank + 3
     assert scores["rows"] == {"train": 96, "val": 12, "test": 12}
-    assert {len(row) for row in curve} == {len(CURVE_COLUMNS)}
+    assert {len(row) for row in curve} == {len(TASK.columns)}
     drawn = (tmp_path / "sheet.png").read_bytes()
     (tmp_path / "sheet.png").unlink()  # moved to the results
     assert vision_to_touch(job(tmp_path))[0] == scores
@@ -91,7 +92,7 @@ def test_the_pooled_error_chooses_the_epoch(tmp_path, monkeypatch):
     monkeypatch.setattr(task, "_answers", answers)
     scores, curve = vision_to_touch(job(tmp_path, epochs=1))
     assert scores["rows"]["val"] == 12
-    assert curve[0][CURVE_COLUMNS.index("val_psnr")] == pytest.approx(13.979 + 10 * np.log10(12), abs=0.01)
+    assert curve[0][TASK.columns.index("val_psnr")] == pytest.approx(13.979 + 10 * np.log10(12), abs=0.01)
 
 
 def test_scores_of_images():

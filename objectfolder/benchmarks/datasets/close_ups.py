@@ -6,7 +6,7 @@ complete.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,11 +23,13 @@ from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_json, write_npy
 from objectfolder.locks import exclusive
-from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.lighting import DistantLight
 from objectfolder.workspace.code_digests import code_digest
+
+if TYPE_CHECKING:
+    from objectfolder.objectfile.file import ObjectFile
 
 RECORD = "record.json"
 ARRAYS = ("view", "touch")
@@ -41,7 +43,7 @@ CHUNK = 50  #: contacts pressed at once
 SMALLEST = 11  #: side of an image, pixels: the window of SSIM
 
 
-class Glances(Samples):
+class CloseUps(Samples):
     """Close views and touches of several objects; (B, H, W, 3) uint8 each. See `Samples`.
 
     Row r shows and presses one random point of the surface. The view is of what the gel covers: its camera
@@ -51,7 +53,7 @@ class Glances(Samples):
     Parameters
     ----------
     folders : mapping
-        From keys to folders that `sample_glances` wrote.
+        From keys to folders that `sample_close_ups` wrote.
 
     Raises
     ------
@@ -71,8 +73,8 @@ class Glances(Samples):
         super().__init__(records, {name: list(found.values()) for name, found in arrays.items()})
 
 
-def glance_request(file: ObjectFile, count: int, size: tuple[int, int], seed: int) -> dict[str, Any]:
-    """Return what `sample_glances` depends on.
+def close_up_request(file: "ObjectFile", count: int, size: tuple[int, int], seed: int) -> dict[str, Any]:
+    """Return what `sample_close_ups` depends on.
 
     Raises
     ------
@@ -91,7 +93,7 @@ def glance_request(file: ObjectFile, count: int, size: tuple[int, int], seed: in
             f"window of SSIM, and at most those of the sensor, {list(largest)}"
         )
     return {
-        "code": code_digest(sample_glances),
+        "code": code_digest(sample_close_ups),
         "key": file.key,
         "object_sha256": object_digest(file),
         "count": count,
@@ -100,8 +102,8 @@ def glance_request(file: ObjectFile, count: int, size: tuple[int, int], seed: in
     }
 
 
-def is_glanced(request: dict[str, Any], folder: Path) -> bool:
-    """Return whether a folder holds all images of a `glance_request`."""
+def has_close_ups(request: dict[str, Any], folder: Path) -> bool:
+    """Return whether a folder holds all images of a `close_up_request`."""
     try:
         if read_json(folder / RECORD) != request:
             return False
@@ -110,7 +112,7 @@ def is_glanced(request: dict[str, Any], folder: Path) -> bool:
     return are_written(folder, ARRAYS, request["count"])
 
 
-def sample_glances(file: ObjectFile, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
+def sample_close_ups(file: "ObjectFile", count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
     """See and press an object at random points of its surface, where a camera has room.
 
     Parameters
@@ -126,15 +128,15 @@ def sample_glances(file: ObjectFile, count: int, size: tuple[int, int], seed: in
     Raises
     ------
     ObjectFolderError
-        If the surface hides nearly everywhere, or as `glance_request`.
+        If the surface hides nearly everywhere, or as `close_up_request`.
     """
-    request = glance_request(file, count, size, seed)
+    request = close_up_request(file, count, size, seed)
     with exclusive(folder):  # of two benchmarks that start together, one samples
-        if not is_glanced(request, folder):
+        if not has_close_ups(request, folder):
             _sample(file, request, folder)
 
 
-def _sample(file: ObjectFile, request: dict[str, Any], folder: Path) -> None:
+def _sample(file: "ObjectFile", request: dict[str, Any], folder: Path) -> None:
     count, seed, (height, width) = request["count"], request["seed"], request["size"]
     size = height, width
     points, distances = open_points(file, count, seed)
@@ -149,7 +151,7 @@ def _sample(file: ObjectFile, request: dict[str, Any], folder: Path) -> None:
     write_json(folder / RECORD, request)
 
 
-def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def open_points(file: "ObjectFile", count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Draw points of the surface with room for a camera, and its distances: (N, 3) and (N,), metres."""
     drawn = file.sample_surface(4 * count, seed)
     place = (drawn / file.scale).astype(np.float32)
@@ -166,7 +168,7 @@ def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np
 
 
 def close_views(
-    file: ObjectFile, points: np.ndarray, distances: np.ndarray, size: tuple[int, int]
+    file: "ObjectFile", points: np.ndarray, distances: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
     """Look at points against their contact normals at what the sensor covers; (N, H, W, 3) uint8.
 

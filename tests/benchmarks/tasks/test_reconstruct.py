@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from encoding import encoding
 from PIL import Image
 from solids import box, sphere
 from torch import nn
@@ -26,10 +27,11 @@ from objectfolder.benchmarks.models.shape_model import (
 from objectfolder.benchmarks.scoring import truth
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import Truth, best_level
-from objectfolder.benchmarks.tasks import job, reconstruction
+from objectfolder.benchmarks.tasks import job, reconstruct_training
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import namer_checkpoint
-from objectfolder.benchmarks.tasks.reconstruction import CURVE_COLUMNS, over_seeds, reconstruct
+from objectfolder.benchmarks.tasks.reconstruct import TASK
+from objectfolder.benchmarks.tasks.reconstruct_training import over_seeds, reconstruct
 from objectfolder.benchmarks.tasks.shape_training import (
     VARIANTS,
     ShapeTraining,
@@ -125,14 +127,22 @@ def occupancy(monkeypatch):
     opened = {key: (lambda surface=surface: surface) for key, surface in SURFACES.items()}
     sampled = sample_occupancy(opened, 3000, 600, PARAMS.score_points, PARAMS.resolution, 0)
     monkeypatch.setattr(truth, "cached_occupancy", lambda *given: sampled)
-    monkeypatch.setattr(reconstruction, "_surface", lambda path, key: SURFACES[key])
+    monkeypatch.setattr(reconstruct_training, "_surface", lambda path, key: SURFACES[key])
     return sampled
 
 
 def run(progress, report=lambda line: None, params=PARAMS):
     """Scores but for the time they took, and curves."""
     scores, curves = reconstruct(
-        Job(Observed(), SPLIT, params, "tiny_shapes", SIZES, seed=0, progress=progress, report=report)
+        Job(
+            Observed(),
+            SPLIT,
+            params,
+            encoding("tiny_shapes", SIZES),
+            seed=0,
+            progress=progress,
+            report=report,
+        )
     )
     assert scores.pop("seconds") > 0
     return json.loads(json.dumps(scores, allow_nan=False)), curves
@@ -169,7 +179,7 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
         assert {row[1] for row in rows} == {0}
         assert [row[2] for row in rows] == list(range(1, len(rows) + 1))
         assert max(row[4] for row in rows) == scores["val_iou"]
-        assert all(len(row) == len(CURVE_COLUMNS) for row in rows)
+        assert all(len(row) == len(TASK.columns) for row in rows)
     first = {variant: next(row for row in curves if row[0] == variant) for variant in VARIANTS}
     assert len([row for row in curves if row[0] == "VA"]) == PARAMS.epochs / 2
     assert first["VA"][3] < 0.9 * first["V"][3]  # it starts from what the others learnt
@@ -199,7 +209,7 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
 
 @pytest.mark.parametrize("variant", ["V", *(pytest.param(name, marks=pytest.mark.slow) for name in "AT")])
 def test_encoders_that_name_the_objects_stay_as_they_are(occupancy, tmp_path, variant):
-    job = Job(Observed(), SPLIT, PARAMS, "tiny_shapes", SIZES, seed=0, progress=tmp_path)
+    job = Job(Observed(), SPLIT, PARAMS, encoding("tiny_shapes", SIZES), seed=0, progress=tmp_path)
     model, curve, before = ShapeTraining(job, occupancy, variant, 0, tmp_path / "last.pt").trained([], 0)
     assert before > 0
     assert curve[-1].train_loss < 0.9 * curve[0].train_loss
@@ -211,7 +221,7 @@ def test_encoders_that_name_the_objects_stay_as_they_are(occupancy, tmp_path, va
 
 
 def test_touches_of_a_row_are_of_its_object_and_encoded_as_one_by_one(occupancy, tmp_path):
-    job = Job(Observed(), SPLIT, PARAMS, "tiny_shapes", SIZES, seed=0, progress=tmp_path)
+    job = Job(Observed(), SPLIT, PARAMS, encoding("tiny_shapes", SIZES), seed=0, progress=tmp_path)
     training = ShapeTraining(job, occupancy, "T", 0, tmp_path / "last.pt")
     rows = SPLIT.val[[0, 7]]
     touches = sensed(job, ("touch",), rows)["touch"]
@@ -247,7 +257,7 @@ def test_what_no_epoch_changes_is_encoded_once(occupancy, tmp_path):
             asked.append(("encoded", len(x)))
             return x.flatten(1).mean(1, keepdim=True)
 
-    job = Job(Counted(), SPLIT, PARAMS, "tiny_shapes", SIZES, seed=0, progress=tmp_path)
+    job = Job(Counted(), SPLIT, PARAMS, encoding("tiny_shapes", SIZES), seed=0, progress=tmp_path)
     rows, encoder, rng = SPLIT.train, Encoder(), np.random.default_rng(0)
     for modality, times in (("audio", 1), ("touch", 1), ("vision", 3)):
         found = []
@@ -289,7 +299,7 @@ def test_of_objects_without_validation_rows_training_rows_help_to_choose(tmp_pat
     seen = per_sample(Observed.keys, COUNT)
     unseen = Split("unseen", np.concatenate([ball, slab]), block, cube)
     for split, rows in ((seen, seen.val), (unseen, np.concatenate([block[:2], ball[:2], slab[:2]]))):
-        job = Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, 0, tmp_path)
+        job = Job(Observed(), split, PARAMS, encoding("tiny_shapes", SIZES), 0, tmp_path)
         assert validation_rows(job).tolist() == rows.tolist()
 
 
@@ -297,7 +307,7 @@ def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
     """A net that knows the training objects by heart and nothing else has learnt nothing."""
     ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
     split = Split("unseen", np.concatenate([ball, slab]), block, cube)
-    job = Job(Observed(), split, PARAMS, "tiny_shapes", SIZES, 0, tmp_path)
+    job = Job(Observed(), split, PARAMS, encoding("tiny_shapes", SIZES), 0, tmp_path)
     training = ShapeTraining(job, occupancy, "V", 0, tmp_path / "none.pt")
     labels = Observed.labels[validation_rows(job)]
 
@@ -315,7 +325,7 @@ def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
 def test_an_object_without_validation_rows_is_not_validated_on_what_it_learnt(tmp_path):
     seen = per_sample(Observed.keys, COUNT)
     silent = replace(seen, val=seen.val[Observed.labels[seen.val] > 0])
-    job = Job(Observed(), silent, PARAMS, "tiny_shapes", SIZES, 0, tmp_path)
+    job = Job(Observed(), silent, PARAMS, encoding("tiny_shapes", SIZES), 0, tmp_path)
     assert validation_rows(job).tolist() == silent.val.tolist()
 
 
@@ -332,15 +342,15 @@ def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hear
     tested = {}
 
     def finished(jobs, truth, variant, run):
-        rows = reconstruction._test(jobs[variant])
+        rows = reconstruct_training._test(jobs[variant])
         tested[variant] = np.bincount(Observed.labels[rows], minlength=4).tolist()
         return {"scores": {"iou": 0.5}, "curve": [], "seconds": 0.0}
 
     (tmp_path / "V_0.safetensors").touch()
-    monkeypatch.setattr(reconstruction, "_finished", finished)
-    monkeypatch.setattr(reconstruction, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
+    monkeypatch.setattr(reconstruct_training, "_finished", finished)
+    monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
     params = SimpleNamespace(**vars(PARAMS) | {"views": 1})
-    scores, _ = reconstruct(Job(Silent(), SPLIT, params, "tiny_shapes", SIZES, 0, tmp_path))
+    scores, _ = reconstruct(Job(Silent(), SPLIT, params, encoding("tiny_shapes", SIZES), 0, tmp_path))
     assert tested == {"V": [1] * 4, "A": [1, 0, 1, 1], "T": [1] * 4, "VA": [1] * 4}
     assert scores["rows"] == {"train": 64, "val": 4, "test": 4}
     assert scores["duplicates"]["audio"] == {"val": 1, "test": 1}
@@ -358,9 +368,9 @@ def test_unknown_objects_are_compared_with_known_ones(occupancy, tmp_path, monke
         return {"scores": {"iou": 0.5}, "curve": [], "seconds": 0.0}
 
     (tmp_path / "V_0.safetensors").touch()
-    monkeypatch.setattr(reconstruction, "_finished", finished)
-    monkeypatch.setattr(reconstruction, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
-    scores, _ = reconstruct(Job(Observed(), unseen, PARAMS, "tiny_shapes", SIZES, 0, tmp_path))
+    monkeypatch.setattr(reconstruct_training, "_finished", finished)
+    monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
+    scores, _ = reconstruct(Job(Observed(), unseen, PARAMS, encoding("tiny_shapes", SIZES), 0, tmp_path))
     inside = occupancy.score_inside
     to_cube = [(inside[i] & inside[3]).sum() / (inside[i] | inside[3]).sum() for i in (0, 2)]
     assert to_cube[0] != to_cube[1]
@@ -445,8 +455,7 @@ def test_encoders_start_from_given_weights(tmp_path):
 
 
 def test_an_object_file_of_another_object_is_named(brick_path):
-    assert np.array_equal(
-        reconstruction._surface(brick_path, "brick").vertices, ObjectFile.load(brick_path).surface.vertices
-    )
+    vertices = reconstruct_training._surface(brick_path, "brick").vertices
+    assert np.array_equal(vertices, ObjectFile.load(brick_path).surface.vertices)
     with pytest.raises(ObjectFolderError, match=f"{brick_path} holds brick, expected mug"):
-        reconstruction._surface(brick_path, "mug")
+        reconstruct_training._surface(brick_path, "mug")

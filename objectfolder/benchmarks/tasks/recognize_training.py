@@ -15,34 +15,29 @@ import torch
 from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models.classifier import Classifier, Inputs, join_classifiers
 from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
 from objectfolder.benchmarks.reporting.confusion import draw_confusion
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
 from objectfolder.benchmarks.scoring.together import accuracy_together, bound_alone, bound_together
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.recognition_config import RecognizeConfig
-from objectfolder.benchmarks.tasks.running import Objects, Task
-from objectfolder.errors import ObjectFolderError
+from objectfolder.benchmarks.tasks.recognize import (
+    RecognizeConfig,
+    Target,
+    check_learnt,
+    learnt_materials,
+    material_target,
+)
+from objectfolder.benchmarks.tasks.task import Objects
 from objectfolder.seeding import numpy_generator, seeded
 
 LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
 #: V, A, T, VA, VT, AT, VAT: input modalities; the rows of the main paper's Table 2.
 COMBINATIONS = tuple("".join(letters) for size in (1, 2, 3) for letters in combinations(LETTERS, size))
-CURVE_COLUMNS = ("seed", "modalities", "epoch", "train_loss", "val_accuracy")  #: of the training curves
 TOUCHES = (1, 2, 4, 8, 16)  #: numbers of touches of one object that answer together
 FLAT = 20e-6  #: relief in metres below which a touch is on flat ground, and tells nothing
 PANELS = ("V", "A", "T", "VAT")  #: of the figure of confusion
 FUSION_RATE = 0.1  #: learning rate of trained encoders relative to new ones
-
-
-@dataclass(frozen=True)
-class Target:
-    """What is recognized."""
-
-    names: tuple[str, ...]  #: of the classes
-    labels: np.ndarray  #: (rows,) int64, the class of each row
 
 
 @dataclass(frozen=True)
@@ -84,7 +79,7 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
         before any row is dropped; ``untested``, by combination the objects without a test row; and
         ``seconds`` of training.
     list
-        Rows of the training curves: `CURVE_COLUMNS`.
+        Rows of the training curves: those of the task.
 
     Raises
     ------
@@ -97,16 +92,6 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
     return _classified(job, Target(job.observations.keys, objects.labels))
 
 
-def check_learnt(split: Split, objects: Objects) -> None:
-    """Raise ObjectFolderError if a test object is absent from training."""
-    unknown = np.setdiff1d(objects.labels[split.test], objects.labels[split.train])
-    if unknown.size:
-        raise ObjectFolderError(
-            f"split {split.name}: test class {objects.keys[unknown[0]]} is absent from training; use "
-            "--split seen"
-        )
-
-
 def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the classification of materials; otherwise as `recognize`.
 
@@ -117,7 +102,7 @@ def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[
     dict
         As of `recognize`, by material; also the ``materials`` and those ``left_out``.
     list
-        Rows of the training curves: `CURVE_COLUMNS`.
+        Rows of the training curves: those of the task.
 
     Raises
     ------
@@ -127,7 +112,7 @@ def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[
     observations, split = job.observations, job.split
     materials = [str(observations.records[key]["material"]) for key in observations.keys]
     objects = Objects(observations.keys, observations.labels, materials)
-    target, learnt = _materials(objects), learnt_materials(split, objects)
+    target, learnt = material_target(objects), learnt_materials(split, objects)
     left_out = np.setdiff1d(
         target.labels[np.concatenate([split.val, split.test])], target.labels[split.train]
     )
@@ -136,43 +121,6 @@ def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[
         "materials": list(target.names),
         "left_out": [target.names[label] for label in left_out],
     }, curve
-
-
-def learnt_materials(split: Split, objects: Objects) -> Split:
-    """Drop validation and test rows of materials that no training object has.
-
-    Raises
-    ------
-    ObjectFolderError
-        If all objects for training are of one material, or none for validation or the test is of a material
-        of theirs.
-    """
-    target = _materials(objects)
-    names, labels = np.array(target.names), target.labels
-    known = np.unique(labels[split.train])
-    if len(known) < 2:
-        raise ObjectFolderError(
-            f"split {split.name}: all objects for training are of {names[known[0]]}; add objects of another "
-            "material"
-        )
-    val, test = (rows[np.isin(labels[rows], known)] for rows in (split.val, split.test))
-    for part, rows in (("validation", val), ("test", test)):
-        if not len(rows):
-            raise ObjectFolderError(
-                f"split {split.name}: no {part} object is of a material of the objects for training "
-                f"({', '.join(names[known])}); add objects"
-            )
-    return replace(split, val=val, test=test)
-
-
-def check_materials(split: Split, objects: Objects) -> None:
-    """Raise ObjectFolderError if `learnt_materials` does."""
-    learnt_materials(split, objects)
-
-
-def _materials(objects: Objects) -> Target:
-    names, classes = np.unique(objects.materials, return_inverse=True)
-    return Target(tuple(names.tolist()), classes.astype(np.int64)[objects.labels])
 
 
 def _classified(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, Any], list[list[Any]]]:
@@ -330,13 +278,3 @@ def _logits(job: Job[RecognizeConfig], net: Classifier, name: str, rows: np.ndar
     """Return the logits of a net for rows; (n, K), on the CPU."""
     parts = np.split(rows, range(job.params.batch, len(rows), job.params.batch))
     return torch.cat([net(_inputs(job, name, part)) for part in parts]).cpu()
-
-
-RECOGNIZE = Task(
-    *("recognize", RecognizeConfig, recognize, CURVE_COLUMNS, Observations, check_learnt),
-    encodes=tuple(LETTERS.values()),
-)
-MATERIALS = Task(
-    *("materials", RecognizeConfig, classify_materials, CURVE_COLUMNS, Observations, check_materials),
-    encodes=tuple(LETTERS.values()),
-)

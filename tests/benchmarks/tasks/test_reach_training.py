@@ -5,7 +5,6 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-import typer
 from gymnasium.spaces import Box
 from PIL import Image
 from ruamel.yaml import YAML
@@ -15,13 +14,11 @@ from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.ppo import train_ppo
 from objectfolder.benchmarks.models.ppo_config import ReachConfig
-from objectfolder.benchmarks.params import RobotParams, robot_params
-from objectfolder.benchmarks.reporting.tables import reach_table
-from objectfolder.benchmarks.tasks import reach as task
-from objectfolder.benchmarks.tasks.reach import (
-    CURVE_COLUMNS,
+from objectfolder.benchmarks.tasks import reach_training as task
+from objectfolder.benchmarks.tasks.job import ObjectJob
+from objectfolder.benchmarks.tasks.reach import TASK
+from objectfolder.benchmarks.tasks.reach_training import (
     POLICIES,
-    REACH,
     controller,
     fresh_seeds,
     nothing,
@@ -30,9 +27,9 @@ from objectfolder.benchmarks.tasks.reach import (
     reach_frames,
     run_episodes,
 )
-from objectfolder.benchmarks.tasks.robots import ObjectRun, RobotJob
-from objectfolder.benchmarks.tasks.running import run_benchmark
-from objectfolder.cli.bench_robots import reach as reach_command
+from objectfolder.benchmarks.tasks.running import KnownObject, Run, run_benchmark
+from objectfolder.benchmarks.tasks.task import TaskParams
+from objectfolder.cli import app
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import ReachEnv
 from objectfolder.errors import ObjectFolderError
@@ -271,10 +268,10 @@ def test_films_show_where_the_goal_is_met(body):
 def test_scores_have_everything_and_are_the_same_again(brick, body, tmp_path):
     said = []
     params = replace(TINY, seeds=2)
-    scores, curve = reach(RobotJob("reach", brick, body, params, 0, tmp_path / "a", said.append))
+    scores, curve = reach(ObjectJob("reach", brick, body, params, 0, tmp_path / "a", said.append))
     assert len(said) == len(curve) == 2  # a part has 32 steps
     assert [row[:2] for row in curve] == [[0, 32], [1, 32]]
-    assert len(curve[0]) == len(CURVE_COLUMNS)
+    assert len(curve[0]) == len(TASK.columns)
     assert scores["steps"] == [32, 32]
     for name in POLICIES:
         low, high = scores[name]["last"]["interval_95"]
@@ -286,7 +283,7 @@ def test_scores_have_everything_and_are_the_same_again(brick, body, tmp_path):
         "rate": 0,
         "interval_95": [0, pytest.approx(1.96**2 / (2 + 1.96**2), abs=1e-4)],
     }
-    again, curve_again = reach(RobotJob("reach", brick, body, params, 0, tmp_path / "b"))
+    again, curve_again = reach(ObjectJob("reach", brick, body, params, 0, tmp_path / "b"))
     assert curve_again == curve
     assert again | {"seconds": 0} == scores | {"seconds": 0}
     assert (tmp_path / "b/episodes.gif").read_bytes() == (tmp_path / "a/episodes.gif").read_bytes()
@@ -305,7 +302,7 @@ def test_each_training_is_scored_on_goals_of_its_own(brick, body, tmp_path, monk
     monkeypatch.setattr(task, "run_episodes", play)
     monkeypatch.setattr(task, "reach_frames", lambda env, policy, seeds: [np.zeros((8, 8, 3), np.uint8)])
     monkeypatch.setattr(task, "train_ppo", lambda *given: (Trained(), [[32, 0, 0, 0, 0]], 0.0))
-    scores, _ = reach(RobotJob("reach", brick, body, replace(TINY, seeds=2), 0, tmp_path))
+    scores, _ = reach(ObjectJob("reach", brick, body, replace(TINY, seeds=2), 0, tmp_path))
     first, second = (seeds for policy, seeds in asked if isinstance(policy, Trained))
     assert first == fresh_seeds(0, brick.key, "test", TINY.goals)  # as with one seed
     assert not set(first) & set(second)
@@ -328,15 +325,20 @@ def test_the_animation_shows_each_outcome_once(brick, body, tmp_path, monkeypatc
 
     monkeypatch.setattr(task, "reach_frames", frames)
     monkeypatch.setattr(task, "run_episodes", play)
-    reach(RobotJob("reach", brick, body, replace(TINY, goals=4), 0, tmp_path))
+    reach(ObjectJob("reach", brick, body, replace(TINY, goals=4), 0, tmp_path))
     goals = fresh_seeds(0, brick.key, "test", 4)
     assert found == [goals[i] for i in shown]
 
 
-def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick, hulls, tmp_path):
-    params = RobotParams(settings=TINY, seed=0)
+def run_with(brick, body, params, folder):
+    known = KnownObject(brick, "digest", body)
+    return Run(task=TASK, training=reach, part="brick", inputs=known, params=params, folder=folder)
+
+
+def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick, body, tmp_path):
+    params = TaskParams(TINY, None, 0)
     whole, part = Benchmarks(tmp_path / "whole"), Benchmarks(tmp_path / "part")
-    run_benchmark(ObjectRun(REACH, brick, hulls, params, whole), print)
+    run_benchmark(run_with(brick, body, params, whole), print)
     files = {path.name for path in whole.dir.iterdir()} - {".progress"}
     assert files == {f"reach_brick.{suffix}" for suffix in ("json", "csv", "gif", "safetensors")}
     assert read_json(whole.result("reach", "brick"))["task"] == "reach"
@@ -347,40 +349,38 @@ def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick, hulls, tmp_path)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_benchmark(ObjectRun(REACH, brick, hulls, params, part), stop)
+        run_benchmark(run_with(brick, body, params, part), stop)
     kept = list((part.dir / ".progress").glob("*/0.pt"))
     assert len(kept) == 1
-    run_benchmark(
-        ObjectRun(REACH, brick, hulls, params, part), lambda line: pytest.fail("nothing is left to train")
-    )
+    run_benchmark(run_with(brick, body, params, part), lambda line: pytest.fail("nothing is left to train"))
     for name in files:
         assert (part.dir / name).read_bytes() == (whole.dir / name).read_bytes()
     shutil.rmtree(part.dir)
 
 
-def test_more_seeds_go_on_where_fewer_ended(brick, hulls, tmp_path):
-    one, two = (RobotParams(settings=replace(TINY, seeds=seeds), seed=0) for seeds in (1, 2))
+def test_more_seeds_go_on_where_fewer_ended(brick, body, tmp_path):
+    one, two = (TaskParams(replace(TINY, seeds=seeds), None, 0) for seeds in (1, 2))
     grown, whole = Benchmarks(tmp_path / "grown"), Benchmarks(tmp_path / "whole")
     lines: dict[str, list[str]] = {"one": [], "two": [], "whole": []}
-    run_benchmark(ObjectRun(REACH, brick, hulls, one, grown), lines["one"].append)
-    run_benchmark(ObjectRun(REACH, brick, hulls, two, grown), lines["two"].append)
-    run_benchmark(ObjectRun(REACH, brick, hulls, two, whole), lines["whole"].append)
+    run_benchmark(run_with(brick, body, one, grown), lines["one"].append)
+    run_benchmark(run_with(brick, body, two, grown), lines["two"].append)
+    run_benchmark(run_with(brick, body, two, whole), lines["whole"].append)
     assert len(lines["one"]) + len(lines["two"]) == len(lines["whole"])
     for path in (grown.result("reach", "brick"), grown.curve("reach", "brick")):
         assert path.read_bytes() == (whole.dir / path.name).read_bytes()
-    other = RobotParams(settings=replace(TINY, discount=0.8), seed=0)
-    run_benchmark(ObjectRun(REACH, brick, hulls, other, grown), lines["one"].append)
+    other = TaskParams(replace(TINY, discount=0.8), None, 0)
+    run_benchmark(run_with(brick, body, other, grown), lines["one"].append)
     assert len(list((grown.dir / ".progress").iterdir())) == 1  # what is of no more use is gone
 
 
 def test_params_are_read_and_checked(tmp_path):
     values = {"seed": 3, "sensor": "digit", "reach": asdict(TINY)}
-    assert robot_params(ReachConfig, values) == RobotParams(settings=TINY, seed=3)
+    assert TASK.params(values) == TaskParams(TINY, None, 3)
     values["reach"] |= {"discount": 1.5}
     with pytest.raises(ObjectFolderError, match="reach: discount"):
-        robot_params(ReachConfig, values)
+        TASK.params(values)
     with pytest.raises(ObjectFolderError, match="lacks section 'reach'"):
-        robot_params(ReachConfig, {"seed": 0, "sensor": "digit"})
+        TASK.params({"seed": 0, "sensor": "digit"})
 
 
 def _played(last, ever):
@@ -397,7 +397,7 @@ def test_a_table_has_a_row_for_each_policy_of_each_object():
         "task": "reach",
         "steps": [163840, 81920],
     }
-    shown = reach_table({"cup": scores, "die": scores})
+    (shown,) = TASK.tables({"cup": scores, "die": scores})
     assert [row[0] for row in shown.rows] == ["cup"] * 4 + ["die"] * 4
     assert shown.rows[0] == ("cup", "PPO", "97 (96-100)", "100 (96-100)", "12", "9.50", "164k/82k", "100")
     assert shown.rows[3][1:] == ("none", "97 (96-100)", "100 (96-100)", "12", "9.50", "-", "-")
@@ -409,9 +409,8 @@ def test_the_command_runs_the_task_and_shows_the_table(brick_path, tmp_path, mon
     values = {"seed": 0, "sensor": "digit", "objects": {}, "procedural": {}}
     values |= {"decompose": {"hulls": 4}, "reach": asdict(TINY)}
     YAML().dump(values, tmp_path / "params.yaml")
-    app = typer.Typer()
-    app.command()(reach_command)
-    told = CliRunner().invoke(app, [str(brick_path), "--out", "here", "--jobs", "1"], catch_exceptions=False)
+    words = ["bench", "reach", str(brick_path), "--out", "here", "--jobs", "1"]
+    told = CliRunner().invoke(app, words, catch_exceptions=False)
     assert told.exit_code == 0
     assert "brick" in told.output
     folder = Benchmarks("here")

@@ -22,8 +22,7 @@ from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.scoring.truth import Truth
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import CHUNK, namer_checkpoint
-from objectfolder.benchmarks.tasks.reconstruction_config import ReconstructConfig
-from objectfolder.benchmarks.tasks.running import Task
+from objectfolder.benchmarks.tasks.reconstruct import ReconstructConfig
 from objectfolder.benchmarks.tasks.shape_training import (
     VARIANTS,
     ShapeTraining,
@@ -40,7 +39,6 @@ from objectfolder.workspace.layout import MODALITIES
 POOLED = (16, 16)  #: size of the views by which the most similar is sought
 SHOWN = 8  #: test rows in the picture
 Jobs = dict[str, Job[ReconstructConfig]]  #: by variant
-CURVE_COLUMNS = ("variant", "seed", "epoch", "train_loss", "val_iou")  #: of the training curves
 
 
 def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
@@ -65,7 +63,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         of different ``touches`` and of ``views``; `Job.counts` of these views, before any is dropped;
         ``untested``, by variant the objects without a test row; and ``seconds``.
     list
-        Rows of the training curves: `CURVE_COLUMNS`.
+        Rows of the training curves: those of the task.
 
     Raises
     ------
@@ -224,8 +222,3 @@ def _sheet(job: Job[ReconstructConfig], truth: Truth) -> np.ndarray:
     shapes.append([(surface.vertices, surface.faces) for surface in surfaces])
     views = job.observations.read("vision", rows)
     return sheet(views, [list(meshes) for meshes in zip(*shapes)])
-
-
-RECONSTRUCT = Task(
-    "reconstruct", ReconstructConfig, reconstruct, CURVE_COLUMNS, Observations, encodes=MODALITIES
-)

@@ -1,14 +1,31 @@
-"""Settings of the collection of grasps: section ``grasp_data`` of ``params.yaml``."""
+"""Sections of ``params.yaml`` about the samples of benchmarks: ``observe``, ``decompose``, ``grasp_data``."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 from annotated_types import Ge, Interval, MultipleOf
 
+from objectfolder.settings import Count
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObserveConfig:
+    """Section ``observe``: random views, impacts and touches of each object."""
+
+    observations: Annotated[int, Ge(10), MultipleOf(10)]  #: per modality
+    resolution: Annotated[int, Ge(8)]  #: side of the views, pixels
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecomposeConfig:
+    """Section ``decompose``: the surface as convex hulls."""
+
+    hulls: Count  #: greatest number of hulls of an object
+
 
 @dataclass(frozen=True, kw_only=True)
 class GraspDataConfig:
-    """Section ``grasp_data`` of ``params.yaml``: grasps to collect of each object."""
+    """Section ``grasp_data``: grasps to collect of each object."""
 
     grasps: Annotated[int, Ge(10), MultipleOf(10)]
     perturbations: Annotated[int, Ge(0)]  #: perturbed repetitions of each grasp for the soft label

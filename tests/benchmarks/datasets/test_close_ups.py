@@ -3,14 +3,14 @@ import pytest
 import torch
 from brick import felt_by
 
-from objectfolder.benchmarks.datasets import glances
-from objectfolder.benchmarks.datasets.glances import (
-    Glances,
+from objectfolder.benchmarks.datasets import close_ups
+from objectfolder.benchmarks.datasets.close_ups import (
+    CloseUps,
+    close_up_request,
     close_views,
-    glance_request,
-    is_glanced,
+    has_close_ups,
     open_points,
-    sample_glances,
+    sample_close_ups,
 )
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -26,15 +26,15 @@ def bell():
 @pytest.mark.slow
 def test_the_same_folder_again_and_not_for_another_request(bell, tmp_path):
     for name in ("one", "two"):
-        sample_glances(bell, 20, SIZE, 3, tmp_path / name)
+        sample_close_ups(bell, 20, SIZE, 3, tmp_path / name)
     for path in (tmp_path / "one").iterdir():
         assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
-    assert is_glanced(glance_request(bell, 20, SIZE, 3), tmp_path / "one")
-    assert not is_glanced(glance_request(bell, 20, SIZE, 4), tmp_path / "one")
-    assert not is_glanced(glance_request(bell, 20, SIZE, 3), tmp_path / "three")
+    assert has_close_ups(close_up_request(bell, 20, SIZE, 3), tmp_path / "one")
+    assert not has_close_ups(close_up_request(bell, 20, SIZE, 4), tmp_path / "one")
+    assert not has_close_ups(close_up_request(bell, 20, SIZE, 3), tmp_path / "three")
     (tmp_path / "two" / "view.npy").unlink()
-    assert not is_glanced(glance_request(bell, 20, SIZE, 3), tmp_path / "two")
-    table = Glances({"bell": tmp_path / "one"})
+    assert not has_close_ups(close_up_request(bell, 20, SIZE, 3), tmp_path / "two")
+    table = CloseUps({"bell": tmp_path / "one"})
     assert table.shape("view") == table.shape("touch") == (*SIZE, 3)
     assert len(table) == 20
 
@@ -75,9 +75,9 @@ def test_cameras_stand_where_the_gel_comes_from(bell, monkeypatch):
     assert (outward * surface).sum(1).min() < 0.999
     place = (points / bell.scale).astype(np.float32)
     free, _ = bell.surface.caster.first_hit(
-        (place + glances.LIFT * outward).astype(np.float32), outward.astype(np.float32)
+        (place + close_ups.LIFT * outward).astype(np.float32), outward.astype(np.float32)
     )
-    expected = np.minimum(glances.CLEAR * bell.scale * free, glances.FARTHEST)
+    expected = np.minimum(close_ups.CLEAR * bell.scale * free, close_ups.FARTHEST)
     np.testing.assert_allclose(distances, expected, atol=1e-4)
     cameras = []
 
@@ -94,13 +94,13 @@ def test_cameras_stand_where_the_gel_comes_from(bell, monkeypatch):
 
 def test_cameras_stand_in_the_open(bell):
     _, distances = open_points(bell, 60, seed=0)
-    assert distances.min() >= glances.NEAREST
-    assert distances.max() <= glances.FARTHEST
-    assert distances.min() < 0.6 * glances.FARTHEST  # inside the bell
+    assert distances.min() >= close_ups.NEAREST
+    assert distances.max() <= close_ups.FARTHEST
+    assert distances.min() < 0.6 * close_ups.FARTHEST  # inside the bell
 
 
 def test_an_object_without_room_is_refused(bell, monkeypatch):
-    monkeypatch.setattr(glances, "NEAREST", 0.2)
+    monkeypatch.setattr(close_ups, "NEAREST", 0.2)
     with pytest.raises(ObjectFolderError, match="bell: 0 of 40 random points leave 20 cm for a camera"):
         open_points(bell, 10, seed=0)
 
@@ -108,4 +108,4 @@ def test_an_object_without_room_is_refused(bell, monkeypatch):
 @pytest.mark.parametrize("size", [(10, 12), (12, 10), (161, 120)])
 def test_sizes_that_cannot_be_scored_or_felt_are_refused(bell, size):
     with pytest.raises(ObjectFolderError, match=rf"bell: encode.touch is \[{size[0]}, {size[1]}\], expected"):
-        glance_request(bell, 10, size, 0)
+        close_up_request(bell, 10, size, 0)

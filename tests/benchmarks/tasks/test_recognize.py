@@ -4,6 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from encoding import encoding
 from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import Split, per_object, per_sample
@@ -11,11 +12,11 @@ from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.classifier import Classifier, join_classifiers
 from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
-from objectfolder.benchmarks.tasks import recognition
+from objectfolder.benchmarks.tasks import recognize_training
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.recognition import (
+from objectfolder.benchmarks.tasks.recognize import TASK
+from objectfolder.benchmarks.tasks.recognize_training import (
     COMBINATIONS,
-    CURVE_COLUMNS,
     classify_materials,
     recognize,
 )
@@ -78,7 +79,7 @@ class Table:
 
 @pytest.fixture(autouse=True)
 def _small_encoder_and_no_figure(monkeypatch):
-    monkeypatch.setattr(recognition, "draw_confusion", lambda title, counts, names, path: path.touch())
+    monkeypatch.setattr(recognize_training, "draw_confusion", lambda title, counts, names, path: path.touch())
     monkeypatch.setattr(encoders, "_FACTORIES", dict(encoders._FACTORIES))
 
     @register_encoder("small")
@@ -99,7 +100,7 @@ def _small_encoder_and_no_figure(monkeypatch):
 def _run(table, folder, split=None, **changes):
     params = SimpleNamespace(**{**vars(PARAMS), **changes})
     split = split or per_sample(table.keys, table.count)
-    scores, curve = recognize(Job(table, split, params, "small", SIZES, seed=1, progress=folder))
+    scores, curve = recognize(Job(table, split, params, encoding("small", SIZES), seed=1, progress=folder))
     return {name: value for name, value in scores.items() if name != "seconds"}, curve
 
 
@@ -115,7 +116,7 @@ def test_objects_that_differ_in_every_sense_are_told_apart(tmp_path):
     confusion = np.array(scores["confusion"])
     assert (confusion.sum(1) == 2 * 3).all()  # two seeds with three test rows of each object
     assert confusion.trace() / 24 == pytest.approx(scores["VAT"]["accuracy"])
-    assert len(CURVE_COLUMNS) == len(curve[0])
+    assert len(TASK.columns) == len(curve[0])
     assert [tuple(row[:3]) for row in curve] == [
         (run, name, epoch)
         for run in (0, 1)
@@ -145,7 +146,7 @@ def test_touches_are_told_apart_by_what_differs_from_their_median(tmp_path):
     split = per_sample(table.keys, table.count)
     changes = {"seeds": 1, "schedule": "one_cycle", "label_smoothing": 0.1, "epochs": 6, "patience": 6}
     params = SimpleNamespace(**{**vars(PARAMS), **changes})
-    job = Job(table, split, params, "small", SIZES, 1, tmp_path, subtract=True, shift=1)
+    job = Job(table, split, params, encoding("small", SIZES, subtract=True, shift=1), 1, tmp_path)
     scores, curve = recognize(job)
     assert scores["T"]["accuracy"] > 0.7
     # Smoothed targets bound the loss: -0.925 log 0.925 - 3 * 0.025 log 0.025
@@ -154,7 +155,7 @@ def test_touches_are_told_apart_by_what_differs_from_their_median(tmp_path):
     other.arrays["touch"] = table.arrays["touch"].copy()
     held = np.concatenate([split.val, split.test])
     other.arrays["touch"][held] = 0
-    again = Job(other, split, params, "small", SIZES, 1, tmp_path, subtract=True)
+    again = Job(other, split, params, encoding("small", SIZES, subtract=True), 1, tmp_path)
     torch.testing.assert_close(
         again.ground.median, job.ground.median, rtol=0, atol=0
     )  # of training rows only
@@ -230,7 +231,7 @@ def test_materials_are_classes_of_their_own_and_those_never_learnt_are_left_out(
     train, val, test = rows[[0, 2, 3], :25].ravel(), rows[[0, 3], 25:27].ravel(), rows[1]
     split = Split("unseen", train, val, test)
     params = SimpleNamespace(**{**vars(PARAMS), "seeds": 1, "epochs": 6, "patience": 6})
-    scores, _ = classify_materials(Job(table, split, params, "small", SIZES, 1, tmp_path / "steel"))
+    scores, _ = classify_materials(Job(table, split, params, encoding("small", SIZES), 1, tmp_path / "steel"))
     assert (scores["materials"], scores["left_out"], scores["objects"]) == (["steel", "wood"], [], 4)
     assert np.shape(scores["confusion"]) == (2, 2)
     assert np.sum(scores["confusion"], 1).tolist() == [30, 0]
@@ -239,14 +240,14 @@ def test_materials_are_classes_of_their_own_and_those_never_learnt_are_left_out(
 
     table.records["cube"] = {"material": "gold"}
     half = Split("unseen", train, val, np.concatenate([rows[0, 27:], test]))
-    scores, _ = classify_materials(Job(table, half, params, "small", SIZES, 1, tmp_path / "gold"))
+    scores, _ = classify_materials(Job(table, half, params, encoding("small", SIZES), 1, tmp_path / "gold"))
     assert (scores["left_out"], scores["rows"]["test"]) == (["gold"], 3)
     assert scores["chance"]["uniform"] == 0.5  # of the two that are learnt
     with pytest.raises(ObjectFolderError, match=r"no test object is of a material of .*\(steel, wood\)"):
-        classify_materials(Job(table, split, params, "small", SIZES, 1, tmp_path))
+        classify_materials(Job(table, split, params, encoding("small", SIZES), 1, tmp_path))
     alike = Split("unseen", rows[[0, 2], :25].ravel(), val, test)
     with pytest.raises(ObjectFolderError, match="all objects for training are of wood; add objects"):
-        classify_materials(Job(table, alike, params, "small", SIZES, 1, tmp_path))
+        classify_materials(Job(table, alike, params, encoding("small", SIZES), 1, tmp_path))
 
 
 def test_rows_that_were_learnt_are_not_tested(tmp_path):
@@ -280,7 +281,7 @@ def test_what_only_objects_of_one_material_share_tells_the_material(tmp_path):
     table.arrays["audio"][np.isin(table.labels, (0, 2))] = 0  # both are of wood
     params = SimpleNamespace(**{**vars(PARAMS), "seeds": 1, "epochs": 1})
     split = per_sample(table.keys, table.count)
-    scores, _ = classify_materials(Job(table, split, params, "small", SIZES, 1, tmp_path))
+    scores, _ = classify_materials(Job(table, split, params, encoding("small", SIZES), 1, tmp_path))
     assert scores["duplicates"]["audio"] == {"val": 4, "test": 4}
     assert len(json.loads((tmp_path / "0_A.json").read_text())["predicted"]) == 4
     assert len(json.loads((tmp_path / "0_V.json").read_text())["predicted"]) == 8
@@ -315,7 +316,9 @@ def test_interrupted_recognition_goes_on_to_the_same_numbers(tmp_path):
     # In the middle of a single modality, after one, in a fusion, and in the second seed.
     for at in (2, 3, 11, 16):
         with pytest.raises(KeyboardInterrupt):
-            recognize(Job(table, split, PARAMS, "small", SIZES, 1, tmp_path / "parts", report=stop(at)))
+            recognize(
+                Job(table, split, PARAMS, encoding("small", SIZES), 1, tmp_path / "parts", report=stop(at))
+            )
     assert _run(table, tmp_path / "parts") == whole
     assert len(lines) == 16
     assert len(set(lines)) == 16  # no epoch twice
@@ -333,7 +336,9 @@ def test_another_seed_gives_other_nets(tmp_path):
     table = Table(20, noise=200)
     split = per_sample(table.keys, table.count)
     curves = [
-        recognize(Job(table, split, PARAMS, "small", SIZES, seed=seed, progress=tmp_path / str(i)))[1]
+        recognize(Job(table, split, PARAMS, encoding("small", SIZES), seed=seed, progress=tmp_path / str(i)))[
+            1
+        ]
         for i, seed in enumerate((1, 2))
     ]
     assert all(a[3] != b[3] for a, b in zip(*curves))

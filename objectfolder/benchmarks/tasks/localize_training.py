@@ -16,25 +16,18 @@ from scipy.spatial.distance import cdist
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, sample_contacts
-from objectfolder.benchmarks.datasets.samples import object_digest
-from objectfolder.benchmarks.models.encoders import own_code, registered
 from objectfolder.benchmarks.models.inputs import shifted
 from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, belief_together, likeliest
 from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
-from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.scoring.scores import interval_95
-from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
-from objectfolder.benchmarks.tasks.running import Report, Task, code_digest, training_device
+from objectfolder.benchmarks.tasks.job import Job, ObjectJob
+from objectfolder.benchmarks.tasks.localize import LocalizeConfig
 from objectfolder.io import read_npz, write_npz
-from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded
-from objectfolder.workspace.layout import Benchmarks
 
 LETTERS = {"T": "touch", "A": "audio"}
 COMBINATIONS = ("T", "A", "TA")
 TOUCH_WEIGHTS = (0.25, 0.5, 1.0)  #: of the belief by touch in that by both senses
-CURVE_COLUMNS = ("seed", "senses", "epoch", "train_loss", "val_score")  #: minus the mean error, sides
 PLACES = 1000  #: on the surface, among which the answer is
 POOLED = {"touch": (16, 12), "audio": (64, 8)}  #: sizes of inputs that the nearest contact is sought by
 CHUNK = 64  #: rows asked or embedded at once
@@ -60,7 +53,7 @@ def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]
         ``random``: a random place; ``constant``: the place with the least mean distance to the training
         contacts. ``contacts`` by part, and ``seconds``.
     list
-        Rows of the training curves: `CURVE_COLUMNS`.
+        Rows of the training curves: those of the task.
     """
     points = job.observations.read("point", np.arange(len(job.observations)))
     setting = _Setting.of(job, points)
@@ -227,8 +220,8 @@ def _trained(
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
         for rows in shuffled(train, params.batch, rng):
             inputs = setting.inputs[letter][rows]
-            if letter == "T" and job.shift:
-                inputs = shifted(inputs, job.shift, rng)
+            if letter == "T" and job.encode.shift:
+                inputs = shifted(inputs, job.encode.shift, rng)
             yield inputs, setting.targets[rows].to(job.device)
 
     def batch_loss(batch: Batch) -> torch.Tensor:
@@ -259,55 +252,21 @@ def _belief(setting: _Setting, net: Localizer, letter: str, rows: np.ndarray) ->
     return torch.cat(found).double().cpu().numpy()
 
 
-LOCALIZE = Task("localize", LocalizeConfig, localize, CURVE_COLUMNS, encodes=tuple(LETTERS.values()))
+def localize_object(job: ObjectJob[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
+    """Touch and strike an object, and `localize` these contacts; scores also hold its ``scale``.
 
-
-@dataclass(frozen=True)
-class ContactRun:
-    """Run of the task with one object; see `objectfolder.benchmarks.tasks.running.run_benchmark`."""
-
-    file: ObjectFile
-    params: TaskParams[LocalizeConfig]
-    folder: Benchmarks
-    device: str | None = None  #: to train on; default: a GPU if there is one
-    task: Task = LOCALIZE
-
-    @property
-    def part(self) -> str:
-        """Object key, which names the result files."""
-        return self.file.key
-
-    def identity(self) -> tuple[Any, ...]:
-        """Return everything that the result of each seed depends on."""
-        given = own_code(self.params.encode.encoder)
-        device = torch.device(training_device(self.device)).type  # a GPU trains in bfloat16
-        return object_digest(self.file), self.params.one_seed(), code_digest(self.task.run), given, device
-
-    def job(self, progress: Path, report: Report) -> Job[LocalizeConfig]:
-        """Return the argument of the task.
-
-        Raises
-        ------
-        ObjectFolderError
-            If the object cannot be touched or heard, or there are too few contacts.
-        """
-        encode, settings, seed = self.params.encode, self.params.settings, self.params.seed
-        return Job(
-            sample_contacts(self.file, settings.contacts, seed),
-            contact_split(settings.contacts),
-            settings,
-            registered(encode.encoder),
-            encode.sizes,
-            seed,
-            progress,
-            None,
-            training_device(self.device),
-            report,
-            encode.subtract,
-            encode.shift,
-            encode.precision,
+    Raises
+    ------
+    ObjectFolderError
+        If the object cannot be touched or heard, or there are too few contacts.
+    """
+    assert job.encode is not None
+    count = job.params.contacts
+    contacts, split = sample_contacts(job.file, count, job.seed), contact_split(count)
+    scores, curve = localize(
+        Job(
+            *(contacts, split, job.params, job.encode, job.seed, job.progress),
+            *(job.weights, job.device, job.report),
         )
-
-    def description(self) -> dict[str, Any]:
-        """Return entries to add to the scores."""
-        return {"scale": self.file.scale}
+    )
+    return scores | {"scale": job.file.scale}, curve

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from brick import with_images
+from encoding import encoding
 from torch import nn
 
 from objectfolder.benchmarks.datasets.contacts import contact_split, sample_contacts
@@ -12,10 +13,10 @@ from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.localizer import SOFTNESS, belief_together, likeliest
-from objectfolder.benchmarks.tasks import localization
+from objectfolder.benchmarks.tasks import localize_training
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.localization import CURVE_COLUMNS, localize
-from objectfolder.benchmarks.tasks.localization_config import LocalizeConfig
+from objectfolder.benchmarks.tasks.localize import TASK, LocalizeConfig
+from objectfolder.benchmarks.tasks.localize_training import localize
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_npz
 from objectfolder.objectfile.file import ObjectFile
@@ -54,7 +55,9 @@ def job(progress, samples=None, **changed):
     values = {"seeds": 1, "contacts": COUNT, "epochs": 25, "batch": 32, "learning_rate": 0.01}
     settings = LocalizeConfig(**(values | {"weight_decay": 0.0, "patience": 25} | changed))
     samples = square() if samples is None else samples
-    return Job(samples, contact_split(COUNT), settings, "test_localizer", SIZES, seed=1, progress=progress)
+    return Job(
+        samples, contact_split(COUNT), settings, encoding("test_localizer", SIZES), seed=1, progress=progress
+    )
 
 
 def test_the_answer_has_the_least_expected_distance():
@@ -110,7 +113,7 @@ def test_two_senses_find_what_one_leaves_open(learnt):
     assert 0.025 < scores["TA"]["nearest"]["mean"] < 0.045
     # Eight contacts on a line of equal x still leave y open but for the square's ends.
     assert scores["T"]["net"]["together"] < 0.7 * scores["T"]["net"]["mean"]
-    assert {len(row) for row in curve} == {len(CURVE_COLUMNS)}
+    assert {len(row) for row in curve} == {len(TASK.columns)}
     assert scores["contacts"] == {"train": 320, "val": 40, "test": 40}
     json.dumps(scores, allow_nan=False)
 
@@ -187,6 +190,6 @@ def test_the_weight_of_touch_is_chosen_on_the_validation_contacts(tmp_path, monk
         errors=lambda belief, truth: np.linalg.norm(places[belief.argmax(1)], axis=1) + 0 * truth[:2, 0]
     )
     monkeypatch.setattr(made.observations, "read", lambda name, rows: truth)
-    weight = localization._touch_weight(made, setting, 0)
+    weight = localize_training._touch_weight(made, setting, 0)
     assert weight == 0.25  # the others follow the wrong sense
-    np.testing.assert_allclose(localization._both(made, 0, "test", weight), wrong + 0.25 * right)
+    np.testing.assert_allclose(localize_training._both(made, 0, "test", weight), wrong + 0.25 * right)

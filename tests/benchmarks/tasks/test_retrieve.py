@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from encoding import encoding
 from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
@@ -16,15 +17,14 @@ from objectfolder.benchmarks.models.two_stream import (
     paired_batches,
     triplet_loss,
 )
-from objectfolder.benchmarks.params import task_params
-from objectfolder.benchmarks.tasks import retrieval
+from objectfolder.benchmarks.tasks import retrieve_training
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import repeated_objects, retrieved_within
-from objectfolder.benchmarks.tasks.recognition import recognize
-from objectfolder.benchmarks.tasks.reconstruction import reconstruct
-from objectfolder.benchmarks.tasks.retrieval import CURVE_COLUMNS, check_objects, retrieve
-from objectfolder.benchmarks.tasks.retrieval_config import RetrieveConfig
-from objectfolder.benchmarks.tasks.running import Objects
+from objectfolder.benchmarks.tasks.recognize_training import recognize
+from objectfolder.benchmarks.tasks.reconstruct_training import reconstruct
+from objectfolder.benchmarks.tasks.retrieve import TASK, check_objects
+from objectfolder.benchmarks.tasks.retrieve_training import retrieve
+from objectfolder.benchmarks.tasks.task import Objects
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator
 
@@ -108,7 +108,9 @@ def params(**changed):
 
 def run(table, progress, split=None, **changed):
     split = per_sample(table.keys, table.count) if split is None else split
-    return retrieve(Job(table, split, params(**changed), "test_linear", SIZES, seed=3, progress=progress))
+    return retrieve(
+        Job(table, split, params(**changed), encoding("test_linear", SIZES), seed=3, progress=progress)
+    )
 
 
 def unit(*degrees):
@@ -274,7 +276,7 @@ def test_pairs_start_from_encoders_that_name_the_objects(tmp_path, monkeypatch):
     table = Table()
     settings = params(pretrain_epochs=4, schedule="one_cycle", epochs=1)
     split = per_sample(table.keys, table.count)
-    job = Job(table, split, settings, "test_linear", SIZES, seed=3, progress=tmp_path)
+    job = Job(table, split, settings, encoding("test_linear", SIZES), seed=3, progress=tmp_path)
     _, curves = retrieve(job)
     alone = [row for row in curves if row[1] == ""]
     assert {row[0] for row in alone} == {"vision", "audio", "touch"}
@@ -282,10 +284,12 @@ def test_pairs_start_from_encoders_that_name_the_objects(tmp_path, monkeypatch):
     assert all(row[5] > 0.9 for row in alone if row[3] == 4)
     assert {path.suffix for path in tmp_path.iterdir()} == {".json"}
 
-    namers = [retrieval._namer(job, modality, 0)[0] for modality in ("vision", "touch")]
+    namers = [retrieve_training._namer(job, modality, 0)[0] for modality in ("vision", "touch")]
     monkeypatch.setattr(Job, "train", lambda *_, **__: [])
-    monkeypatch.setattr(retrieval, "_namer", lambda _, modality, __: (namers[modality == "touch"], []))
-    net, _ = retrieval._trained(job, ("vision", "touch"), 0, tmp_path / "none.pt")
+    monkeypatch.setattr(
+        retrieve_training, "_namer", lambda _, modality, __: (namers[modality == "touch"], [])
+    )
+    net, _ = retrieve_training._trained(job, ("vision", "touch"), 0, tmp_path / "none.pt")
     for encoder, namer in zip(net.encoders, namers):
         assert all(
             torch.equal(value, namer.state_dict()[name]) for name, value in encoder.state_dict().items()
@@ -308,7 +312,7 @@ def test_says_what_it_is_of(learnt):
     assert results["seconds"] > 0
     json.dumps(results, allow_nan=False)
     assert len(curves) <= 3 * 2 * 5
-    assert {len(row) for row in curves} == {len(CURVE_COLUMNS)}
+    assert {len(row) for row in curves} == {len(TASK.columns)}
     assert {tuple(row[:3]) for row in curves} == {
         (a, b, s) for a, b in [("vision", "audio"), ("vision", "touch"), ("audio", "touch")] for s in (0, 1)
     }
@@ -339,9 +343,9 @@ def test_test_rows_are_read_after_the_training_only(tmp_path, monkeypatch):
     table = Table()
     split = per_sample(table.keys, table.count)
     monkeypatch.setattr(Job, "without_duplicates", lambda job, *_: (job, {}))
-    monkeypatch.setattr(retrieval, "_features", lambda *_: {})
-    monkeypatch.setattr(retrieval, "_correlated", lambda *_: ({"V->A": 0.0}, {}))
-    monkeypatch.setattr(retrieval, "PAIRS", (("vision", "audio"),))
+    monkeypatch.setattr(retrieve_training, "_features", lambda *_: {})
+    monkeypatch.setattr(retrieve_training, "_correlated", lambda *_: ({"V->A": 0.0}, {}))
+    monkeypatch.setattr(retrieve_training, "PAIRS", (("vision", "audio"),))
     run(table, tmp_path, split)
     from_tests = [np.isin(rows, split.test).any() for _, rows in table.reads]
     assert sum(from_tests) == 2
@@ -373,7 +377,9 @@ def test_same_numbers_again_and_after_an_interruption(tmp_path, monkeypatch):
             raise Interrupted
 
     split = per_sample(table.keys, table.count)
-    job = Job(table, split, params(epochs=3), "test_linear", SIZES, seed=3, progress=tmp_path / "cut")
+    job = Job(
+        table, split, params(epochs=3), encoding("test_linear", SIZES), seed=3, progress=tmp_path / "cut"
+    )
     with pytest.raises(Interrupted):
         retrieve(replace(job, report=stop_in_the_second_training))
     assert sorted(path.suffix for path in (tmp_path / "cut").iterdir()) == [".json", ".json", ".pt"]
@@ -388,7 +394,7 @@ def test_same_numbers_again_and_after_an_interruption(tmp_path, monkeypatch):
 def test_correlations_are_found_once_for_all_seeds(tmp_path, monkeypatch):
     table = Table(3)
     first, _ = run(table, tmp_path, epochs=1)
-    monkeypatch.setattr(retrieval, "_correlated", lambda *_: pytest.fail("found again"))
+    monkeypatch.setattr(retrieve_training, "_correlated", lambda *_: pytest.fail("found again"))
     more, _ = run(table, tmp_path, epochs=1, seeds=2)
     assert more["cca"] == first["cca"]
     for direction, score in more["directions"].items():
@@ -400,7 +406,9 @@ def test_inputs_that_cannot_be_made_are_refused_before_any_training(tmp_path, mo
     monkeypatch.setattr(Job, "train", lambda *_, **__: pytest.fail("trained"))
     table = Table(3)
     sizes = replace(SIZES, **{{"audio": "spectrogram", "touch": "touch"}[modality]: size})
-    job = Job(table, per_sample(table.keys, table.count), params(), "test_linear", sizes, 3, tmp_path)
+    job = Job(
+        table, per_sample(table.keys, table.count), params(), encoding("test_linear", sizes), 3, tmp_path
+    )
     for task in (retrieve, recognize, reconstruct):
         with pytest.raises(ObjectFolderError, match="is smaller than the encoder's"):
             task(job)
@@ -410,8 +418,8 @@ def test_inputs_that_cannot_be_made_are_refused_before_any_training(tmp_path, mo
 def test_batches_without_negatives_are_no_settings():
     values = {"seed": 0, "sensor": "digit", "retrieve": vars(params(batch=2)), "encode": ENCODE}
     with pytest.raises(ObjectFolderError, match="retrieve: batch"):
-        task_params(RetrieveConfig, values)
-    assert task_params(RetrieveConfig, values | {"retrieve": vars(params(batch=3))}).settings.batch == 3
+        TASK.params(values)
+    assert TASK.params(values | {"retrieve": vars(params(batch=3))}).settings.batch == 3
 
 
 def test_finished_scores_are_taken_from_the_folder(tmp_path):

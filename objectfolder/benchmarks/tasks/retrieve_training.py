@@ -11,8 +11,6 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from objectfolder.benchmarks.datasets.observations import Observations
-from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models import cca
 from objectfolder.benchmarks.models.training import EpochPoint, batch_count
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
@@ -25,9 +23,8 @@ from objectfolder.benchmarks.tasks.naming import (
     train_namer,
     validation_gallery,
 )
-from objectfolder.benchmarks.tasks.retrieval_config import RetrieveConfig
-from objectfolder.benchmarks.tasks.running import Objects, Task
-from objectfolder.errors import ObjectFolderError
+from objectfolder.benchmarks.tasks.retrieve import RetrieveConfig, check_objects
+from objectfolder.benchmarks.tasks.task import Objects
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.workspace.layout import MODALITIES
 
@@ -35,7 +32,6 @@ Pair = tuple[str, str]  #: two modalities
 Maps = dict[str, float]  #: mean average precision by direction, such as V->A
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: inputs of both streams, classes of the rows
 PAIRS: tuple[Pair, ...] = tuple(combinations(MODALITIES, 2))
-CURVE_COLUMNS = ("first", "second", "seed", "epoch", "train_loss", "val_map")  #: of the training curves
 FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: input sizes of CCA, pixels
 DIMENSIONS = (
     1,
@@ -72,7 +68,7 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
         what was chosen for ``cca``, the counts of `Job.without_duplicates`, with a row dropped for all pairs
         if both inputs of one repeat, and ``seconds`` of training.
     list
-        Rows of the training curves, see `CURVE_COLUMNS`; ``second`` is empty in pre-training.
+        Rows of the training curves, those of the task; ``second`` is empty in pre-training.
 
     Raises
     ------
@@ -125,17 +121,6 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
 
 def _over_seeds(values: list[float]) -> dict[str, Any]:
     return {"map": float(np.mean(values)), "interval_95": interval_95(values), "seeds": values}
-
-
-def check_objects(split: Split, objects: Objects) -> None:
-    """Raise ObjectFolderError unless there are two training objects and two to rank: each needs negatives."""
-    for rows, does, role in ((split.train, "trains", "training"), (split.test, "tests", "test")):
-        classes = np.unique(objects.labels[rows])
-        if len(classes) < 2:
-            raise ObjectFolderError(
-                f"split {split.name} {does} on {objects.keys[classes[0]]} alone, expected two objects or "
-                f"more; add {role} objects"
-            )
 
 
 def _pretrained(job: Job[RetrieveConfig], modality: str, run: int) -> dict[str, Any]:
@@ -329,6 +314,3 @@ def _correlated(
     chosen = max(tried, key=tried.__getitem__)
     scores = _maps(job, pair, variates("test", *chosen))
     return scores, dict(zip(("dimensions", "components"), chosen))
-
-
-RETRIEVE = Task("retrieve", RetrieveConfig, retrieve, CURVE_COLUMNS, Observations, check_objects, MODALITIES)

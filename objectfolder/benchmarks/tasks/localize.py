@@ -1,0 +1,81 @@
+"""Localization of a contact on a known object by touch, by sound, or by both (ObjectFolder Benchmark)."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from annotated_types import Ge, MultipleOf
+
+from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.reporting.tables import Table, format_interval
+from objectfolder.benchmarks.tasks.task import Task
+from objectfolder.settings import Count
+
+SENSES = {"T": "touch", "A": "sound", "TA": "touch + sound"}  #: that contacts are localized by
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalizeConfig(TrainingConfig):
+    """Section ``localize`` of ``params.yaml``."""
+
+    seeds: Count  #: runs whose mean is the result
+    #: With each object: 80 % to train with, 10 % for validation, 10 % for the test, which need a sequence.
+    contacts: Annotated[int, Ge(80), MultipleOf(10)]
+
+
+def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Lay out the scores of `objectfolder.benchmarks.tasks.localization.localize` by object."""
+    rows: list[tuple[str, ...]] = []
+    for senses, name in SENSES.items():
+        found = [score[senses] for score in scores.values()]
+        for key, one in zip(scores, found):
+            net, nearest = one["net"], one["nearest"]
+            rows.append(
+                (
+                    *(name, key),
+                    f"{100 * net['mean']:.1f}" + format_interval(net, 100, ".1f"),
+                    *(f"{100 * value:.1f}" for value in (net["median"], net["together"])),
+                    *(f"{100 * nearest[kind]:.1f}" for kind in ("mean", "together")),
+                    *(f"{100 * scores[key][kind]:.1f}" for kind in ("constant", "random")),
+                )
+            )
+        if len(found) > 1:
+            means = [
+                *(_mean(one["net"][kind] for one in found) for kind in ("mean", "median", "together")),
+                *(_mean(one["nearest"][kind] for one in found) for kind in ("mean", "together")),
+                *(_mean(score[kind] for score in scores.values()) for kind in ("constant", "random")),
+            ]
+            rows.append((name, f"mean of {len(found)}", *(f"{100 * value:.1f}" for value in means)))
+    contacts = next(iter(scores.values()))["contacts"]
+    return Table(
+        "Localization of contacts: mean error in % of the longest side",
+        ("from", "object", "net", "median", "eight", "nearest", "eight nearest", "constant", "random"),
+        rows,
+        f"{contacts['train']} contacts to train with, {contacts['val']} for validation, "
+        f"{contacts['test']} for the test. Eight: after eight contacts with known moves between them. "
+        "Nearest: the training contact with the most similar input, for eight a belief by similarity. "
+        "Constant: the best single answer.",
+    )
+
+
+def _mean(values: Iterable[float]) -> float:
+    found = list(values)
+    return sum(found) / len(found)
+
+
+TASK = Task(
+    name="localize",
+    help="""Find where a known object was touched or struck: by one touch, one sound, both, or eight in a row.
+
+Mean errors in percent of the object's longest side, next to the most similar contact of the training, the
+best constant answer and a random one.
+
+`objectfolder bench localize --preset quick build/mug`""",
+    settings=LocalizeConfig,
+    training="objectfolder.benchmarks.tasks.localize_training:localize_object",
+    columns=("seed", "senses", "epoch", "train_loss", "val_score"),  # minus the mean error, sides
+    table=_table,
+    page="Localization",
+    encodes=("touch", "audio"),
+    former=("localization",),
+)

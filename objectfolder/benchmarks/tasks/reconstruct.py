@@ -1,0 +1,98 @@
+"""3D reconstruction from sight, sound and touch (main paper, Table 4; supplementary I.3)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from annotated_types import Ge, Interval
+
+from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.reporting.tables import (
+    NEW_OBJECTS,
+    Table,
+    describe_repeats,
+    format_figure,
+    format_interval,
+)
+from objectfolder.benchmarks.tasks.task import Task
+from objectfolder.settings import Count, NonNegative, Positive
+from objectfolder.workspace.layout import MODALITIES
+
+#: IoU, Chamfer-L1, normal consistency; seen objects. Touches are not in the paper.
+RECONSTRUCTION: dict[str, tuple[float, ...] | None] = {
+    "average_shape": (0.0675, 0.1067, 0.6312),
+    "V": (0.8809, 0.0046, 0.9522),
+    "A": (0.8729, 0.0048, 0.9504),
+    "T": None,
+    "VA": (0.8906, 0.0043, 0.9535),
+}
+NAMES = {"V": "image", "A": "audio", "VA": "image + audio", "average_shape": "average shape"}
+#: Rows of reconstruction below the paper's, and what they are.
+KNOWN_SHAPES = {
+    "similar_view": "known object with the most similar view",
+    "nearest_shape": "known object of the most similar shape",
+    "perfect": "truth, sampled again",
+}
+REPEATED = "repeat an input of their object, and gave way to later ones where nothing else is sensed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructConfig(TrainingConfig):
+    """Section ``reconstruct`` of ``params.yaml``."""
+
+    seeds: Count  #: trainings of each variant
+    #: In which each encoder learns to name the training objects and then stays as it is; 0: all is learned
+    #: together.
+    pretrain_epochs: Annotated[int, Ge(0)]
+    pretrain_rate: Positive  #: peak learning rate of these epochs
+    #: Weight of the loss for naming the object from its features while all is learned together; the paper's
+    #: is 0.
+    naming: NonNegative
+    points: Count  #: per observation and step, whose occupancy is learned
+    width: Count  #: of the occupancy network
+    blocks: Count
+    frequencies: Annotated[int, Interval(ge=0, le=12)]  #: octaves of the encoding; the paper's is 0
+    resolution: Annotated[int, Ge(8)]  #: of marching cubes
+    score_points: Count  #: for IoU, and on either surface for the distances
+    views: Count  #: test observations per object that are meshed
+    touches: Count  #: of the object that a shape is reconstructed from, as far as its part has so many
+
+
+def _table(split: str, scores: Mapping[str, Any]) -> Table:
+    rows, counts = [], scores["rows"]
+    names = NAMES | KNOWN_SHAPES | {"T": f"{scores['touches']} touches"}
+    for kind in [*RECONSTRUCTION, *(name for name in KNOWN_SHAPES if name in scores)]:
+        score, paper = scores[kind], RECONSTRUCTION.get(kind)
+        ours = [format_figure(score.get(name)) for name in ("iou", "chamfer_l1", "normal_consistency")]
+        ours[0] += format_interval(score, 1, ".4f") if "interval_95" in score else ""
+        papers = " / ".join(f"{value:.4f}" for value in paper) if paper and split == "seen" else "-"
+        rows.append((names[kind], *ours, papers))
+    return Table(
+        f"3D reconstruction, {split} objects",
+        ("from", "IoU", "Chamfer-L1", "normal consistency", "paper: IoU / Chamfer-L1 / normal consistency"),
+        rows,
+        f"{counts['train']} rows to train with; of each object the first {scores['views']} for validation "
+        f"and for the test, {counts['val']} and {counts['test']} in all; "
+        + describe_repeats(scores, REPEATED)
+        + NEW_OBJECTS * (split == "unseen"),
+    )
+
+
+TASK = Task(
+    name="reconstruct",
+    help="""Reconstruct an object's shape from a view, an impact sound, both, or several touches.
+
+IoU, Chamfer-L1 and normal consistency, next to the average shape and the paper's Table 4. The model for
+views is kept: `objectfolder reconstruct PHOTO.jpg MESH.ply --model OUT/reconstruct_seen.safetensors`.
+
+`objectfolder bench reconstruct --preset quick --split seen`""",
+    settings=ReconstructConfig,
+    training="objectfolder.benchmarks.tasks.reconstruct_training:reconstruct",
+    columns=("variant", "seed", "epoch", "train_loss", "val_iou"),
+    table=_table,
+    page="Reconstruction",
+    splits=("seen", "unseen"),
+    samples="observations",
+    encodes=MODALITIES,
+    former=("reconstruction",),
+)

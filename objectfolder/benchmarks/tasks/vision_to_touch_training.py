@@ -1,0 +1,179 @@
+"""Imagine a touch from a close view (visuo-tactile generation of the ObjectFolder Benchmark, CVPR 2023)."""
+
+from collections.abc import Iterator
+from dataclasses import astuple
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch.nn import functional as F
+
+from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.translator import Translator
+from objectfolder.benchmarks.scoring.scores import interval_95
+from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.vision_to_touch import VisionToTouchConfig
+from objectfolder.figures import tile
+from objectfolder.io import keep, write_png
+from objectfolder.metrics import psnr, ssim
+from objectfolder.seeding import numpy_generator, seeded
+
+ROUNDING = 1 / 12 / 255**2  #: mean squared error of rounding to grey levels; 59 dB
+POOLED = (10, 8)  #: size of the views by which the nearest is sought
+CHUNK = 64  #: views translated at once
+SHOWN = 16  #: test rows in the picture
+
+Batch = tuple[torch.Tensor, torch.Tensor]  #: views and touches, both in [0, 1] and (B, 3, H, W)
+
+
+def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
+    """Train and score a net that draws the tactile image of what a close view shows.
+
+    The net learns the mean squared difference. The best epoch is chosen by the pooled PSNR of the validation
+    rows.
+
+    Returns
+    -------
+    dict
+        ``net``, ``nearest`` (the touch of the training view that is most similar, of `POOLED` pixels) and
+        ``mean`` (the mean touch of the training rows): ``psnr`` of the mean squared error of each image, at
+        least `ROUNDING`, averaged over images, dB; ``psnr_pooled`` of that of all; ``ssim``. Of the net also
+        the ``seeds`` of the first and its ``interval_95``. Then the counts of `Job.without_duplicates`, and
+        ``seconds``.
+    list
+        Rows of the training curves: those of the task.
+    """
+    job, counts = job.without_duplicates(("view",))
+    test = job.split.test
+    truth = job.observations.read("touch", test)
+    finished = [_finished(job, run) for run in range(job.params.seeds)]
+    runs = [unit["scores"] for unit in finished]
+    means = [run["psnr"] for run in runs]
+    net = {name: float(np.mean([run[name] for run in runs])) for name in runs[0]}
+    blank = np.broadcast_to(_mean_touch(job), truth.shape)
+    answers = job.observations.read("touch", _nearest(job))
+    scores = {
+        "net": net | {"seeds": means, "interval_95": interval_95(means)},
+        "nearest": compared(answers, truth),
+        "mean": compared(blank, truth),
+        **counts,
+        "seconds": sum(unit["seconds"] for unit in finished),
+    }
+    curve = [[run, *row] for run, unit in enumerate(finished) for row in unit["curve"]]
+    return scores, curve
+
+
+def compared(answers: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """Score images (N, H, W, 3) uint8 by the truth."""
+    a, b = answers.astype(np.float32) / 255, truth.astype(np.float32) / 255
+    errors = ((a - b) ** 2).mean((1, 2, 3), dtype=np.float64)
+    return {
+        "psnr": float(np.mean(psnr(np.maximum(errors, ROUNDING)))),
+        "psnr_pooled": float(psnr(errors.mean())),
+        "ssim": float(np.mean([ssim(one, other) for one, other in zip(a, b, strict=True)])),
+    }
+
+
+def _mean_touch(job: Job[VisionToTouchConfig]) -> np.ndarray:
+    """Return the mean touch of the training rows, (H, W, 3) uint8."""
+    parts = np.array_split(job.split.train, -(-len(job.split.train) // CHUNK))
+    total = sum(job.observations.read("touch", part).sum(0, dtype=np.int64) for part in parts)
+    return np.round(total / len(job.split.train)).astype(np.uint8)
+
+
+def _nearest(job: Job[VisionToTouchConfig]) -> np.ndarray:
+    """Return the training row with the most similar view, for each test row."""
+
+    def pooled(rows: np.ndarray) -> np.ndarray:
+        parts = np.array_split(rows, -(-len(rows) // CHUNK))
+        small = [F.adaptive_avg_pool2d(_tensor(job, "view", part), POOLED).flatten(1) for part in parts]
+        return torch.cat(small).cpu().numpy()
+
+    return job.split.train[cKDTree(pooled(job.split.train)).query(pooled(job.split.test))[1]]
+
+
+def _finished(job: Job[VisionToTouchConfig], run: int) -> dict[str, Any]:
+    """Return the scores of one net, trained unless finished earlier."""
+    checkpoint, sheet = job.progress / f"{run}.pt", job.progress / "0.png"
+
+    def make() -> dict[str, Any]:
+        net, curve = _trained(job, run, checkpoint)
+        answers = _answers(job, net, _blank(job), job.split.test)
+        truth = job.observations.read("touch", job.split.test)
+        if run == 0:
+            write_png(sheet, _sheet(job, answers, truth))
+        return {
+            "scores": compared(answers, truth),
+            "curve": [astuple(point)[:3] for point in curve],
+            "seconds": sum(point.seconds for point in curve),
+        }
+
+    result = job.finished(str(run), make)
+    if run == 0:
+        keep(sheet, job.progress / "sheet.png")  # moved to the results at each call
+    checkpoint.unlink(missing_ok=True)
+    return result
+
+
+def _trained(
+    job: Job[VisionToTouchConfig], run: int, checkpoint: Path
+) -> tuple[Translator, list[EpochPoint]]:
+    params, train, val = job.params, job.split.train, job.split.val
+    purpose = ("vision_to_touch", job.split.name, str(run))
+    with seeded(job.seed, *purpose):
+        net = Translator(params.width)
+    blank = _blank(job)
+
+    def epoch_batches(epoch: int) -> Iterator[Batch]:
+        rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
+        for rows in shuffled(train, params.batch, rng):
+            yield _tensor(job, "view", rows), _tensor(job, "touch", rows)
+
+    def batch_loss(batch: Batch) -> torch.Tensor:
+        views, touches = batch
+        return F.mse_loss(blank + net(views).float(), touches)
+
+    truth = job.observations.read("touch", val)
+    curve = job.train(
+        f"vision to touch {job.split.name}, seed {run + 1} of {params.seeds}",
+        net,
+        epoch_batches,
+        batch_loss,
+        lambda: compared(_answers(job, net, blank, val), truth)["psnr_pooled"],
+        "PSNR",
+        checkpoint,
+        cycle=params.epochs * batch_count(len(train), params.batch),
+    )
+    return net, curve
+
+
+@torch.no_grad()
+def _answers(
+    job: Job[VisionToTouchConfig], net: Translator, blank: torch.Tensor, rows: np.ndarray
+) -> np.ndarray:
+    """Return the touches that a net draws, (N, H, W, 3) uint8."""
+    found = []
+    for part in np.array_split(rows, -(-len(rows) // CHUNK)):
+        drawn = (blank + net(_tensor(job, "view", part))).clamp(0, 1) * 255
+        found.append(drawn.round().byte().permute(0, 2, 3, 1).cpu().numpy())
+    return np.concatenate(found)
+
+
+def _blank(job: Job[VisionToTouchConfig]) -> torch.Tensor:
+    """Return the mean touch as (3, H, W) in [0, 1]."""
+    return torch.from_numpy(_mean_touch(job)).permute(2, 0, 1).float().to(job.device) / 255
+
+
+def _tensor(job: Job[VisionToTouchConfig], name: str, rows: np.ndarray) -> torch.Tensor:
+    """Return images of rows as (B, 3, H, W) in [0, 1]."""
+    images = torch.from_numpy(job.observations.read(name, rows)).to(job.device)
+    return images.permute(0, 3, 1, 2).float() / 255
+
+
+def _sheet(job: Job[VisionToTouchConfig], answers: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Draw some test rows as columns: the view, the net's touch, the true one."""
+    rows = np.unique(np.linspace(0, len(truth) - 1, SHOWN).round().astype(int))
+    views = job.observations.read("view", job.split.test[rows])
+    return tile(np.concatenate([views, answers[rows], truth[rows]]), len(rows))
