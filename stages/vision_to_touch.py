@@ -1,6 +1,6 @@
 """vision_to_touch: close-ups of all objects -> benchmarks/vision_to_touch_<split>.json, .csv, .png."""
 
-from objectfolder.benchmarks.datasets.close_ups import CloseUps
+from objectfolder.benchmarks.datasets.observations import CloseUps
 from objectfolder.benchmarks.tasks.running import run_stage
 from objectfolder.benchmarks.tasks.vision_to_touch import TASK
 from objectfolder.benchmarks.tasks.vision_to_touch_training import vision_to_touch

@@ -18,7 +18,6 @@ from threadpoolctl import threadpool_limits
 
 from objectfolder.benchmarks.datasets import grasps, observations
 from objectfolder.benchmarks.datasets.close_ups import (
-    CloseUps,
     close_up_request,
     has_close_ups,
     sample_close_ups,
@@ -47,7 +46,7 @@ Tracker = Callable[[Iterable[Any], str, int], Iterable[Any]]
 #: Open the samples that tasks name, given their folders by key.
 SAMPLES: dict[str, Callable[[Mapping[str, Path]], Samples]] = {
     "observations": observations.Observations,
-    "close_ups": CloseUps,
+    "close_ups": observations.CloseUps,
     "grasps": grasps.Grasps,
 }
 

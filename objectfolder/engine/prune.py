@@ -15,11 +15,10 @@ from objectfolder.engine.dvc.savedruns import remove_saved_run, saved_outputs, s
 from objectfolder.engine.failures import LOGS
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.layout import MODALITIES, Benchmarks, Build
-from objectfolder.workspace.params import TASKS
+from objectfolder.workspace.params import OBJECT_TASKS, TASKS
 
 LOCK = "dvc.lock"
 BENCHMARKS = "benchmarks"
-ROBOT_TASKS = ("grasp_policy", "reach")  #: whose results are of one object
 _OID = re.compile(r"\b[0-9a-f]{32}(?:\.dir)?\b")
 
 
@@ -160,7 +159,7 @@ def _files(root: Path, key: str, dead: list[dict[str, Any]]) -> tuple[Path, ...]
     build, benchmarks = Build(key, root), Benchmarks(root / BENCHMARKS)
     found = {*build.artifacts(), build.solved_modes, *map(build.checkpoint, MODALITIES), build.metrics}
     found |= {*(root / LOGS).glob(f"*@{key}.*"), *build.inspections.rglob("*")}
-    found |= {path for task in ROBOT_TASKS for path in benchmarks.results(task, key)}
+    found |= {path for task in OBJECT_TASKS for path in benchmarks.results(task, key)}
     homes = (build.dir, *_samples(key, root))
     for out in (root / out["path"] for entry in dead for out in entry.get("outs", [])):
         if any(out.is_relative_to(home) for home in homes):
@@ -171,7 +170,7 @@ def _files(root: Path, key: str, dead: list[dict[str, Any]]) -> tuple[Path, ...]
 def _samples(key: str, root: Path) -> tuple[Path, ...]:
     """Return the folders of an object's samples that stages write."""
     benchmarks = Benchmarks(root / BENCHMARKS)
-    return benchmarks.observations(key), benchmarks.grasps(key)
+    return benchmarks.observations(key), benchmarks.close_ups(key), benchmarks.grasps(key)
 
 
 def _left(root: Path, key: str, files: tuple[Path, ...]) -> Iterator[str]:
@@ -194,8 +193,8 @@ def _other_files(repository: OpenRepository) -> list[Path]:
 def _of_keys(keys: set[str]) -> re.Pattern[str]:
     """Return a pattern for the outputs of objects in an entry of the run cache."""
     names = "|".join(map(re.escape, sorted(keys))) or "(?!)"
-    folders = f"build|data/objects|{BENCHMARKS}/observations|{BENCHMARKS}/grasps"
-    results = rf"{BENCHMARKS}/(?:{'|'.join(ROBOT_TASKS)})_({names})\.\w+$"
+    folders = f"build|data/objects|{BENCHMARKS}/(?:observations|close_ups|grasps)"
+    results = rf"{BENCHMARKS}/(?:{'|'.join(OBJECT_TASKS)})_({names})\.\w+$"
     return re.compile(
         rf"^- path: (?:(?:{folders})/({names})(?:/|$)|metrics/({names})\.json$|{results})", re.MULTILINE
     )

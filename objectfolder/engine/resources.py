@@ -9,6 +9,7 @@ from typing import Any
 import psutil
 
 from objectfolder.engine.cgroups import core_quota, memory_left
+from objectfolder.workspace.params import BENCHMARKS
 
 HOUR = 3600.0
 #: Share of the available memory for stages; the rest is for the engine and the system.
@@ -66,9 +67,9 @@ NEEDS = {
     "evaluate/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
     "observe": Needs(5, memory_mb=1500, timeout=3 * HOUR),
     "observe/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
-    "recognize": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
-    "retrieve": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
-    "reconstruct": Needs(1200, gpus=1.0, memory_mb=4000, timeout=None),
+    "close_ups": Needs(5, memory_mb=1500, timeout=3 * HOUR),
+    "close_ups/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
+    **dict.fromkeys(BENCHMARKS, Needs(1200, gpus=1.0, memory_mb=4000, timeout=None)),
     "decompose": Needs(15, memory_mb=1500),
     "grasp_data": Needs(60, memory_mb=2000, timeout=None),
     "grasp_stability": Needs(600, gpus=1.0, memory_mb=4000, timeout=None),
@@ -77,7 +78,7 @@ NEEDS = {
 }
 
 #: Stages that query the net of another stage.
-_NET_OF = {"evaluate": "train_vision", "observe": "train_vision"}
+_NET_OF = dict.fromkeys(("evaluate", "observe", "close_ups"), "train_vision")
 
 
 def needs_of(address: str, params: Mapping[str, Any]) -> Needs:

@@ -7,12 +7,16 @@ import re
 from collections.abc import Iterable
 from contextlib import suppress
 from importlib.machinery import all_suffixes
+from io import StringIO
 from pathlib import Path
 from typing import Any
+
+from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.installation import installed_version, requirement
 from objectfolder.io import file_digest, write_text
+from objectfolder.workspace.check import Selection
 from objectfolder.workspace.code_digests import DATA
 from objectfolder.workspace.installed import (
     INSTALLED,
@@ -20,10 +24,11 @@ from objectfolder.workspace.installed import (
     RECORD,
     SENSORS,
     pipeline_files,
+    pipeline_folder,
     runs_installed,
 )
 from objectfolder.workspace.layout import code_list
-from objectfolder.workspace.params import PARAMS_FILE
+from objectfolder.workspace.params import BENCHMARKS, PARAMS_FILE
 from objectfolder.yamlfile import read_yaml
 
 REQUIREMENTS = "requirements.txt"
@@ -146,13 +151,23 @@ def first_params() -> str:
     A clone's own ``params.yaml`` does not count: it holds that workspace's objects and settings.
     """
     _, _, settings = _quick().read_text().partition("\n")  # the first line is a comment on the preset
-    return f"{(_TEMPLATE / PARAMS_FILE).read_text()}\n{settings}"
+    rest = {name: first_values()[name] for name in ("benchmarks", *_alike_in_presets())}
+    stream = StringIO()
+    YAML().dump(rest, stream)
+    return f"{(_TEMPLATE / PARAMS_FILE).read_text()}{stream.getvalue()}\n{settings}"
 
 
 def first_values() -> dict[str, Any]:
     """Return the values of `first_params`."""
-    values: dict[str, Any] = read_yaml(_TEMPLATE / PARAMS_FILE) | read_yaml(_quick())
-    return values
+    none: dict[str, list[str]] = {name: [] for name in Selection.model_fields}
+    values: dict[str, Any] = read_yaml(_TEMPLATE / PARAMS_FILE) | {"benchmarks": none}
+    return values | _alike_in_presets() | read_yaml(_quick())
+
+
+def _alike_in_presets() -> dict[str, Any]:
+    """Return the sections of benchmarks that presets lack."""
+    known, quick = read_yaml(pipeline_folder() / PARAMS_FILE), read_yaml(_quick())
+    return {name: known[name] for name in BENCHMARKS if name not in quick}
 
 
 def _quick() -> Path:

@@ -52,8 +52,9 @@ def test_a_task_is_what_its_declaration_says_everywhere(values, name):
     assert (task.name, task.splits) == (name, BENCHMARKS[name])
     assert task.settings is section_config(name)
     assert task.load().__module__ == f"objectfolder.benchmarks.tasks.{name}_training"
-    assert f"## {task.page}\n" in (ROOT / "docs/protocols.md").read_text()
-    assert f"`bench {name.replace('_', '-')}`" in (ROOT / "docs/benchmarks.md").read_text()
+    guide, protocols = ((ROOT / f"docs/{page}.md").read_text() for page in ("benchmarks", "protocols"))
+    assert f"`bench {name.replace('_', '-')}`" in guide
+    assert f"## {task.page}\n" in guide + protocols
     params = task.params(values)
     assert params.settings == settings(task.settings, values)
     assert params.seed == values["seed"]

@@ -22,7 +22,8 @@ SHOWN = ("FILE", "FILE...", "[FILE]...", "[FILE...]")
 def commands(command, *words):
     """Commands with an Object File among their arguments: their words, and those that stand for arguments."""
     for name, inner in getattr(command, "commands", {}).items():
-        yield from commands(inner, *words, name)
+        if not inner.hidden:  # a former name
+            yield from commands(inner, *words, name)
     arguments = [param for param in command.params if param.param_type_name == "argument"]
     if any(param.metavar in SHOWN for param in arguments):
         yield words, ["FILE" if param.metavar in SHOWN else f"new{i}" for i, param in enumerate(arguments)]
@@ -37,8 +38,8 @@ def test_all_commands_are_found():
         *("info", "view", "video", "report", "simulate", "sample audio", "sample touch"),
         *(f"query {name}" for name in ("vision", "audio", "touch")),
         *(f"export {name}" for name in ("mjcf", "urdf", "glb", "usd", "nerfstudio", "lerobot")),
-        *(f"bench {name}" for name in ("recognition", "retrieval", "reconstruction", "localization")),
-        *(f"bench {name}" for name in ("vision-to-touch", "stability", "grasping", "reach")),
+        *(f"bench {name}" for name in ("recognize", "retrieve", "reconstruct", "localize")),
+        *(f"bench {name}" for name in ("vision-to-touch", "grasp-stability", "grasp-policy", "reach")),
     }
 
 

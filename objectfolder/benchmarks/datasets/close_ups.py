@@ -1,39 +1,30 @@
-"""Close views of points on objects, each beside the touch at the same point.
+"""Sample close views of points on objects, each beside the touch at the same point.
 
 One folder per object holds ``view.npy``, ``touch.npy`` and finally ``record.json``, which marks it as
 complete.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from objectfolder.benchmarks.datasets.observations import CLOSE_UP_ARRAYS, CLOSE_UP_RECORD
 from objectfolder.benchmarks.datasets.samples import (
-    Samples,
     are_written,
     array_path,
     averaged_images,
-    check_equal_shapes,
-    map_array,
     object_digest,
 )
-from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_json, write_npy
 from objectfolder.locks import exclusive
+from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.lighting import DistantLight
 from objectfolder.workspace.code_digests import code_digest
 
-if TYPE_CHECKING:
-    from objectfolder.objectfile.file import ObjectFile
-
-RECORD = "record.json"
-ARRAYS = ("view", "touch")
-AGAIN = "delete the folder, and run the command again"
 DEPTH = 0.001  #: of all presses, metres
 FARTHEST, NEAREST = 0.1, 0.01  #: of the camera from the point, metres
 CLEAR = 0.9  #: of the way along the contact normal to the next surface, at most
@@ -43,37 +34,7 @@ CHUNK = 50  #: contacts pressed at once
 SMALLEST = 11  #: side of an image, pixels: the window of SSIM
 
 
-class CloseUps(Samples):
-    """Close views and touches of several objects; (B, H, W, 3) uint8 each. See `Samples`.
-
-    Row r shows and presses one random point of the surface. The view is of what the gel covers: its camera
-    stands on the contact normal, along which the gel comes, its up is that of the sensor, and both images
-    have the same pixels.
-
-    Parameters
-    ----------
-    folders : mapping
-        From keys to folders that `sample_close_ups` wrote.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a folder is incomplete or damaged, or objects differ in the number or shape of images.
-    """
-
-    def __init__(self, folders: Mapping[str, Path]):
-        paths = {key: Path(folders[key]) for key in label_order(folders)}
-        records = {key: read_json(path / RECORD) for key, path in paths.items()}
-        arrays = {
-            name: {key: map_array(key, array_path(path, name), AGAIN) for key, path in paths.items()}
-            for name in ARRAYS
-        }
-        for name, found in arrays.items():
-            check_equal_shapes(name, {key: array.shape for key, array in found.items()}, AGAIN)
-        super().__init__(records, {name: list(found.values()) for name, found in arrays.items()})
-
-
-def close_up_request(file: "ObjectFile", count: int, size: tuple[int, int], seed: int) -> dict[str, Any]:
+def close_up_request(file: ObjectFile, count: int, size: tuple[int, int], seed: int) -> dict[str, Any]:
     """Return what `sample_close_ups` depends on.
 
     Raises
@@ -105,14 +66,14 @@ def close_up_request(file: "ObjectFile", count: int, size: tuple[int, int], seed
 def has_close_ups(request: dict[str, Any], folder: Path) -> bool:
     """Return whether a folder holds all images of a `close_up_request`."""
     try:
-        if read_json(folder / RECORD) != request:
+        if read_json(folder / CLOSE_UP_RECORD) != request:
             return False
     except ObjectFolderError:  # missing or damaged: sampled again
         return False
-    return are_written(folder, ARRAYS, request["count"])
+    return are_written(folder, CLOSE_UP_ARRAYS, request["count"])
 
 
-def sample_close_ups(file: "ObjectFile", count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
+def sample_close_ups(file: ObjectFile, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
     """See and press an object at random points of its surface, where a camera has room.
 
     Parameters
@@ -136,11 +97,11 @@ def sample_close_ups(file: "ObjectFile", count: int, size: tuple[int, int], seed
             _sample(file, request, folder)
 
 
-def _sample(file: "ObjectFile", request: dict[str, Any], folder: Path) -> None:
+def _sample(file: ObjectFile, request: dict[str, Any], folder: Path) -> None:
     count, seed, (height, width) = request["count"], request["seed"], request["size"]
     size = height, width
     points, distances = open_points(file, count, seed)
-    (folder / RECORD).unlink(missing_ok=True)
+    (folder / CLOSE_UP_RECORD).unlink(missing_ok=True)
     parts = np.array_split(points, -(-count // CHUNK))
     images = {
         "view": close_views(file, points, distances, size),
@@ -148,10 +109,10 @@ def _sample(file: "ObjectFile", request: dict[str, Any], folder: Path) -> None:
     }
     for name, array in images.items():
         write_npy(array_path(folder, name), array)
-    write_json(folder / RECORD, request)
+    write_json(folder / CLOSE_UP_RECORD, request)
 
 
-def open_points(file: "ObjectFile", count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Draw points of the surface with room for a camera, and its distances: (N, 3) and (N,), metres."""
     drawn = file.sample_surface(4 * count, seed)
     place = (drawn / file.scale).astype(np.float32)
@@ -168,7 +129,7 @@ def open_points(file: "ObjectFile", count: int, seed: int) -> tuple[np.ndarray, 
 
 
 def close_views(
-    file: "ObjectFile", points: np.ndarray, distances: np.ndarray, size: tuple[int, int]
+    file: ObjectFile, points: np.ndarray, distances: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
     """Look at points against their contact normals at what the sensor covers; (N, H, W, 3) uint8.
 

@@ -28,6 +28,9 @@ RECORD = "observations.json"
 QUERIES = "queries.npz"
 RELIEF = "relief.npy"  #: of the surface under each touch
 UNTOUCHED = "untouched.npy"  #: whether each touch misses the object
+CLOSE_UP_RECORD = "record.json"
+CLOSE_UP_ARRAYS = ("view", "touch")
+_AGAIN = "delete the folder, and run the command again"
 SOURCE = "ObjectFile.safetensors"  #: the observed Object File; reconstruction reads its surface
 
 
@@ -148,3 +151,33 @@ def _open(key: str, folder: Path, modality: str, record: dict[str, Any]) -> np.n
             f"{key}: {path} has shape {array.shape}, expected {shape}; sample the object again"
         )
     return array
+
+
+class CloseUps(Samples):
+    """Close views and touches of several objects; (B, H, W, 3) uint8 each. See `Samples`.
+
+    Row r shows and presses one random point of the surface. The view is of what the gel covers: its camera
+    stands on the contact normal, along which the gel comes, its up is that of the sensor, and both images
+    have the same pixels.
+
+    Parameters
+    ----------
+    folders : mapping
+        From keys to folders that `sample_close_ups` wrote.
+
+    Raises
+    ------
+    ObjectFolderError
+        If a folder is incomplete or damaged, or objects differ in the number or shape of images.
+    """
+
+    def __init__(self, folders: Mapping[str, Path]):
+        paths = {key: Path(folders[key]) for key in label_order(folders)}
+        records = {key: read_json(path / CLOSE_UP_RECORD) for key, path in paths.items()}
+        arrays = {
+            name: {key: map_array(key, array_path(path, name), _AGAIN) for key, path in paths.items()}
+            for name in CLOSE_UP_ARRAYS
+        }
+        for name, found in arrays.items():
+            check_equal_shapes(name, {key: array.shape for key, array in found.items()}, _AGAIN)
+        super().__init__(records, {name: list(found.values()) for name, found in arrays.items()})

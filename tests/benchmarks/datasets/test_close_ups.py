@@ -5,13 +5,13 @@ from brick import felt_by
 
 from objectfolder.benchmarks.datasets import close_ups
 from objectfolder.benchmarks.datasets.close_ups import (
-    CloseUps,
     close_up_request,
     close_views,
     has_close_ups,
     open_points,
     sample_close_ups,
 )
+from objectfolder.benchmarks.datasets.observations import CloseUps
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
