@@ -363,7 +363,7 @@ def _collect(
 
 
 def _sample_all(
-    sample: Callable[..., None], new: Sequence[tuple[Any, ...]], jobs: int, track: Tracker, description: str
+    sample: Callable[..., None], new: list[tuple[Any, ...]], jobs: int, track: Tracker, description: str
 ) -> None:
     """Call a function for each of the new objects, several at a time."""
     if new:  # starting processes takes seconds

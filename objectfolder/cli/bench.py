@@ -4,10 +4,9 @@ Each command and its options follow from the declaration of its task (`objectfol
 """
 
 from collections.abc import Callable, Iterator
-from enum import Enum
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -106,10 +105,8 @@ def make_command(task: Task) -> Callable[..., None]:
 
     def command(**given: Any) -> None:
         chosen = task
-        if task.variant is not None:
-            value = given.pop(task.variant.option)
-            if getattr(value, "value", value) == task.variant.values[1]:
-                chosen = task.variant.task
+        if task.variant is not None and given.pop(task.variant.option) == task.variant.values[1]:
+            chosen = task.variant.task
         run_task(chosen, given)
 
     parameters = [
@@ -137,15 +134,10 @@ def options(task: Task) -> Iterator[tuple[str, Any]]:
 
 
 def _variant_parameter(variant: Variant) -> Parameter:
-    default, other = variant.values
-    if isinstance(default, bool):
-        kind, option = bool, typer.Option(f"--{variant.option}", help=variant.help)
-    else:
-        kind = Enum(variant.option, {value: value for value in (default, other)}, type=str)
-        default, option = kind(default), typer.Option(help=variant.help)
-    return Parameter(
-        variant.option, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
-    )
+    default = variant.values[0]
+    kind: Any = bool if isinstance(default, bool) else Literal[variant.values]
+    hint = Annotated[kind, typer.Option(f"--{variant.option}", help=variant.help)]
+    return Parameter(variant.option, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
 def run_task(task: Task, given: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ from objectfolder.workspace.params import (
     PARAMS_FILE,
     ROBOT_STAGES,
     SECTIONS,
+    TASKS,
     ObjectEntry,
     ProceduralEntry,
     Record,
@@ -33,13 +34,9 @@ from objectfolder.workspace.params import (
 )
 
 #: Benchmarks that a build runs: ``benchmarks`` in ``params.yaml``, splits or objects by stage.
-Selection: type[Record] = create_model(
-    "Selection",
-    __base__=Record,
-    **{name: (list[Literal[splits] if splits else str], ...) for name, splits in BENCHMARKS.items()},
-    decompose=(list[str], ...),
-    grasp_data=(list[str], ...),
-)
+_CHOICES: dict[str, Any] = {name: (list[Literal[BENCHMARKS[name]]], ...) for name in TASKS}  # type: ignore[misc]
+_CHOICES |= dict.fromkeys((*OBJECT_TASKS, *ROBOT_STAGES), (list[str], ...))
+Selection: type[Record] = create_model("Selection", __base__=Record, **_CHOICES)
 
 
 def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:

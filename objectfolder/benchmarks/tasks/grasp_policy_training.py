@@ -57,6 +57,7 @@ def grasp_policy(job: ObjectJob[GraspPolicyConfig]) -> tuple[dict[str, Any], lis
         If the object does not fit the gripper, or the file lacks touch.
     """
     params, seed, progress, key = job.params, job.seed, job.progress, job.file.key
+    assert job.body is not None
     task = GraspTask(job.file, job.body, job.threads)
     bank = _bank(task, params.presses, seed, progress / "bank.npz", job.report)
 

@@ -114,6 +114,7 @@ def reach(job: ObjectJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]
         If the object does not fit into the scene.
     """
     task, body, params, seed, progress = job.task, job.body, job.params, job.seed, job.progress
+    assert body is not None
     make = partial(environment_class(task), body, horizon=params.horizon)
     val = fresh_seeds(seed, body.key, "val", params.goals)
     # Other goals for each training: given its policy, episodes are independent, as Wilson's interval asks.

@@ -78,7 +78,7 @@ class Task:
     single_threaded: bool = False  #: so that several objects are best run side by side
     #: Raises ObjectFolderError if the task cannot run: of a `Split` and its `Objects` or, for single objects,
     #: of nothing.
-    check: Callable[..., None] = accept
+    check: Callable[..., Any] = accept
     variant: Variant | None = None
     former: tuple[str, ...] = field(default=())  #: earlier names of its command, which still work
 
