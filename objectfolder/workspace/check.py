@@ -33,10 +33,14 @@ from objectfolder.workspace.params import (
     shared,
 )
 
+_CHOICES: dict[str, Any] = dict.fromkeys((*OBJECT_TASKS, *ROBOT_STAGES), (list[str], ...))
+for _task in TASKS:
+    _split: Any = Literal[BENCHMARKS[_task]]
+    _CHOICES[_task] = (list[_split], ...)
 #: Benchmarks that a build runs: ``benchmarks`` in ``params.yaml``, splits or objects by stage.
-_CHOICES: dict[str, Any] = {name: (list[Literal[BENCHMARKS[name]]], ...) for name in TASKS}  # type: ignore[misc]
-_CHOICES |= dict.fromkeys((*OBJECT_TASKS, *ROBOT_STAGES), (list[str], ...))
-Selection: type[Record] = create_model("Selection", __base__=Record, **_CHOICES)
+Selection: type[Record] = create_model(
+    "Selection", __base__=Record, **{name: _CHOICES[name] for name in dict.fromkeys((*BENCHMARKS, *_CHOICES))}
+)
 
 
 def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:

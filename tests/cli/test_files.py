@@ -14,6 +14,7 @@ from objectfolder.cli.files import file_or_folder, object_file
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import sample_path
+from objectfolder.workspace.params import BENCHMARKS
 
 #: How commands show arguments that are Object Files.
 SHOWN = ("FILE", "FILE...", "[FILE]...", "[FILE...]")
@@ -38,8 +39,7 @@ def test_all_commands_are_found():
         *("info", "view", "video", "report", "simulate", "sample audio", "sample touch"),
         *(f"query {name}" for name in ("vision", "audio", "touch")),
         *(f"export {name}" for name in ("mjcf", "urdf", "glb", "usd", "nerfstudio", "lerobot")),
-        *(f"bench {name}" for name in ("recognize", "retrieve", "reconstruct", "localize")),
-        *(f"bench {name}" for name in ("vision-to-touch", "grasp-stability", "grasp-policy", "reach")),
+        *(f"bench {name.replace('_', '-')}" for name in BENCHMARKS),
     }
 
 

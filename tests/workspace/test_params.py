@@ -55,7 +55,7 @@ NONE = {name: [] for name in Selection.model_fields}
 
 @pytest.fixture
 def values():
-    values = YAML(typ="safe").load((REPOSITORY / "params/quick.yaml").read_text())
+    values = YAML(typ="safe").load((REPOSITORY / "params.yaml").read_text())
     return values | {
         "seed": 3,
         "sensor": "digit",
