@@ -1,11 +1,13 @@
 """Texts of the files of a workspace that runs the installed package."""
 
 import hashlib
+import json
 import logging
 import os
 import re
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import asdict
 from importlib.machinery import all_suffixes
 from io import StringIO
 from pathlib import Path
@@ -24,11 +26,10 @@ from objectfolder.workspace.installed import (
     RECORD,
     SENSORS,
     pipeline_files,
-    pipeline_folder,
     runs_installed,
 )
 from objectfolder.workspace.layout import code_list
-from objectfolder.workspace.params import BENCHMARKS, PARAMS_FILE
+from objectfolder.workspace.params import BENCHMARKS, PARAMS_FILE, section_config
 from objectfolder.yamlfile import read_yaml
 
 REQUIREMENTS = "requirements.txt"
@@ -151,7 +152,7 @@ def first_params() -> str:
     A clone's own ``params.yaml`` does not count: it holds that workspace's objects and settings.
     """
     _, _, settings = _quick().read_text().partition("\n")  # the first line is a comment on the preset
-    rest = {name: first_values()[name] for name in ("benchmarks", *_alike_in_presets())}
+    rest = {name: first_values()[name] for name in ("benchmarks", *_default_sections())}
     stream = StringIO()
     YAML().dump(rest, stream)
     return f"{(_TEMPLATE / PARAMS_FILE).read_text()}{stream.getvalue()}\n{settings}"
@@ -161,13 +162,13 @@ def first_values() -> dict[str, Any]:
     """Return the values of `first_params`."""
     none: dict[str, list[str]] = {name: [] for name in Selection.model_fields}
     values: dict[str, Any] = read_yaml(_TEMPLATE / PARAMS_FILE) | {"benchmarks": none}
-    return values | _alike_in_presets() | read_yaml(_quick())
+    return values | _default_sections() | read_yaml(_quick())
 
 
-def _alike_in_presets() -> dict[str, Any]:
-    """Return the sections of benchmarks that presets lack."""
-    known, quick = read_yaml(pipeline_folder() / PARAMS_FILE), read_yaml(_quick())
-    return {name: known[name] for name in BENCHMARKS if name not in quick}
+def _default_sections() -> dict[str, Any]:
+    """Return the sections of benchmarks that presets lack, whose settings have defaults."""
+    lacking = BENCHMARKS.keys() - read_yaml(_quick()).keys()
+    return {name: json.loads(json.dumps(asdict(section_config(name)()))) for name in sorted(lacking)}
 
 
 def _quick() -> Path:
