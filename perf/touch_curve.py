@@ -185,7 +185,7 @@ def main() -> None:
     rows: list[dict[str, float]] = []
     for run in runs:
         name = "_".join(map(str, run))
-        rows.append(job.finished(name, partial(trained, job, learnt, *run, console.print)))
+        rows.append(job.compute_once(name, partial(trained, job, learnt, *run, console.print)))
         write_record(given.json, rows)
     table = Table("touches of an object", "steps", "accuracy, %", "not flat, %", "min", title="Touch")
     for row in sorted(rows, key=lambda row: (row["touches"], row["steps"])):

@@ -17,11 +17,7 @@ import torch
 from threadpoolctl import threadpool_limits
 
 from objectfolder.benchmarks.datasets import grasps, observations
-from objectfolder.benchmarks.datasets.close_ups import (
-    close_up_request,
-    has_close_ups,
-    sample_close_ups,
-)
+from objectfolder.benchmarks.datasets.close_ups import close_up_request, has_close_ups, sample_close_ups
 from objectfolder.benchmarks.datasets.samples import Samples, object_digest
 from objectfolder.benchmarks.datasets.sampling import is_sampled, observation_request, sample_observations
 from objectfolder.benchmarks.datasets.settings import DecomposeConfig, GraspDataConfig, ObserveConfig
@@ -106,10 +102,11 @@ def run_task(task: Task, options: BenchmarkOptions, report: Report, track: Track
     Splits run in parallel on a CPU. Objects run one after another with all threads, or as many at a time as
     ``options.jobs``; of a task that has no use for several threads, as many as there are cores.
 
+    Raises ObjectFolderError if an option is wrong or a split cannot be made, before any work; or if sampling
+    or the task fails.
+
     Parameters
     ----------
-    task : Task
-    options : BenchmarkOptions
     report : callable
         A module-level function, called with lines of text, also in other processes.
     track : callable
@@ -118,11 +115,6 @@ def run_task(task: Task, options: BenchmarkOptions, report: Report, track: Track
     Returns
     -------
     Scores by split or object key.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is wrong or a split cannot be made, before any work; or if sampling or the task fails.
     """
     wanted = _chosen_splits(task, options)
     if not task.splits:
@@ -255,10 +247,7 @@ def _run_timed(run: Run, report: Report, threads: int, device: str) -> None:
 def _call_all(call: Callable[..., None], arguments: list[tuple[Any, ...]], jobs: int) -> None:
     """Call a function with each of the arguments, in processes if there are several jobs.
 
-    Raises
-    ------
-    ObjectFolderError
-        If calls fail, after all others are finished.
+    Raises ObjectFolderError if calls fail, after all others are finished.
     """
     attempts = [(call, *given) for given in arguments]
     if min(jobs, len(attempts)) > 1:
@@ -291,15 +280,12 @@ class LoadedFile(NamedTuple):
 def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
     """Load Object Files; return them by key.
 
+    Raises ObjectFolderError if a place has none, one is invalid, or two are of the same object.
+
     Parameters
     ----------
     places : sequence of Path, optional
         Object Files, folders that contain some, or releases. Default: ``build``.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a place has none, one is invalid, or two are of the same object.
     """
     sources: dict[str, LoadedFile] = {}
     for path, file in (found for place in places or [Build("any").dir.parent] for found in _files_in(place)):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import typer
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
@@ -15,13 +16,14 @@ from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import object_split
 from objectfolder.benchmarks.tasks import recognize, retrieve
+from objectfolder.benchmarks.tasks.task import find_task
 from objectfolder.cli import app
 from objectfolder.cli.console import tracked
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import open_safetensors, write_safetensors
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Benchmarks
-from objectfolder.workspace.params import read
+from objectfolder.workspace.params import BENCHMARKS, read
 from objectfolder.workspace.presets import read_preset
 
 ROOT = Path(__file__).parents[2]
@@ -203,6 +205,16 @@ def test_another_seed_or_encoder_begins_anew(files, workspace):
     assert results(Path("out"))["recognize_seen.csv"] != before["recognize_seen.csv"]
     bench("recognize", files, "--out", "out", "--seeds", "1")
     assert len(json.loads(Path("out/recognize_seen.json").read_text())["V"]["seeds"]) == 1
+
+
+def test_former_names_of_commands_still_work():
+    known = typer.main.get_command(app).commands["bench"].commands
+    former = {name: task.name for task in map(find_task, BENCHMARKS) for name in task.former}
+    assert len(former) == 6
+    for name, task in former.items():
+        old, new = known[name], known[task.replace("_", "-")]
+        assert old.hidden
+        assert [param.name for param in old.params] == [param.name for param in new.params]
 
 
 def refused(*arguments):

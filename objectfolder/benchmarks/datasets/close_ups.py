@@ -10,12 +10,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.benchmarks.datasets.observations import CLOSE_UP_ARRAYS, CLOSE_UP_RECORD
-from objectfolder.benchmarks.datasets.samples import (
-    are_written,
-    array_path,
-    averaged_images,
-    object_digest,
-)
+from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_json, write_npy
 from objectfolder.locks import exclusive
@@ -37,11 +32,8 @@ SMALLEST = 11  #: side of an image, pixels: the window of SSIM
 def close_up_request(file: ObjectFile, count: int, size: tuple[int, int], seed: int) -> dict[str, Any]:
     """Return what `sample_close_ups` depends on.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the object cannot be seen and touched at any point and depth, or images are too small or larger
-        than the sensor's.
+    Raises ObjectFolderError if the object cannot be seen and touched at any point and depth, or images are
+    too small or larger than the sensor's.
     """
     lacking = [part for part in ("geometry", "vision", "touch") if part not in file.header]
     if lacking or file.fixed_contact is not None:
@@ -76,20 +68,14 @@ def has_close_ups(request: dict[str, Any], folder: Path) -> bool:
 def sample_close_ups(file: ObjectFile, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
     """See and press an object at random points of its surface, where a camera has room.
 
+    Raises ObjectFolderError if the surface hides nearly everywhere, or as `close_up_request`.
+
     Parameters
     ----------
-    file : ObjectFile
-    count : int
     size : (int, int)
         Height and width of the images, at most the sensor's.
-    seed : int
     folder : Path
         Created.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the surface hides nearly everywhere, or as `close_up_request`.
     """
     request = close_up_request(file, count, size, seed)
     with exclusive(folder):  # of two benchmarks that start together, one samples

@@ -16,11 +16,6 @@ CHUNK = 64  #: contacts asked at once
 def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
     """Touch and strike an object at the same random points of its surface.
 
-    Parameters
-    ----------
-    file : ObjectFile
-    count, seed : int
-
     Returns
     -------
     Samples
@@ -52,10 +47,7 @@ def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
 def contact_split(count: int) -> Split:
     """Split contacts: of every ten, 8 for training, 1 for validation, 1 for the test.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there are fewer test contacts than a sequence holds.
+    Raises ObjectFolderError if there are fewer test contacts than a sequence holds.
     """
     if count % TEN or count < TEN * TOGETHER:
         raise ObjectFolderError(

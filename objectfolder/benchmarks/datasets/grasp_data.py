@@ -78,13 +78,14 @@ def collect_grasps(
     are skipped, and grasps without contact of both pads do not count; the record reports their numbers. An
     interrupted call resumes. The bytes do not depend on the number of threads.
 
+    Raises ObjectFolderError if the object does not fit the gripper or cannot be grasped, the Object File
+    lacks vision or touch or its touch net does not answer pads, the gel of its sensor is rigid, or the
+    surface is of another object.
+
     Parameters
     ----------
-    file : ObjectFile
     body : RigidBody
         The same object's.
-    wanted : GraspDataConfig
-    seed : int
     folder : path
         Gets ``record.json`` and the arrays of `objectfolder.benchmarks.datasets.grasps.ARRAYS`.
     surface : tuple of arrays, optional
@@ -94,13 +95,6 @@ def collect_grasps(
         Of the simulation.
     report : callable
         Called with the numbers of collected and of wanted grasps.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object does not fit the gripper or cannot be grasped, the Object File lacks vision or touch or
-        its touch net does not answer pads, the gel of its sensor is rigid, or the surface is of another
-        object.
     """
     folder = Path(folder)
     request = grasp_request(file, body, wanted, seed, surface)
@@ -137,7 +131,7 @@ def _collect(
             if not path.is_file():
                 rng = numpy_generator(seed, file.key, "grasps", str(len(paths)))
                 tried = label_grasps(scene, rests, wanted.perturbations, rng)
-                write_npz(path, **_observed(file, body, camera, wanted.touch, truth, *tried))
+                write_npz(path, **_observe(file, body, camera, wanted.touch, truth, *tried))
             with np.load(path, allow_pickle=False) as stored:
                 counts = {name: count + int(stored[name]) for name, count in counts.items()}
             paths.append(path)
@@ -169,10 +163,7 @@ def draw_attempts(
     The object has one of its resting poses, turned about the vertical and moved. The hand comes down over a
     random point of its silhouette, to any height, from any direction; the force is log-uniform in `FORCES`.
 
-    Raises
-    ------
-    ObjectFolderError
-        If `ATTEMPTS` consecutive poses collide.
+    Raises ObjectFolderError if `ATTEMPTS` consecutive poses collide.
     """
     found: list[Attempts] = []
     drawn, since, points = 0, 0, scene.body.points
@@ -181,7 +172,7 @@ def draw_attempts(
         rest = rests[rng.integers(len(rests), size=n)]
         places = rng.uniform(-PLACES, PLACES, (n, 2))
         objects = turn_poses(rest, rng.uniform(-np.pi, np.pi, n), places)
-        body = np.stack([_placed(points, pose) for pose in objects])
+        body = np.stack([_place(points, pose) for pose in objects])
         over = body[np.arange(n), rng.integers(len(points), size=n), :2]
         hands = np.empty((n, 4))
         hands[:, :2] = places + INSIDE * rng.random((n, 1)) * (over - places)
@@ -206,17 +197,15 @@ def label_grasps(
 ) -> tuple[Outcomes, dict[str, np.ndarray]]:
     """Simulate batches of grasps until both pads touch the object in some; label those.
 
+    Raises ObjectFolderError if no collision-free pose is found, or no batch of `EMPTY` has contact of both
+    pads.
+
     Returns
     -------
     Outcomes
     dict
         Initial object poses (``start``), maximum force of each jaw (``limits``), success rate over the
         perturbations (``soft``), and the numbers of ``drawn``, ``free`` and ``touched`` poses.
-
-    Raises
-    ------
-    ObjectFolderError
-        If no collision-free pose is found, or no batch of `EMPTY` has contact of both pads.
     """
     drawn = free_poses = 0
     for _ in range(EMPTY):
@@ -234,7 +223,7 @@ def label_grasps(
         )
     grasps, attempts = scene.lift(closed.take(rows)), attempts.take(rows)
     successes, trials = grasps.success.astype(int), np.ones(len(rows), int)
-    for changed in _perturbed(attempts, perturbations, rng):
+    for changed in _perturb(attempts, perturbations, rng):
         free = np.flatnonzero(scene.free(changed.objects, changed.hands))
         successes[free] += scene.grasp(*vars(changed.take(free)).values()).success
         trials[free] += 1
@@ -248,7 +237,7 @@ def label_grasps(
     }
 
 
-def _perturbed(attempts: Attempts, count: int, rng: np.random.Generator) -> Iterator[Attempts]:
+def _perturb(attempts: Attempts, count: int, rng: np.random.Generator) -> Iterator[Attempts]:
     n = len(attempts.forces)
     for _ in range(count):
         shift = np.c_[rng.normal(0, SHIFT, (n, 3)), rng.normal(0, TURN, n)]
@@ -257,7 +246,7 @@ def _perturbed(attempts: Attempts, count: int, rng: np.random.Generator) -> Iter
         yield Attempts(attempts.objects, hands, attempts.forces * np.exp(rng.normal(0, STRENGTH, n)))
 
 
-def _observed(
+def _observe(
     file: ObjectFile,
     body: RigidBody,
     camera: ExternalCamera,
@@ -269,7 +258,7 @@ def _observed(
     """Compute all arrays of a batch."""
     pressed = pad_presses(grasps.objects, grasps.hands, grasps.contacts)
     depths = press_depths(file, pressed, grasps.forces.ravel())
-    middle = grasps.contacts.mean(1) - np.stack([_placed(body.centre, pose) for pose in grasps.objects])
+    middle = grasps.contacts.mean(1) - np.stack([_place(body.centre, pose) for pose in grasps.objects])
     pictures = zip(grasps.objects, grasps.hands, grasps.width)
     arrays = {
         "success": grasps.success,
@@ -385,6 +374,6 @@ def _truth(file: ObjectFile, surface: Surface) -> TrueSurface:
     return TrueSurface(vertices * file.scale, faces, file.sensor_profile, file.sensor_background)
 
 
-def _placed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def _place(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Transform points (..., 3) of an object by a pose (7,)."""
     return points @ rotation(pose[3:]).T + pose[:3]

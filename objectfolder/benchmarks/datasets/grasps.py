@@ -22,10 +22,7 @@ ARRAYS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "success": ("bool", ()),  #: whether the grasp held
     "soft": ("float32", ()),  #: success rate over the grasp and its slightly perturbed repetitions
     "width": ("float32", ()),  #: opening of the closed jaws, m
-    "offset": (
-        "float32",
-        (3,),
-    ),  #: contact midpoint from the centre of mass; closing, lateral, up; m
+    "offset": ("float32", (3,)),  #: contact midpoint from the centre of mass; closing, lateral, up; m
     "force": ("float32", ()),  #: of the jaws, N
     "image": ("uint8", (None, None, 3)),  #: of the external camera
     "touch": ("uint8", (2, None, None, 3)),  #: left and right finger, from the Object File
@@ -39,6 +36,9 @@ AGAIN = "collect its grasps again"
 class Grasps(Samples):
     """Grasps of several objects; images are memory-mapped. See `Samples`, and `ARRAYS` for the arrays.
 
+    Raises ObjectFolderError if a folder is incomplete or damaged, or objects differ in the number or shape of
+    grasps.
+
     Parameters
     ----------
     folders : mapping
@@ -50,11 +50,6 @@ class Grasps(Samples):
         Outcome of each grasp.
     has_explicit : bool
         Whether touches were also simulated from the ground truth.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a folder is incomplete or damaged, or objects differ in the number or shape of grasps.
     """
 
     def __init__(self, folders: Mapping[str, Path]):

@@ -70,7 +70,7 @@ def write_nerfstudio(
             rows = slice(start, start + _BATCH)
             answers = file.render(cameras[rows], lights[rows], intrinsics=intrinsics)
             for name, rgba in zip(names[rows], answers.rgba):
-                Image.fromarray(straight(rgba)).save(new / name)
+                Image.fromarray(unpremultiply(rgba)).save(new / name)
             report(min(start + _BATCH, views), views)
         write_json(
             new / "transforms.json",
@@ -86,11 +86,7 @@ def write_nerfstudio(
                 "material": file.material,
                 "scale_m": file.scale,
                 "frames": [
-                    {
-                        "file_path": name,
-                        "transform_matrix": camera.tolist(),
-                        "light_position": light.tolist(),
-                    }
+                    {"file_path": name, "transform_matrix": camera.tolist(), "light_position": light.tolist()}
                     for name, camera, light in zip(names, cameras, lights)
                 ],
             },
@@ -98,7 +94,7 @@ def write_nerfstudio(
     return folder / "transforms.json"
 
 
-def straight(rgba: np.ndarray) -> np.ndarray:
+def unpremultiply(rgba: np.ndarray) -> np.ndarray:
     """Return an image for PNG: sRGB that is not multiplied by alpha.
 
     Parameters

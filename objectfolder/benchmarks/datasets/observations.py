@@ -37,15 +37,12 @@ SOURCE = "ObjectFile.safetensors"  #: the observed Object File; reconstruction r
 def find_folders(paths: Iterable[str | Path]) -> dict[str, Path]:
     """Find folders of complete observations; return them by object key.
 
+    Raises ObjectFolderError if a path contains none, or two folders hold observations of the same object.
+
     Parameters
     ----------
     paths : iterable of paths
         Folders of observations, or folders that contain some at any depth.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a path contains none, or two folders hold observations of the same object.
     """
     found: dict[str, Path] = {}
     for path in map(Path, paths):
@@ -71,15 +68,13 @@ class Observations(Samples):
     uint8, sRGB on white; ``audio`` (B, 32000) float32, two seconds at 16 kHz at absolute scale; ``touch``
     (B, H, W, 3) uint8.
 
+    Raises ObjectFolderError if a folder is incomplete or damaged, or objects differ in the number or shape of
+    observations.
+
     Parameters
     ----------
     folders : mapping
         From keys to folders written by `objectfolder.benchmarks.datasets.sampling.sample_observations`.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a folder is incomplete or damaged, or objects differ in the number or shape of observations.
     """
 
     def __init__(self, folders: Mapping[str, Path]):
@@ -103,12 +98,9 @@ class Observations(Samples):
     def relief(self, rows: np.ndarray) -> np.ndarray:
         """Return the relief under the touches of rows, metres; (B,) float64.
 
-        See `objectfolder.benchmarks.datasets.relief.surface_relief`.
+        See `objectfolder.benchmarks.datasets.sampling.surface_relief`.
 
-        Raises
-        ------
-        ObjectFolderError
-            If it is missing, as in observations of earlier versions.
+        Raises ObjectFolderError if it is missing, as in observations of earlier versions.
         """
         return self._beside(RELIEF, rows)
 
@@ -160,15 +152,13 @@ class CloseUps(Samples):
     stands on the contact normal, along which the gel comes, its up is that of the sensor, and both images
     have the same pixels.
 
+    Raises ObjectFolderError if a folder is incomplete or damaged, or objects differ in the number or shape of
+    images.
+
     Parameters
     ----------
     folders : mapping
         From keys to folders that `sample_close_ups` wrote.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a folder is incomplete or damaged, or objects differ in the number or shape of images.
     """
 
     def __init__(self, folders: Mapping[str, Path]):

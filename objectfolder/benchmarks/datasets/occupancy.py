@@ -29,7 +29,6 @@ def is_inside(surface: Isosurface, points: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    surface : Isosurface
     points : (..., 3) array
         Unit frame.
 
@@ -159,7 +158,6 @@ def sample_occupancy(
         Numbers of points: uniform and near points for training, uniform points for validation and scores.
     resolution : int
         Nodes along a side of the grid.
-    seed : int
     """
     pools = {
         name: uniform_points(count, numpy_generator(seed, "occupancy", name))
@@ -202,6 +200,8 @@ def cached_occupancy(
 ) -> OccupancySamples:
     """Sample the occupancy of objects, or read the samples if they exist.
 
+    Raises ObjectFolderError if a surface cannot be read, or ``path`` is damaged.
+
     Parameters
     ----------
     path : Path
@@ -212,11 +212,6 @@ def cached_occupancy(
         Digest of each Object File by key, in the same order.
     train, val, score, resolution, seed : int
         See `sample_occupancy`.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a surface cannot be read, or ``path`` is damaged.
     """
     sizes = f"{train} {val} {score} {resolution} {seed} {HALF_SIDE} {NEAR}"
     identity = np.array([*(f"{key} {digest}" for key, digest in digests.items()), sizes])

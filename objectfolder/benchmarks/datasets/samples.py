@@ -63,7 +63,6 @@ class Samples:
 
         Parameters
         ----------
-        name : str
         rows : (B,) int array
             In any order; repetitions are allowed.
 
@@ -103,18 +102,14 @@ def array_path(folder: Path, name: str) -> Path:
 def map_array(key: str, path: Path, remedy: str) -> np.ndarray:
     """Memory-map an object's ``.npy`` file, read-only; nothing is unpickled.
 
+    Raises ObjectFolderError if the file is missing, damaged, or not a numeric array.
+
     Parameters
     ----------
     key : str
         Object, named in errors.
-    path : Path
     remedy : str
         What to do about a damaged file; ends the error message.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, damaged, or not a numeric array.
     """
     try:
         return np.load(path, mmap_mode="r", allow_pickle=False)
@@ -162,20 +157,16 @@ def check_equal_shapes(name: str, shapes: Mapping[str, Any], remedy: str) -> Non
 def gather_rows(arrays: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
     """Gather rows of arrays of equal shape (N, ...); row r is row ``r % N`` of array ``r // N``.
 
+    Raises IndexError if a row is out of range.
+
     Parameters
     ----------
-    arrays : sequence of arrays
     rows : (B,) int array
         In any order; repetitions are allowed.
 
     Returns
     -------
     (B, ...) array
-
-    Raises
-    ------
-    IndexError
-        If a row is out of range.
     """
     rows, count = np.asarray(rows, np.int64), len(arrays[0])
     wrong = rows[(rows < 0) | (rows >= len(arrays) * count)]

@@ -8,24 +8,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
 from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, RELIEF, SOURCE, UNTOUCHED, VERSION
-from objectfolder.benchmarks.datasets.relief import surface_relief
 from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.disk import enough_space
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic_stream, read_json, write_json, write_npy, write_npz
 from objectfolder.locks import exclusive
+from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.objectfile.query_files import sample_depths, sample_strikes, sample_views
 from objectfolder.seeding import numpy_generator
+from objectfolder.touch.contact import sensor_frames
 from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import MODALITIES
 
 FORCES = (0.1, 1.0)  #: range of impulses, N s
+#: Relief of the ground under a touch: side of the square that is looked at, metres.
+SPAN = 0.0095
+RAYS = 9  #: along each side
+ABOVE = 0.004  #: where rays start, metres above the point
+BELOW = 0.003  #: and where they end below it: gel of no sensor reaches further
 _DTYPES: dict[str, np.dtype[Any]] = {
     "vision": np.dtype(np.uint8),
     "audio": np.dtype(np.float32),
@@ -51,26 +58,21 @@ def sample_observations(
     An interrupted call resumes at the modality it was writing. A complete folder is left alone. Observations
     of another Object File, count, resolution or seed are replaced.
 
+    Raises ObjectFolderError if the count is not a multiple of ten, the Object File lacks a part, a query
+    fails, or the disk is full.
+
     Parameters
     ----------
-    file : ObjectFile
     count : int
         Observations per modality, a multiple of ten. The first n do not depend on the count.
     resolution : int
         Side of the views, pixels.
-    seed : int
     folder : path
         Of this object alone. Receives ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json``
         that identifies it; ``queries.npz``, see `draw_queries`; ``relief.npy``, the `surface_relief` under
         each touch; ``untouched.npy``, which touches miss; the Object File; and finally ``observations.json``.
     report : callable
         Called with a modality and the number of its observations written so far.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the count is not a multiple of ten, the Object File lacks a part, a query fails, or the disk is
-        full.
     """
     folder = Path(folder)
     check_count(count)
@@ -87,7 +89,7 @@ def _sample(
     file: ObjectFile, request: dict[str, Any], folder: Path, report: Callable[[str, int], None]
 ) -> None:
     count, resolution, seed = (request[name] for name in ("count", "resolution", "seed"))
-    arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
+    arrays = {modality: _find_written(folder, modality, request) for modality in MODALITIES}
     (folder / RECORD).unlink(missing_ok=True)
     queries = draw_queries(file, count, seed)
     one = ask(file, {name: rows[:1] for name, rows in queries.items()}, "touch", resolution)[0]
@@ -108,11 +110,11 @@ def _sample(
             array = _write(file, queries, modality, shapes[modality], folder, report)
             write_json(folder / f"{modality}.json", {"request": request, "array": array})
             arrays[modality] = array
-        write_npy(folder / UNTOUCHED, _untouched(file, folder))
+        write_npy(folder / UNTOUCHED, _find_untouched(file, folder))
         write_json(folder / RECORD, request | {"arrays": arrays})
 
 
-def _untouched(file: ObjectFile, folder: Path) -> np.ndarray:
+def _find_untouched(file: ObjectFile, folder: Path) -> np.ndarray:
     """Return which written touches show the bare gel; (N,) bool."""
     touches = np.load(array_path(folder, "touch"), mmap_mode="r", allow_pickle=False)
     if file.fixed_contact is not None:  # a net of pictures alone always draws a contact
@@ -142,8 +144,8 @@ def is_sampled(request: dict[str, Any], folder: Path) -> bool:
     """Return whether a folder holds all observations of an `observation_request`."""
     if not all((folder / name).is_file() for name in (QUERIES, RELIEF, UNTOUCHED, SOURCE)):
         return False
-    arrays = {modality: _written(folder, modality, request) for modality in MODALITIES}
-    return all(arrays.values()) and _stored(folder / RECORD) == request | {"arrays": arrays}
+    arrays = {modality: _find_written(folder, modality, request) for modality in MODALITIES}
+    return all(arrays.values()) and _read_stored(folder / RECORD) == request | {"arrays": arrays}
 
 
 def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
@@ -151,10 +153,8 @@ def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
 
     Parameters
     ----------
-    file : ObjectFile
     count : int
         A multiple of ten: rows are drawn in independent tens, so that they do not depend on the count.
-    seed : int
 
     Returns
     -------
@@ -195,10 +195,8 @@ def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> t
 
     Parameters
     ----------
-    file : ObjectFile
     queries : dict
         See `draw_queries`; any number of rows.
-    modality : {"vision", "audio", "touch"}
     resolution : int
         Side of the views, pixels.
 
@@ -233,16 +231,16 @@ def _require_parts(file: ObjectFile) -> None:
         )
 
 
-def _written(folder: Path, modality: str, request: dict[str, Any]) -> dict[str, Any] | None:
+def _find_written(folder: Path, modality: str, request: dict[str, Any]) -> dict[str, Any] | None:
     """Return the metadata of a complete array of this request; None if there is none."""
-    path, stored = array_path(folder, modality), _stored(folder / f"{modality}.json")
+    path, stored = array_path(folder, modality), _read_stored(folder / f"{modality}.json")
     if stored is None or stored.get("request") != request or not path.is_file():
         return None
     array: dict[str, Any] = stored["array"]
     return array if path.stat().st_size == array["bytes"] else None
 
 
-def _stored(path: Path) -> dict[str, Any] | None:
+def _read_stored(path: Path) -> dict[str, Any] | None:
     try:
         value = read_json(path)
     except ObjectFolderError:  # missing or damaged: sampled again
@@ -285,3 +283,36 @@ def _write(
         log.warning("%s: %d of %d observations of %s are empty", file.key, empty, shape[0], modality)
     size = path.stat().st_size
     return {"shape": list(shape), "sha256": digest.hexdigest(), "bytes": size, "empty": empty}
+
+
+def surface_relief(surface: Isosurface, points: np.ndarray, scale: float) -> np.ndarray:
+    """Return the root mean square height of the surface around points, above its mean plane there.
+
+    Parameters
+    ----------
+    surface : Isosurface
+        Unit frame.
+    points : (N, 3) array
+        On the surface, object frame, metres.
+    scale : float
+        Longest side of the object, metres.
+
+    Returns
+    -------
+    (N,) float64
+        Metres; of the first surface that rays along the inward normal meet, in a square of side `SPAN`. Zero
+        on flat ground, however inclined.
+    """
+    place = np.asarray(points, np.float64) / scale
+    normals = surface.grid.normals(torch.from_numpy(place.astype(np.float32))).numpy()
+    frames = sensor_frames(normals.astype(np.float64), np.zeros(len(place)))
+    across = np.linspace(-SPAN / 2, SPAN / 2, RAYS)
+    square = np.stack(np.meshgrid(across, across), -1).reshape(-1, 2)
+    starts = ABOVE * -frames[:, None, :, 0] + np.einsum("kc,nxc->nkx", square, frames[:, :, 1:])
+    origins = (place[:, None] + starts / scale).reshape(-1, 3)
+    inward = np.repeat(frames[:, :, 0], len(square), 0)
+    distance, _ = surface.caster.first_hit(origins.astype(np.float32), inward.astype(np.float32))
+    height = np.maximum(ABOVE - scale * distance.astype(np.float64), -BELOW).reshape(len(place), -1)
+    plane = np.column_stack([np.ones(len(square)), square])
+    height -= height @ np.linalg.pinv(plane).T @ plane.T
+    return np.sqrt((height**2).mean(1))

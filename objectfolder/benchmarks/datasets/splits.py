@@ -75,17 +75,14 @@ def check_count(count: int) -> None:
 def per_sample(keys: Sequence[str], count: int) -> Split:
     """Split ``seen``: 80 % of the observations of every object for training, 10 % validation, 10 % test.
 
+    Raises ObjectFolderError if there are fewer than two objects, or the count is not a multiple of ten.
+
     Parameters
     ----------
     keys : sequence of str
         Objects in the order of their rows.
     count : int
         Observations per object. The split of the first n does not depend on it.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there are fewer than two objects, or the count is not a multiple of ten.
     """
     letters = _sample_splits(keys, count)
     return Split("seen", *(_rows(letters == name, [True] * len(keys)) for name in SPLITS))
@@ -97,18 +94,15 @@ def per_object(keys: Sequence[str], count: int) -> Split:
     Validation uses separate objects if the frozen list provides any. Otherwise it uses the observations of
     training objects that ``seen`` validates on, and training omits them.
 
+    Raises ObjectFolderError if there are fewer than two objects, the count is no multiple of ten, or no
+    object is for training or none for tests.
+
     Parameters
     ----------
     keys : sequence of str
         Objects in the order of their rows.
     count : int
         Observations per object.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there are fewer than two objects, the count is no multiple of ten, or no object is for training or
-        none for tests.
     """
     letters = _sample_splits(keys, count)
     of_objects = np.array([object_split(key) for key in keys])
@@ -134,10 +128,7 @@ NAMED: dict[str, Callable[[Sequence[str], int], Split]] = {"seen": per_sample, "
 def named_split(name: str, keys: Sequence[str], count: int) -> Split:
     """Make a split by its name, ``seen`` or ``unseen``; see `per_sample` and `per_object`.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no split of that name, or it cannot be made of these objects.
+    Raises ObjectFolderError if there is no split of that name, or it cannot be made of these objects.
     """
     if name not in NAMED:
         raise ObjectFolderError(f"split {name!r} is unknown, expected one of {', '.join(NAMED)}")
@@ -154,9 +145,6 @@ def repeated_rows(
 
     Parameters
     ----------
-    split : Split
-    observations : Samples
-    modality : str
     answers : (rows,) int array, optional
         Of all observations; default: their objects.
 
@@ -180,10 +168,7 @@ def repeated_rows(
 def without_rows(split: Split, dropped: np.ndarray) -> Split:
     """Drop validation and test rows, given which of all rows to drop; (rows,) bool.
 
-    Raises
-    ------
-    ObjectFolderError
-        If no validation or no test row is left.
+    Raises ObjectFolderError if no validation or no test row is left.
     """
     val, test = (rows[~dropped[rows]] for rows in (split.val, split.test))
     for name, rows in (("validation", val), ("test", test)):
@@ -235,3 +220,50 @@ def _frozen_samples() -> np.ndarray:
 
 def _data(name: str) -> str:
     return (files("objectfolder.benchmarks") / "data" / name).read_text()
+
+
+class Companions:
+    """The rows of a split by object and part, to draw from.
+
+    Parameters
+    ----------
+    labels : (N,) int array
+        Objects of all observations.
+    """
+
+    def __init__(self, split: Split, labels: np.ndarray):
+        self._group = np.full(len(labels), -1)  #: one for each object and part
+        for number, rows in enumerate((split.train, split.val, split.test)):
+            self._group[rows] = 3 * labels[rows] + number
+        self._order = np.argsort(self._group, kind="stable")
+        self._sorted = self._group[self._order]
+
+    def draw(self, rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return each of the rows with others of its object and part at random.
+
+        All are different as far as there are ``count`` of them; the others are repeated in turn if not.
+
+        Parameters
+        ----------
+        rows : (n,) int array
+            Rows of the split.
+        count : int
+            Rows in each group, its own included.
+
+        Returns
+        -------
+        (n, count) int64 array
+            The rows themselves are the first column.
+        """
+        rows = np.asarray(rows)
+        groups = self._group[rows]
+        first, end = (np.searchsorted(self._sorted, groups, side) for side in ("left", "right"))
+        size = (end - first)[:, None]
+        place = np.arange(size.max(initial=1))
+        members = self._order[np.minimum(first[:, None] + place, end[:, None] - 1)]
+        key = rng.random(members.shape)
+        key[members == rows[:, None]] = 2  # itself after all others
+        key[place >= size] = 3
+        shuffled = np.take_along_axis(members, key.argsort(1), 1)
+        others = np.arange(count - 1) % np.maximum(size - 1, 1)
+        return np.concatenate([rows[:, None], np.take_along_axis(shuffled, others, 1)], 1)

@@ -15,7 +15,6 @@ def draw_confusion(title: str, counts: Mapping[str, np.ndarray], names: Sequence
 
     Parameters
     ----------
-    title : str
     counts : mapping
         By the panel's title, (K, K) numbers of answers by class and answer.
     names : sequence of str

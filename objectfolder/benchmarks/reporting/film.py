@@ -24,8 +24,6 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], seconds: float) -> None:
 
     Parameters
     ----------
-    path : Path
-    frames : sequence of (H, W, 3) uint8 arrays
     seconds : float
         Duration of each frame, a multiple of 0.01.
     """

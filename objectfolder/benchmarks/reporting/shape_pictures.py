@@ -13,7 +13,7 @@ SIDE = 128  #: pixels of a picture
 CAMERA = np.array([1.5, -1.5, 1.35])  #: unit frame
 
 
-def shaded(vertices: np.ndarray, faces: np.ndarray, side: int = SIDE) -> np.ndarray:
+def render_shaded(vertices: np.ndarray, faces: np.ndarray, side: int = SIDE) -> np.ndarray:
     """Draw a mesh with a light at the camera.
 
     Parameters
@@ -48,7 +48,6 @@ def sheet(views: np.ndarray, meshes: Sequence[Sequence[tuple[np.ndarray, np.ndar
 
     Parameters
     ----------
-    views : (N, H, W, 3) uint8 array
     meshes : N sequences of (vertices, faces)
         Equally many for each view.
 
@@ -61,7 +60,7 @@ def sheet(views: np.ndarray, meshes: Sequence[Sequence[tuple[np.ndarray, np.ndar
         for view, shapes in zip(views, meshes)
         for picture in (
             np.asarray(Image.fromarray(view).resize((SIDE, SIDE))),
-            *(shaded(vertices, faces) for vertices, faces in shapes),
+            *(render_shaded(vertices, faces) for vertices, faces in shapes),
         )
     ]
     return tile(np.stack(pictures), columns=1 + len(meshes[0]))

@@ -19,9 +19,6 @@ class Table:
 
     Parameters
     ----------
-    title : str
-    columns : tuple of str
-    rows : sequence of tuples of str
     note : str
         Explanation below the table.
     """

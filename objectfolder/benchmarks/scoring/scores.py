@@ -17,14 +17,7 @@ NEVER = -2 * SCALE  #: similarity of what must not be found
 def accuracy(predicted: np.ndarray, labels: np.ndarray) -> float:
     """Compute the fraction of correct labels, in [0, 1].
 
-    Parameters
-    ----------
-    predicted, labels : (N,) int array
-
-    Raises
-    ------
-    ObjectFolderError
-        If the arrays are empty or differ in shape.
+    Raises ObjectFolderError if the arrays are empty or differ in shape.
     """
     predicted, labels = np.asarray(predicted), np.asarray(labels)
     if predicted.shape != labels.shape or not labels.size:
@@ -61,10 +54,6 @@ def wilson_95(successes: int, trials: int) -> tuple[float, float]:
 def share_95(success: np.ndarray) -> dict[str, Any]:
     """Compute the success rate over all episodes and its 95 % interval (`wilson_95`).
 
-    Parameters
-    ----------
-    success : bool array of any shape
-
     Returns
     -------
     dict
@@ -89,12 +78,10 @@ def mean_average_precision(
     (McSherry and Najork 2008), so that the score does not depend on the order of the gallery and identical
     embeddings score `chance_map`. A zero embedding has similarity 0 to everything.
 
+    Raises ObjectFolderError if there is no query, an embedding is not finite, or a query has no relevant row.
+
     Parameters
     ----------
-    queries : (Q, D) array
-    query_labels : (Q,) int array
-    gallery : (G, D) array
-    gallery_labels : (G,) int array
     own : bool
         The queries are the first rows of the gallery; none finds itself.
     cosine : bool
@@ -104,11 +91,6 @@ def mean_average_precision(
     Returns
     -------
     In [0, 1]; 1 if the relevant rows of every query come first.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no query, an embedding is not finite, or a query has no relevant row.
     """
     given = [_finite(name, value) for name, value in (("query", queries), ("gallery", gallery))]
     rows = [_unit(value) for value in given] if cosine else given
@@ -135,17 +117,12 @@ def chance_map(gallery_labels: np.ndarray, query_labels: np.ndarray, own: bool =
     (k-1)(R-1)/(N-1) relevant rows on average. The sum of the precisions at all ranks, divided by R, is
     (H + (R-1)/(N-1) (N - H)) / N with the harmonic number H = 1 + 1/2 + ... + 1/N: slightly above R/N.
 
+    Raises ObjectFolderError if there is no query, or a query has no relevant row.
+
     Parameters
     ----------
-    gallery_labels : (G,) int array
-    query_labels : (Q,) int array
     own : bool
         As for `mean_average_precision`.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no query, or a query has no relevant row.
     """
     gallery_labels = np.asarray(gallery_labels)
     relevant = _relevant_counts(gallery_labels, np.asarray(query_labels), own)

@@ -49,10 +49,6 @@ def sample_mesh(
 def intersection_over_union(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Estimate the volumetric IoU from the same uniform points.
 
-    Parameters
-    ----------
-    predicted, truth : (..., P) bool arrays
-
     Returns
     -------
     (...) float64
@@ -74,7 +70,6 @@ def surface_scores(predicted: SampledSurface | None, truth: SampledSurface) -> t
     ----------
     predicted : SampledSurface or None
         None, an empty prediction, scores `EMPTY_CHAMFER` and 0.
-    truth : SampledSurface
 
     Returns
     -------

@@ -26,7 +26,6 @@ def accuracy_together(
         Class and object of each observation.
     size : int
         Observations of a group, drawn at random without replacement. One observation alone: each once.
-    rng : numpy Generator
 
     Returns
     -------

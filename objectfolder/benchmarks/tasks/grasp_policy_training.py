@@ -34,6 +34,8 @@ def grasp_policy(job: ObjectJob[GraspPolicyConfig]) -> tuple[dict[str, Any], lis
     others; all policies of a seed start alike. Touch features come from a `TouchBank` during training; the
     test also computes them exactly with the Object File.
 
+    Raises ObjectFolderError if the object does not fit the gripper, or the file lacks touch.
+
     Parameters
     ----------
     job : ObjectJob
@@ -48,13 +50,6 @@ def grasp_policy(job: ObjectJob[GraspPolicyConfig]) -> tuple[dict[str, Any], lis
         ``interval_95`` over all rollouts (Wilson), and the rates of the ``seeds``; the numbers of
         ``rollouts`` per seed, of ``episodes`` per training and of ``presses`` in the bank; ``seconds`` of
         training.
-    list
-        Rows of the training curves: those of the task.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object does not fit the gripper, or the file lacks touch.
     """
     params, seed, progress, key = job.params, job.seed, job.progress, job.file.key
     assert job.body is not None

@@ -85,7 +85,6 @@ def join_streams(parts: Sequence[StabilityNet], prior: float) -> StabilityNet:
 
     Parameters
     ----------
-    parts : sequence of StabilityNet
     prior : float
         Logit of the success rate.
     """
@@ -105,7 +104,6 @@ def nested_order(rows: np.ndarray, labels: np.ndarray, rng: np.random.Generator)
 
     Parameters
     ----------
-    rows : (n,) int array
     labels : (n,) int array
         Object of each.
     """
@@ -127,6 +125,9 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
     and see the same grasps in the same order. The best epoch is chosen on the validation rows, which are the
     same for every size.
 
+    Raises ObjectFolderError if all training grasps have the same outcome, a part of the split is empty,
+    training diverges, or the encoder is unknown.
+
     Returns
     -------
     dict
@@ -138,14 +139,6 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
         accuracies and its ``interval_95`` over rows. ``success``: shares in each part of the split; the
         counts of `Job.without_duplicates`, with equal camera images as duplicates, and ``seconds`` of
         training.
-    list
-        Rows of the training curves: those of the task.
-
-    Raises
-    ------
-    ObjectFolderError
-        If all training grasps have the same outcome, a part of the split is empty, training diverges, or the
-        encoder is unknown.
     """
     job, rows = job.without_duplicates(("image",))
     height, width = job.params.touch
@@ -166,15 +159,15 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
     seconds, by_size = 0.0, {}
     for size in sorted(sizes):
         train = order[:size]
-        told = job.finished(f"{size}_baselines", partial(_baselines, grasps, train, split.test))
+        told = job.compute_once(f"{size}_baselines", partial(_baselines, grasps, train, split.test))
         answers = {name: np.array([answer]) for name, answer in told.items()}
         for name in names:
-            units = [_finished(job, train, run, name, names[-1]) for run in range(params.seeds)]
+            units = [_train_once(job, train, run, name, names[-1]) for run in range(params.seeds)]
             for answer in units[0]["logits"]:
                 answers[answer] = np.array([unit["logits"][answer] for unit in units])
             curve += [[size, run, name, *row] for run, unit in enumerate(units) for row in unit["curve"]]
             seconds += sum(unit["seconds"] for unit in units)
-        by_size[str(size)] = {"asked": sizes[size], **_measured(answers, grasps.success[split.test])}
+        by_size[str(size)] = {"asked": sizes[size], **_measure(answers, grasps.success[split.test])}
     shares = {part: float(grasps.success[getattr(split, part)].mean()) for part in rows["rows"]}
     return {"sizes": by_size, "success": shares, **rows, "seconds": seconds}, curve
 
@@ -192,7 +185,7 @@ def _check_outcomes(success: np.ndarray, split: str) -> None:
         )
 
 
-def _measured(answers: Mapping[str, np.ndarray], success: np.ndarray) -> dict[str, Any]:
+def _measure(answers: Mapping[str, np.ndarray], success: np.ndarray) -> dict[str, Any]:
     """Score the predictions (seeds, n) of each variant for the same n rows; above 0 for success."""
     both = len(np.unique(success)) == 2
     scores: dict[str, Any] = {}
@@ -220,13 +213,13 @@ def _measured(answers: Mapping[str, np.ndarray], success: np.ndarray) -> dict[st
     return scores
 
 
-def _finished(
+def _train_once(
     job: Job[GraspStabilityConfig], train: np.ndarray, run: int, name: str, last: str
 ) -> dict[str, Any]:
     """Return the predictions of one variant with one seed, trained unless finished earlier."""
 
     def make() -> dict[str, Any]:
-        net, curve = _trained(job, train, run, name)
+        net, curve = _train(job, train, run, name)
         start = time.perf_counter()
         given = {name: VARIANTS[name]}
         if cast(Grasps, job.observations).has_explicit:
@@ -241,14 +234,14 @@ def _finished(
         seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
         return {"logits": logits, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
 
-    result = job.finished(_checkpoint(job, train, run, name).stem, make)
+    result = job.compute_once(_checkpoint(job, train, run, name).stem, make)
     # Fusion needs the nets of single streams, so they are kept until a seed is finished.
     for done in VARIANTS if name == last else [name] * (len(VARIANTS[name]) > 1):
         _checkpoint(job, train, run, done).unlink(missing_ok=True)
     return result
 
 
-def _trained(
+def _train(
     job: Job[GraspStabilityConfig], train: np.ndarray, run: int, name: str
 ) -> tuple[StabilityNet, list[EpochPoint]]:
     """Train one variant, or read its finished checkpoint."""
@@ -262,7 +255,7 @@ def _trained(
             part for part, given in VARIANTS.items() if len(given) == 1 and given.items() <= arrays.items()
         ]
         net = join_streams(
-            [_trained(job, train, run, part)[0] for part in parts], float(np.log(share / (1 - share)))
+            [_train(job, train, run, part)[0] for part in parts], float(np.log(share / (1 - share)))
         )
         epochs, rate = params.fusion_epochs, FUSION_RATE
     else:

@@ -40,7 +40,6 @@ class Kept:
     ----------
     shape : tuple of int
         Of all rows together.
-    dtype : torch.dtype
     """
 
     def __init__(self, shape: tuple[int, ...], dtype: torch.dtype):
@@ -212,12 +211,10 @@ class Job(Generic[_Params]):
         ----------
         name : str
             Of what is kept.
-        rows : (n,) int array
         shape : tuple of int
             Of one row.
         make : callable
             Computes it for some rows, at least one.
-        dtype : torch.dtype
 
         Returns
         -------
@@ -293,7 +290,7 @@ class Job(Generic[_Params]):
             report=report,
         )
 
-    def finished(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    def compute_once(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return the result of a part of the job; computed once and kept in the progress folder."""
         path = self.progress / f"{name}.json"
         if not path.is_file():

@@ -52,13 +52,11 @@ def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]
         and ``interval_95`` and ``seeds`` of the net's mean; ``touch_weights`` of ``TA``, by seed.
         ``random``: a random place; ``constant``: the place with the least mean distance to the training
         contacts. ``contacts`` by part, and ``seconds``.
-    list
-        Rows of the training curves: those of the task.
     """
     points = job.observations.read("point", np.arange(len(job.observations)))
     setting = _Setting.of(job, points)
     finished = {
-        (run, letter): _finished(job, setting, run, letter)
+        (run, letter): _train_once(job, setting, run, letter)
         for run in range(job.params.seeds)
         for letter in LETTERS
     }
@@ -172,12 +170,12 @@ def _nearest(job: Job[LocalizeConfig], setting: _Setting, name: str) -> dict[str
     return setting.scores(belief) | {"mean": float(errors.mean()), "median": float(np.median(errors))}
 
 
-def _finished(job: Job[LocalizeConfig], setting: _Setting, run: int, letter: str) -> dict[str, Any]:
+def _train_once(job: Job[LocalizeConfig], setting: _Setting, run: int, letter: str) -> dict[str, Any]:
     """Return the scores of one net, trained unless finished earlier; its beliefs are kept."""
     checkpoint = job.progress / f"{run}_{letter}.pt"
 
     def make() -> dict[str, Any]:
-        net, curve = _trained(job, setting, run, letter, checkpoint)
+        net, curve = _train(job, setting, run, letter, checkpoint)
         beliefs = {part: _belief(setting, net, letter, getattr(job.split, part)) for part in ("val", "test")}
         write_npz(_beliefs_path(job, run, letter), **beliefs)
         return {
@@ -186,7 +184,7 @@ def _finished(job: Job[LocalizeConfig], setting: _Setting, run: int, letter: str
             "seconds": sum(point.seconds for point in curve),
         }
 
-    result = job.finished(f"{run}_{letter}", make)
+    result = job.compute_once(f"{run}_{letter}", make)
     checkpoint.unlink(missing_ok=True)
     return result
 
@@ -208,7 +206,7 @@ def _touch_weight(job: Job[LocalizeConfig], setting: _Setting, run: int) -> floa
     return TOUCH_WEIGHTS[int(np.argmin(errors))]
 
 
-def _trained(
+def _train(
     job: Job[LocalizeConfig], setting: _Setting, run: int, letter: str, checkpoint: Path
 ) -> tuple[Localizer, list[EpochPoint]]:
     params, train = job.params, job.split.train
@@ -255,10 +253,7 @@ def _belief(setting: _Setting, net: Localizer, letter: str, rows: np.ndarray) ->
 def localize_object(job: ObjectJob[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Touch and strike an object, and `localize` these contacts; scores also hold its ``scale``.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the object cannot be touched or heard, or there are too few contacts.
+    Raises ObjectFolderError if the object cannot be touched or heard, or there are too few contacts.
     """
     assert job.encode is not None
     count = job.params.contacts

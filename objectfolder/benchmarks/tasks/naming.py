@@ -41,15 +41,12 @@ def train_namer(
 
     Parameters
     ----------
-    job : Job
     stage : str
         Task, which names the random numbers.
-    modality : str
     run : int
         Seed, from 0.
     inputs : callable
         Of the encoder.
-    epochs : int
     one_cycle : bool
         `objectfolder.benchmarks.models.training.train`.
     rate : float
@@ -82,7 +79,7 @@ def train_namer(
         gallery = validation_gallery(job, stage)
         parts = np.array_split(gallery, -(-len(gallery) // CHUNK))
         features = torch.cat([net.encoders[modality](inputs(some, None)) for some in parts])
-        return retrieved_within(features.cpu().numpy(), labels[gallery], len(job.split.val))
+        return score_within(features.cpu().numpy(), labels[gallery], len(job.split.val))
 
     curve = job.train(
         f"{stage} {job.split.name}, {modality} alone, seed {run + 1}",
@@ -119,7 +116,7 @@ def repeated_objects(labels: np.ndarray, queries: int) -> np.ndarray:
     return np.flatnonzero(counts[inverse[:queries]] > 1)
 
 
-def retrieved_within(embeddings: np.ndarray, labels: np.ndarray, queries: int, cosine: bool = True) -> float:
+def score_within(embeddings: np.ndarray, labels: np.ndarray, queries: int, cosine: bool = True) -> float:
     """Score the `repeated_objects` of the queries among all other rows of the same modality."""
     asked = repeated_objects(labels, queries)
     order = np.concatenate([asked, np.setdiff1d(np.arange(len(labels)), asked)])

@@ -91,6 +91,8 @@ def reach(job: ObjectJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]
 
     Those of each training seed are others; baselines are scored on those of the first.
 
+    Raises ObjectFolderError if the object does not fit into the scene.
+
     Parameters
     ----------
     job : ObjectJob
@@ -105,13 +107,6 @@ def reach(job: ObjectJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]
         (Wilson, over all episodes), mean ``return`` and ``distance`` at the end (m); for PPO the success of
         each of the ``seeds``. The numbers of ``episodes`` and, for each training, of control ``steps``;
         ``seconds`` of training.
-    list
-        Rows of the training curves: those of the task.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object does not fit into the scene.
     """
     task, body, params, seed, progress = job.task, job.body, job.params, job.seed, job.progress
     assert body is not None

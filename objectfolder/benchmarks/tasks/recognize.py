@@ -50,14 +50,11 @@ def check_learnt(split: Split, objects: Objects) -> None:
         )
 
 
-def learnt_materials(split: Split, objects: Objects) -> Split:
+def keep_learnt_materials(split: Split, objects: Objects) -> Split:
     """Drop validation and test rows of materials that no training object has.
 
-    Raises
-    ------
-    ObjectFolderError
-        If all objects for training are of one material, or none for validation or the test is of a material
-        of theirs.
+    Raises ObjectFolderError if all objects for training are of one material, or none for validation or the
+    test is of a material of theirs.
     """
     target = material_target(objects)
     names, labels = np.array(target.names), target.labels
@@ -158,7 +155,7 @@ MATERIALS_TASK = Task(
     splits=("seen", "unseen"),
     samples="observations",
     encodes=MODALITIES,
-    check=learnt_materials,
+    check=keep_learnt_materials,
 )
 TASK = replace(
     MATERIALS_TASK,

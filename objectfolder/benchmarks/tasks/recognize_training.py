@@ -25,7 +25,7 @@ from objectfolder.benchmarks.tasks.recognize import (
     RecognizeConfig,
     Target,
     check_learnt,
-    learnt_materials,
+    keep_learnt_materials,
     material_target,
 )
 from objectfolder.benchmarks.tasks.task import Objects
@@ -66,6 +66,9 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
     validation rows; the test rows are evaluated once, with that epoch. Several test touches of an object
     answer together by the mean of their log probabilities.
 
+    Raises ObjectFolderError if a test object is absent from training, a part of the split is empty, training
+    diverges, or the encoder is unknown.
+
     Returns
     -------
     dict
@@ -78,18 +81,10 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
         that are learnt, ``majority``: the share of the commonest object in the test rows); `Job.counts`
         before any row is dropped; ``untested``, by combination the objects without a test row; and
         ``seconds`` of training.
-    list
-        Rows of the training curves: those of the task.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a test object is absent from training, a part of the split is empty, training diverges, or the
-        encoder is unknown.
     """
     objects = Objects(job.observations.keys, job.observations.labels)
     check_learnt(job.split, objects)
-    return _classified(job, Target(job.observations.keys, objects.labels))
+    return _classify(job, Target(job.observations.keys, objects.labels))
 
 
 def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
@@ -97,39 +92,35 @@ def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[
 
     Validation and test rows of materials that no training object has are left out.
 
+    Raises ObjectFolderError if all objects for training are of one material, or none for the test is of a
+    material of theirs.
+
     Returns
     -------
     dict
         As of `recognize`, by material; also the ``materials`` and those ``left_out``.
-    list
-        Rows of the training curves: those of the task.
-
-    Raises
-    ------
-    ObjectFolderError
-        If all objects for training are of one material, or none for the test is of a material of theirs.
     """
     observations, split = job.observations, job.split
     materials = [str(observations.records[key]["material"]) for key in observations.keys]
     objects = Objects(observations.keys, observations.labels, materials)
-    target, learnt = material_target(objects), learnt_materials(split, objects)
+    target, learnt = material_target(objects), keep_learnt_materials(split, objects)
     left_out = np.setdiff1d(
         target.labels[np.concatenate([split.val, split.test])], target.labels[split.train]
     )
-    scores, curve = _classified(replace(job, split=learnt), target)
+    scores, curve = _classify(replace(job, split=learnt), target)
     return scores | {
         "materials": list(target.names),
         "left_out": [target.names[label] for label in left_out],
     }, curve
 
 
-def _classified(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, Any], list[list[Any]]]:
+def _classify(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score all combinations; see `recognize`."""
     seeds = range(job.params.seeds)
     job.check_sizes(LETTERS.values())
     repeats = job.repeats(LETTERS.values(), target.labels)
     setting = _Setting.of(job, repeats, target)
-    finished = {(run, name): _finished(setting, run, name) for run in seeds for name in COMBINATIONS}
+    finished = {(run, name): _train_once(setting, run, name) for run in seeds for name in COMBINATIONS}
     classes = len(target.names)
     scores: dict[str, Any] = {}
     confusion = {name: np.zeros((classes, classes), np.int64) for name in COMBINATIONS}
@@ -205,12 +196,12 @@ def _together(setting: _Setting, logits: torch.Tensor) -> dict[str, dict[str, fl
     return scores
 
 
-def _finished(setting: _Setting, run: int, name: str) -> dict[str, Any]:
+def _train_once(setting: _Setting, run: int, name: str) -> dict[str, Any]:
     """Return the results of one combination with one seed, trained unless finished earlier."""
     job = setting.jobs[name]
 
     def make() -> dict[str, Any]:
-        net, curve = _trained(setting, run, name)
+        net, curve = _train(setting, run, name)
         start = time.perf_counter()
         logits = _logits(job, net, name, job.split.test)
         seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
@@ -218,19 +209,19 @@ def _finished(setting: _Setting, run: int, name: str) -> dict[str, Any]:
         result = {"predicted": logits.argmax(1).tolist(), "curve": rows, "seconds": seconds}
         return result | ({"together": _together(setting, logits)} if name == "T" else {})
 
-    result = job.finished(f"{run}_{name}", make)
+    result = job.compute_once(f"{run}_{name}", make)
     # Fusion needs the nets of single modalities, so they are kept until a seed is finished.
     for done in COMBINATIONS if name == COMBINATIONS[-1] else [name] * (len(name) > 1):
         _checkpoint(job, run, done).unlink(missing_ok=True)
     return result
 
 
-def _trained(setting: _Setting, run: int, name: str) -> tuple[Classifier, list[EpochPoint]]:
+def _train(setting: _Setting, run: int, name: str) -> tuple[Classifier, list[EpochPoint]]:
     """Train one combination, or read its finished checkpoint."""
     job, target = setting.jobs[name], setting.target
     params, split, labels = job.params, job.split, target.labels
     if len(name) > 1:
-        net = join_classifiers([_trained(setting, run, letter)[0] for letter in name])
+        net = join_classifiers([_train(setting, run, letter)[0] for letter in name])
         epochs, rate = params.fusion_epochs, FUSION_RATE
     else:
         with seeded(job.seed, "recognize", str(run), name):

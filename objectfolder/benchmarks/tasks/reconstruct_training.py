@@ -51,6 +51,8 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     seed's model of views is written to the progress folder as ``model.safetensors``, and a figure of some of
     its meshes as ``sheet.png``.
 
+    Raises ObjectFolderError if files or checkpoints are damaged, or training diverges.
+
     Returns
     -------
     dict
@@ -62,13 +64,6 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         ``interval_95``. Beside them ``perfect``, the surface scores of the truth against itself; the numbers
         of different ``touches`` and of ``views``; `Job.counts` of these views, before any is dropped;
         ``untested``, by variant the objects without a test row; and ``seconds``.
-    list
-        Rows of the training curves: those of the task.
-
-    Raises
-    ------
-    ObjectFolderError
-        If files or checkpoints are damaged, or training diverges.
     """
     job.check_sizes(MODALITIES)
     repeats = job.repeats(("vision", "audio"))
@@ -78,7 +73,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     }
     truth = _truth(job)
     finished = {
-        variant: [_finished(jobs, truth, variant, run) for run in range(job.params.seeds)]
+        variant: [_train_once(jobs, truth, variant, run) for run in range(job.params.seeds)]
         for variant in VARIANTS
     }
     used = replace(job.split, val=validation_rows(job), test=_test(job))
@@ -162,7 +157,7 @@ def _model_path(job: Job[ReconstructConfig], variant: str, run: int) -> Path:
     return job.progress / f"{variant}_{run}.safetensors"
 
 
-def _finished(jobs: Jobs, truth: Truth, variant: str, run: int) -> dict[str, Any]:
+def _train_once(jobs: Jobs, truth: Truth, variant: str, run: int) -> dict[str, Any]:
     """Return scores and curve of a variant and seed, trained unless finished earlier."""
     job = jobs[variant]
     checkpoint = job.progress / f"{variant}_{run}.pt"
@@ -180,7 +175,7 @@ def _finished(jobs: Jobs, truth: Truth, variant: str, run: int) -> dict[str, Any
         seconds = before + sum(point.seconds for point in curve) + time.perf_counter() - start
         return {"scores": scores, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
 
-    result = job.finished(f"{variant}_{run}", make)
+    result = job.compute_once(f"{variant}_{run}", make)
     for path in (checkpoint, *(namer_checkpoint(job, modality, run) for modality in VARIANTS[variant])):
         path.unlink(missing_ok=True)
     return result
@@ -192,7 +187,7 @@ def _parts(jobs: Jobs, truth: Truth, variant: str, run: int) -> tuple[list[Shape
     if len(modalities) == 1:
         return [], 0
     names = [name for name, alone in VARIANTS.items() if len(alone) == 1 and alone[0] in modalities]
-    scores = [_finished(jobs, truth, name, run)["scores"]["val_iou"] for name in names]
+    scores = [_train_once(jobs, truth, name, run)["scores"]["val_iou"] for name in names]
     return [load_model(_model_path(jobs[name], name, run)) for name in names], int(np.argmax(scores))
 
 

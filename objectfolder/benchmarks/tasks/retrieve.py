@@ -26,14 +26,7 @@ RETRIEVAL = {
 }
 #: Mean average precision of the best method of the ObjectFolder Benchmark (Gao et al., CVPR 2023), 200 unseen
 #: objects of 1,000.
-UNSEEN_RETRIEVAL = {
-    "V->A": 0.307,
-    "V->T": 0.124,
-    "A->V": 0.310,
-    "A->T": 0.090,
-    "T->V": 0.138,
-    "T->A": 0.154,
-}
+UNSEEN_RETRIEVAL = {"V->A": 0.307, "V->T": 0.124, "A->V": 0.310, "A->T": 0.090, "T->V": 0.138, "T->A": 0.154}
 SAME_SENSE = ("V->V", "A->A", "T->T")
 REPEATED = "repeat an input of their object, and were dropped if both inputs of a pair do"
 

@@ -19,7 +19,7 @@ from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import (
     CHUNK,
     repeated_objects,
-    retrieved_within,
+    score_within,
     train_namer,
     validation_gallery,
 )
@@ -60,6 +60,8 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     same training rows, and its dimensions are chosen in the same way. Test rows are evaluated once, after
     training.
 
+    Raises ObjectFolderError if a split cannot be trained on or scored, or a training diverges.
+
     Returns
     -------
     dict
@@ -69,24 +71,19 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
         if both inputs of one repeat, and ``seconds`` of training.
     list
         Rows of the training curves, those of the task; ``second`` is empty in pre-training.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a split cannot be trained on or scored, or a training diverges.
     """
     check_objects(job.split, Objects(job.observations.keys, job.observations.labels))
     job.check_sizes(MODALITIES)
     # The same gallery for all pairs, although only some of them may repeat a row.
     job, rows = job.without_duplicates(*PAIRS)
     labels = job.observations.labels[job.split.test]
-    correlated = job.finished("cca", lambda: _correlations(job))
+    correlated = job.compute_once("cca", lambda: _score_cca(job))
     baselines: list[Maps] = correlated["maps"]
     finished: dict[Pair, list[dict[str, Any]]] = {}
     alone = list(product(MODALITIES, range(job.params.seeds))) if job.params.pretrain_epochs else []
-    named = {one: _pretrained(job, *one) for one in alone}
+    named = {one: _pretrain(job, *one) for one in alone}
     for pair in PAIRS:
-        finished[pair] = [_finished(job, pair, run) for run in range(job.params.seeds)]
+        finished[pair] = [_train_once(job, pair, run) for run in range(job.params.seeds)]
     for checkpoint in job.progress.glob("encoder_*.pt"):
         checkpoint.unlink()
     directions: dict[str, Any] = {}
@@ -123,7 +120,7 @@ def _over_seeds(values: list[float]) -> dict[str, Any]:
     return {"map": float(np.mean(values)), "interval_95": interval_95(values), "seeds": values}
 
 
-def _pretrained(job: Job[RetrieveConfig], modality: str, run: int) -> dict[str, Any]:
+def _pretrain(job: Job[RetrieveConfig], modality: str, run: int) -> dict[str, Any]:
     """Return the curve of an encoder's pre-training, which leaves its checkpoint behind."""
 
     def make() -> dict[str, Any]:
@@ -131,16 +128,16 @@ def _pretrained(job: Job[RetrieveConfig], modality: str, run: int) -> dict[str, 
         rows = [astuple(point)[:3] for point in curve]
         return {"curve": rows, "seconds": sum(point.seconds for point in curve)}
 
-    return job.finished(f"encoder_{modality}_{run}", make)
+    return job.compute_once(f"encoder_{modality}_{run}", make)
 
 
-def _finished(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
+def _train_once(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
     """Return the scores of one net, trained unless finished earlier."""
     name = f"{pair[0]}_{pair[1]}_{run}"
     checkpoint = job.progress / f"{name}.pt"
 
     def make() -> dict[str, Any]:
-        net, curve = _trained(job, pair, run, checkpoint)
+        net, curve = _train(job, pair, run, checkpoint)
         embeddings = _embeddings(job, net, pair, job.split.test)
         return {
             "map": _maps(job, pair, embeddings),
@@ -149,12 +146,12 @@ def _finished(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
             "seconds": sum(point.seconds for point in curve),
         }
 
-    result = job.finished(name, make)
+    result = job.compute_once(name, make)
     checkpoint.unlink(missing_ok=True)
     return result
 
 
-def _trained(
+def _train(
     job: Job[RetrieveConfig], pair: Pair, run: int, checkpoint: Path
 ) -> tuple[TwoStream, list[EpochPoint]]:
     """Train one net, or resume from its checkpoint."""
@@ -218,11 +215,11 @@ def _maps(
     """Score embeddings of the test rows in two modalities, between them and within each."""
     labels = job.observations.labels[job.split.test]
     names = [modality[0].upper() for modality in pair]
-    crossed = _crossed(embeddings, labels, len(labels), cosine)
+    crossed = _score_crossed(embeddings, labels, len(labels), cosine)
     maps = {f"{names[i]}->{names[1 - i]}": score for i, score in enumerate(crossed)}
     if len(repeated_objects(labels, len(labels))):
         maps |= {
-            f"{name}->{name}": retrieved_within(x, labels, len(labels), cosine)
+            f"{name}->{name}": score_within(x, labels, len(labels), cosine)
             for name, x in zip(names, embeddings)
         }
     return maps
@@ -231,10 +228,10 @@ def _maps(
 def _val_score(job: Job[RetrieveConfig], embeddings: Sequence[np.ndarray]) -> float:
     """Score embeddings of the `validation_gallery` in two modalities: the mean over both directions."""
     labels = job.observations.labels[validation_gallery(job, "retrieve")]
-    return float(np.mean(_crossed(embeddings, labels, len(job.split.val))))
+    return float(np.mean(_score_crossed(embeddings, labels, len(job.split.val))))
 
 
-def _crossed(
+def _score_crossed(
     embeddings: Sequence[np.ndarray], labels: np.ndarray, queries: int, cosine: bool = True
 ) -> list[float]:
     """Score the first rows of one modality as queries for all rows of the other, and the reverse."""
@@ -285,14 +282,14 @@ def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
     }
 
 
-def _correlations(job: Job[RetrieveConfig]) -> dict[str, Any]:
+def _score_cca(job: Job[RetrieveConfig]) -> dict[str, Any]:
     """Return the scores of CCA for each pair, and what was chosen; no seed changes them."""
     features = {modality: _features(job, modality) for modality in MODALITIES}
-    maps, chosen = zip(*(_correlated(job, pair, features) for pair in PAIRS))
+    maps, chosen = zip(*(_correlate(job, pair, features) for pair in PAIRS))
     return {"maps": maps, "chosen": dict(zip(map("-".join, PAIRS), chosen))}
 
 
-def _correlated(
+def _correlate(
     job: Job[RetrieveConfig], pair: Pair, features: dict[str, dict[str, np.ndarray]]
 ) -> tuple[Maps, dict[str, int]]:
     """Score CCA by direction, with the dimensions that are best on the validation rows."""

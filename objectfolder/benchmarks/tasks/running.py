@@ -29,11 +29,7 @@ if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
 
 #: Files in a progress folder that are kept as results: a trained model, a figure, an animation.
-KEPT = {
-    "model.safetensors": Benchmarks.model,
-    "sheet.png": Benchmarks.sheet,
-    "episodes.gif": Benchmarks.film,
-}
+KEPT = {"model.safetensors": Benchmarks.model, "sheet.png": Benchmarks.sheet, "episodes.gif": Benchmarks.film}
 
 
 @dataclass(frozen=True)
@@ -131,10 +127,7 @@ def run_benchmark(run: Run, report: Report) -> RunTime:
     An interrupted run is resumed, unless its inputs, parameters or code have changed. What was finished is
     kept for the next run, which may have more seeds. ``report`` gets a line about each part of the training.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the split cannot be made from these objects, or the task fails.
+    Raises ObjectFolderError if the split cannot be made from these objects, or the task fails.
     """
     task, part, folder = run.task, run.part, run.folder
     progress = folder.progress(task.name, part, run.identity())
@@ -184,10 +177,7 @@ def write_results(
 def training_device(device: str | None = None) -> str:
     """Return the device to train on: the given one, else a GPU if there is one.
 
-    Raises
-    ------
-    ObjectFolderError
-        If torch cannot use it here.
+    Raises ObjectFolderError if torch cannot use it here.
     """
     chosen = device or ("cuda" if torch.cuda.is_available() else "cpu")
     try:

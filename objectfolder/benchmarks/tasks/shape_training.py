@@ -17,8 +17,8 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from objectfolder.benchmarks.datasets.companions import Companions
 from objectfolder.benchmarks.datasets.occupancy import OccupancySamples
+from objectfolder.benchmarks.datasets.splits import Companions
 from objectfolder.benchmarks.models.framing import framed_views
 from objectfolder.benchmarks.models.inputs import encoder_inputs, flipped
 from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor

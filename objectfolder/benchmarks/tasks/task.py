@@ -92,17 +92,14 @@ class Task:
     ) -> TaskParams[Any]:
         """Return the task's parameters.
 
+        Raises ObjectFolderError if a section is missing or wrong.
+
         Parameters
         ----------
         values : mapping, optional
             Contents of ``params.yaml``, perhaps with a preset merged into it. Default: read from ``path``.
         path : path
             Named in errors.
-
-        Raises
-        ------
-        ObjectFolderError
-            If a section is missing or wrong.
         """
         values = read(path) if values is None else dict(values)
         encode = settings(EncodeConfig, values, path) if self.trains_nets else None
@@ -111,10 +108,7 @@ class Task:
     def tables(self, scores: Mapping[str, Scores]) -> list[Table]:
         """Lay out scores by split, a table each, or by object, all in one.
 
-        Raises
-        ------
-        ObjectFolderError
-            If an earlier version wrote them.
+        Raises ObjectFolderError if an earlier version wrote them.
         """
         try:
             if not self.splits:

@@ -42,13 +42,11 @@ def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list
         least `ROUNDING`, averaged over images, dB; ``psnr_pooled`` of that of all; ``ssim``. Of the net also
         the ``seeds`` of the first and its ``interval_95``. Then the counts of `Job.without_duplicates`, and
         ``seconds``.
-    list
-        Rows of the training curves: those of the task.
     """
     job, counts = job.without_duplicates(("view",))
     test = job.split.test
     truth = job.observations.read("touch", test)
-    finished = [_finished(job, run) for run in range(job.params.seeds)]
+    finished = [_train_once(job, run) for run in range(job.params.seeds)]
     runs = [unit["scores"] for unit in finished]
     means = [run["psnr"] for run in runs]
     net = {name: float(np.mean([run[name] for run in runs])) for name in runs[0]}
@@ -56,8 +54,8 @@ def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list
     answers = job.observations.read("touch", _nearest(job))
     scores = {
         "net": net | {"seeds": means, "interval_95": interval_95(means)},
-        "nearest": compared(answers, truth),
-        "mean": compared(blank, truth),
+        "nearest": score_images(answers, truth),
+        "mean": score_images(blank, truth),
         **counts,
         "seconds": sum(unit["seconds"] for unit in finished),
     }
@@ -65,7 +63,7 @@ def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list
     return scores, curve
 
 
-def compared(answers: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+def score_images(answers: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """Score images (N, H, W, 3) uint8 by the truth."""
     a, b = answers.astype(np.float32) / 255, truth.astype(np.float32) / 255
     errors = ((a - b) ** 2).mean((1, 2, 3), dtype=np.float64)
@@ -94,32 +92,30 @@ def _nearest(job: Job[VisionToTouchConfig]) -> np.ndarray:
     return job.split.train[cKDTree(pooled(job.split.train)).query(pooled(job.split.test))[1]]
 
 
-def _finished(job: Job[VisionToTouchConfig], run: int) -> dict[str, Any]:
+def _train_once(job: Job[VisionToTouchConfig], run: int) -> dict[str, Any]:
     """Return the scores of one net, trained unless finished earlier."""
     checkpoint, sheet = job.progress / f"{run}.pt", job.progress / "0.png"
 
     def make() -> dict[str, Any]:
-        net, curve = _trained(job, run, checkpoint)
+        net, curve = _train(job, run, checkpoint)
         answers = _answers(job, net, _blank(job), job.split.test)
         truth = job.observations.read("touch", job.split.test)
         if run == 0:
             write_png(sheet, _sheet(job, answers, truth))
         return {
-            "scores": compared(answers, truth),
+            "scores": score_images(answers, truth),
             "curve": [astuple(point)[:3] for point in curve],
             "seconds": sum(point.seconds for point in curve),
         }
 
-    result = job.finished(str(run), make)
+    result = job.compute_once(str(run), make)
     if run == 0:
         keep(sheet, job.progress / "sheet.png")  # moved to the results at each call
     checkpoint.unlink(missing_ok=True)
     return result
 
 
-def _trained(
-    job: Job[VisionToTouchConfig], run: int, checkpoint: Path
-) -> tuple[Translator, list[EpochPoint]]:
+def _train(job: Job[VisionToTouchConfig], run: int, checkpoint: Path) -> tuple[Translator, list[EpochPoint]]:
     params, train, val = job.params, job.split.train, job.split.val
     purpose = ("vision_to_touch", job.split.name, str(run))
     with seeded(job.seed, *purpose):
@@ -141,7 +137,7 @@ def _trained(
         net,
         epoch_batches,
         batch_loss,
-        lambda: compared(_answers(job, net, blank, val), truth)["psnr_pooled"],
+        lambda: score_images(_answers(job, net, blank, val), truth)["psnr_pooled"],
         "PSNR",
         checkpoint,
         cycle=params.epochs * batch_count(len(train), params.batch),

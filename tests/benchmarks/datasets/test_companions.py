@@ -1,7 +1,6 @@
 import numpy as np
 
-from objectfolder.benchmarks.datasets.companions import Companions
-from objectfolder.benchmarks.datasets.splits import Split
+from objectfolder.benchmarks.datasets.splits import Companions, Split
 
 LABELS = np.repeat([0, 1], 10)
 TEST = np.array([9, 18, 19])

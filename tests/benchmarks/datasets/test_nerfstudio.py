@@ -9,7 +9,7 @@ import trimesh
 from PIL import Image
 from typer.testing import CliRunner
 
-from objectfolder.benchmarks.datasets.nerfstudio import straight, write_nerfstudio
+from objectfolder.benchmarks.datasets.nerfstudio import unpremultiply, write_nerfstudio
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -28,7 +28,7 @@ def test_each_frame_is_the_answer_from_its_camera_under_its_light(brick, path):
     for frame in described["frames"]:
         answer = brick.render(np.array(frame["transform_matrix"]), frame["light_position"], resolution=48)
         with Image.open(path.parent / frame["file_path"]) as image:
-            np.testing.assert_array_equal(np.asarray(image), straight(answer.rgba[0]))
+            np.testing.assert_array_equal(np.asarray(image), unpremultiply(answer.rgba[0]))
 
 
 def test_the_pose_projects_the_object_where_it_is_drawn(brick, path):
@@ -49,7 +49,7 @@ def test_the_pose_projects_the_object_where_it_is_drawn(brick, path):
 
 def test_colours_of_the_edge_are_not_multiplied_by_alpha():
     rgba = np.float32([[[0.25, 0.25, 0.25, 0.5], [0.5, 0.5, 0.5, 1.0], [0, 0, 0, 0]]])
-    image = straight(rgba)[0]
+    image = unpremultiply(rgba)[0]
     assert (image[0, :3] == image[1, :3]).all()
     assert image[1, 0] == 188  # sRGB of 0.5
     assert image[:, 3].tolist() == [128, 255, 0]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from solids import box, sphere
 
-from objectfolder.benchmarks.datasets.relief import BELOW, RAYS, SPAN, surface_relief
+from objectfolder.benchmarks.datasets.sampling import BELOW, RAYS, SPAN, surface_relief
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sdf import distance_grid

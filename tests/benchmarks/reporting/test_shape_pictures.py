@@ -1,11 +1,11 @@
 import numpy as np
 from solids import box
 
-from objectfolder.benchmarks.reporting.shape_pictures import SIDE, shaded, sheet
+from objectfolder.benchmarks.reporting.shape_pictures import SIDE, render_shaded, sheet
 
 
 def test_a_box_is_drawn_in_the_middle_on_white_brighter_where_it_faces_the_camera():
-    picture = shaded(*box((0.6, 0.6, 0.6)), side=64)
+    picture = render_shaded(*box((0.6, 0.6, 0.6)), side=64)
     drawn = (picture < 250).any(-1)
     rows, columns = np.nonzero(drawn)
     assert 0.15 < drawn.mean() < 0.6
@@ -17,7 +17,7 @@ def test_a_box_is_drawn_in_the_middle_on_white_brighter_where_it_faces_the_camer
 
 
 def test_a_mesh_without_triangles_is_white():
-    assert (shaded(np.zeros((0, 3)), np.zeros((0, 3), int)) == 255).all()
+    assert (render_shaded(np.zeros((0, 3)), np.zeros((0, 3), int)) == 255).all()
 
 
 def test_sheet_has_a_row_of_each_view():

@@ -391,12 +391,7 @@ def _played(last, ever):
 
 def test_a_table_has_a_row_for_each_policy_of_each_object():
     policies = dict.fromkeys(POLICIES, _played(0.97, 1.0))
-    scores = policies | {
-        "episodes": 100,
-        "horizon": 100,
-        "task": "reach",
-        "steps": [163840, 81920],
-    }
+    scores = policies | {"episodes": 100, "horizon": 100, "task": "reach", "steps": [163840, 81920]}
     (shown,) = TASK.tables({"cup": scores, "die": scores})
     assert [row[0] for row in shown.rows] == ["cup"] * 4 + ["die"] * 4
     assert shown.rows[0] == ("cup", "PPO", "97 (96-100)", "100 (96-100)", "12", "9.50", "164k/82k", "100")

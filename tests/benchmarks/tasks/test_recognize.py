@@ -15,11 +15,7 @@ from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.tasks import recognize_training
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognize import TASK
-from objectfolder.benchmarks.tasks.recognize_training import (
-    COMBINATIONS,
-    classify_materials,
-    recognize,
-)
+from objectfolder.benchmarks.tasks.recognize_training import COMBINATIONS, classify_materials, recognize
 from objectfolder.errors import ObjectFolderError
 
 SIZES = InputSizes(image=8, spectrogram=(16, 8), touch=(8, 8))

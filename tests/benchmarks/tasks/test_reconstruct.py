@@ -347,7 +347,7 @@ def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hear
         return {"scores": {"iou": 0.5}, "curve": [], "seconds": 0.0}
 
     (tmp_path / "V_0.safetensors").touch()
-    monkeypatch.setattr(reconstruct_training, "_finished", finished)
+    monkeypatch.setattr(reconstruct_training, "_train_once", finished)
     monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
     params = SimpleNamespace(**vars(PARAMS) | {"views": 1})
     scores, _ = reconstruct(Job(Silent(), SPLIT, params, encoding("tiny_shapes", SIZES), 0, tmp_path))
@@ -368,7 +368,7 @@ def test_unknown_objects_are_compared_with_known_ones(occupancy, tmp_path, monke
         return {"scores": {"iou": 0.5}, "curve": [], "seconds": 0.0}
 
     (tmp_path / "V_0.safetensors").touch()
-    monkeypatch.setattr(reconstruct_training, "_finished", finished)
+    monkeypatch.setattr(reconstruct_training, "_train_once", finished)
     monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
     scores, _ = reconstruct(Job(Observed(), unseen, PARAMS, encoding("tiny_shapes", SIZES), 0, tmp_path))
     inside = occupancy.score_inside
@@ -448,8 +448,7 @@ def test_encoders_start_from_given_weights(tmp_path):
     weights = encoders.Weights(tmp_path, Tiny(3).state_dict())
     ones = {name: torch.ones_like(value) for name, value in weights.items()}
     net = new_net(
-        Setup(("vision",), "tiny_shapes", SIZES, 16, 8, 1, 0, 8, ("ball",)),
-        encoders.Weights(tmp_path, ones),
+        Setup(("vision",), "tiny_shapes", SIZES, 16, 8, 1, 0, 8, ("ball",)), encoders.Weights(tmp_path, ones)
     )
     assert all((value == 1).all() for value in net.encoders["vision"].state_dict().values())
 

@@ -19,7 +19,7 @@ from objectfolder.benchmarks.models.two_stream import (
 )
 from objectfolder.benchmarks.tasks import retrieve_training
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.naming import repeated_objects, retrieved_within
+from objectfolder.benchmarks.tasks.naming import repeated_objects, score_within
 from objectfolder.benchmarks.tasks.recognize_training import recognize
 from objectfolder.benchmarks.tasks.reconstruct_training import reconstruct
 from objectfolder.benchmarks.tasks.retrieve import TASK, check_objects
@@ -289,7 +289,7 @@ def test_pairs_start_from_encoders_that_name_the_objects(tmp_path, monkeypatch):
     monkeypatch.setattr(
         retrieve_training, "_namer", lambda _, modality, __: (namers[modality == "touch"], [])
     )
-    net, _ = retrieve_training._trained(job, ("vision", "touch"), 0, tmp_path / "none.pt")
+    net, _ = retrieve_training._train(job, ("vision", "touch"), 0, tmp_path / "none.pt")
     for encoder, namer in zip(net.encoders, namers):
         assert all(
             torch.equal(value, namer.state_dict()[name]) for name, value in encoder.state_dict().items()
@@ -301,7 +301,7 @@ def test_rows_without_another_of_their_object_are_no_queries_within_a_sense():
     rows = np.array([[1.0, 0], [0, 1], [0.1, 1], [1, 1], [-1, 0.2]])
     assert repeated_objects(labels, 4).tolist() == [0, 1, 2]
     # Row 0 finds its like last of four; rows 1 and 2 find each other first.
-    assert retrieved_within(rows, labels, 4) == pytest.approx((1 / 4 + 1 + 1) / 3)
+    assert score_within(rows, labels, 4) == pytest.approx((1 / 4 + 1 + 1) / 3)
 
 
 def test_says_what_it_is_of(learnt):
@@ -344,7 +344,7 @@ def test_test_rows_are_read_after_the_training_only(tmp_path, monkeypatch):
     split = per_sample(table.keys, table.count)
     monkeypatch.setattr(Job, "without_duplicates", lambda job, *_: (job, {}))
     monkeypatch.setattr(retrieve_training, "_features", lambda *_: {})
-    monkeypatch.setattr(retrieve_training, "_correlated", lambda *_: ({"V->A": 0.0}, {}))
+    monkeypatch.setattr(retrieve_training, "_correlate", lambda *_: ({"V->A": 0.0}, {}))
     monkeypatch.setattr(retrieve_training, "PAIRS", (("vision", "audio"),))
     run(table, tmp_path, split)
     from_tests = [np.isin(rows, split.test).any() for _, rows in table.reads]
@@ -394,7 +394,7 @@ def test_same_numbers_again_and_after_an_interruption(tmp_path, monkeypatch):
 def test_correlations_are_found_once_for_all_seeds(tmp_path, monkeypatch):
     table = Table(3)
     first, _ = run(table, tmp_path, epochs=1)
-    monkeypatch.setattr(retrieve_training, "_correlated", lambda *_: pytest.fail("found again"))
+    monkeypatch.setattr(retrieve_training, "_correlate", lambda *_: pytest.fail("found again"))
     more, _ = run(table, tmp_path, epochs=1, seeds=2)
     assert more["cca"] == first["cca"]
     for direction, score in more["directions"].items():
