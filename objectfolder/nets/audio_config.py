@@ -12,43 +12,47 @@ from objectfolder.settings import Count, Octaves, Positive, Precision, Share
 class GainsConfig:
     """Shape and training of a net of kind ``gains``, for objects with up to ``modes`` modes."""
 
-    modes: Count
-    resolution: Annotated[int, Interval(ge=1, le=128)]  #: cells of the grid along each axis
-    channels: Count  #: features of a grid node
-    width: Count  #: of the first sine layer
+    modes: Count = 75
+    resolution: Annotated[int, Interval(ge=1, le=128)] = 16  #: cells of the grid along each axis
+    channels: Count = 10  #: features of a grid node
+    width: Count = 64  #: of the first sine layer
     #: Width of the second sine layer, at least. The output is linear in it, so it bounds the rank.
-    features: Count
-    most_features: Count  #: for mode shapes that have little in common, such as those of many boards
-    frequency: Positive  #: factor inside the sines
-    steps: Count
-    learning_rate: Positive
-    grid_rate: Positive  #: learning rate of the grid, relative to ``learning_rate``
+    features: Count = 320
+    most_features: Count = 320  #: for mode shapes that have little in common, such as those of many boards
+    frequency: Positive = 10.0  #: factor inside the sines
+    steps: Count = 3400
+    learning_rate: Positive = 0.007
+    grid_rate: Positive = 3.0  #: learning rate of the grid, relative to ``learning_rate``
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpectrogramConfig:
     """Shape and training of a net of kind ``spectrogram``."""
 
-    width: Count
-    depth: Count
-    point_octaves: Octaves
-    bin_octaves: Octaves
-    steps: Count
-    batch: Count  #: spectrogram bins, each for all three force axes
-    learning_rate: Positive
-    final_rate: Share  #: of the learning rate, at the end of a cosine; 1: constant, as the paper's
-    loud: Share  #: of a batch drawn by loudness, weighted to the same mean; the paper's is 0
-    precision: Precision  #: of the hidden layers in training
+    width: Count = 256
+    depth: Count = 8
+    point_octaves: Octaves = 10
+    bin_octaves: Octaves = 10
+    steps: Count = 500_000
+    batch: Count = 16_384  #: spectrogram bins, each for all three force axes
+    learning_rate: Positive = 0.0005
+    final_rate: Share = 0.01  #: of the learning rate, at the end of a cosine; 1: constant, as the paper's
+    loud: Share = 0.5  #: of a batch drawn by loudness, weighted to the same mean; the paper's is 0
+    precision: Precision = "float32"  #: of the hidden layers in training
 
 
 @dataclass(frozen=True, kw_only=True)
 class AudioConfig:
     """Kind of the audio net, with settings for both kinds."""
 
-    net: Literal["gains", "spectrogram"]
-    sizes: Annotated[tuple[GainsConfig, ...], MinLen(1)]  #: ascending; the first large enough is used
-    batch: Count  #: surface points, for ``gains``
-    spectrogram: SpectrogramConfig
+    net: Literal["gains", "spectrogram"] = "gains"
+    #: Ascending; the first that is large enough is used
+    sizes: Annotated[tuple[GainsConfig, ...], MinLen(1)] = (
+        GainsConfig(),
+        GainsConfig(modes=1000, channels=12, width=96, features=384, most_features=512, steps=3200),
+    )
+    batch: Count = 512  #: surface points, for ``gains``
+    spectrogram: SpectrogramConfig = SpectrogramConfig()
 
     def size(self, modes: int) -> GainsConfig:
         """Return the first size that is large enough for a number of modes, else the last."""

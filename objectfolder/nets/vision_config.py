@@ -12,46 +12,46 @@ from objectfolder.settings import Count, Octaves, Positive, Precision, Share
 class SurfaceConfig:
     """Shape and training of a net of kind ``surface``."""
 
-    levels: Count
-    features: Count
-    table_bits: Annotated[int, Interval(ge=4, le=24)]
-    coarsest: Count
-    finest: Count
-    width: Count  #: hidden width of the MLPs
-    points: Count  #: surface points for training base colour and normals
-    point_steps: Count
-    point_batch: Count
-    pixels: Count  #: pixels for training indirect light, over all training views
-    steps: Count
-    batch: Count
-    learning_rate: Positive
+    levels: Count = 8
+    features: Count = 2
+    table_bits: Annotated[int, Interval(ge=4, le=24)] = 15
+    coarsest: Count = 16
+    finest: Count = 320
+    width: Count = 64  #: hidden width of the MLPs
+    points: Count = 200_000  #: surface points for training base colour and normals
+    point_steps: Count = 250
+    point_batch: Count = 16_384
+    pixels: Count = 400_000  #: pixels for training indirect light, over all training views
+    steps: Count = 600
+    batch: Count = 4096
+    learning_rate: Positive = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
 class OsfConfig:
     """Shape and training of a net of kind ``osf``."""
 
-    width: Count  #: of the density network
-    depth: Count
-    branch_width: Count  #: of the scattering network
-    branch_depth: Count
-    point_octaves: Octaves
-    direction_octaves: Octaves
-    coarse_samples: Count  #: per ray, stratified
-    fine_samples: Count  #: per ray, drawn from the weights of the coarse samples
-    hull_cells: Annotated[int, Interval(ge=0, le=256)]
+    width: Count = 256  #: of the density network
+    depth: Count = 8
+    branch_width: Count = 128  #: of the scattering network
+    branch_depth: Count = 4
+    point_octaves: Octaves = 10
+    direction_octaves: Octaves = 4
+    coarse_samples: Count = 64  #: per ray, stratified
+    fine_samples: Count = 128  #: per ray, drawn from the weights of the coarse samples
+    hull_cells: Annotated[int, Interval(ge=0, le=256)] = 64
     """Along each axis of the cube. Nothing is computed in cells that the views to learn from show to be
     empty; 0: everything is computed, as in the paper."""
-    steps: Count
-    batch: Count  #: rays
-    learning_rate: Positive
-    final_rate: Share  #: of the learning rate, at the end of a cosine; 1: constant, as the paper's
-    precision: Precision  #: of the hidden layers in training
+    steps: Count = 500_000
+    batch: Count = 1024  #: rays
+    learning_rate: Positive = 0.0005
+    final_rate: Share = 0.01  #: of the learning rate, at the end of a cosine; 1: constant, as the paper's
+    precision: Precision = "float32"  #: of the hidden layers in training
 
 
 @dataclass(frozen=True, kw_only=True)
 class VisionConfig(SurfaceConfig):
     """Kind of the vision net, with settings for both kinds."""
 
-    net: Literal["surface", "osf"]
-    osf: OsfConfig
+    net: Literal["surface", "osf"] = "surface"
+    osf: OsfConfig = OsfConfig()

@@ -25,14 +25,14 @@ class InputSizes:
 class EncodeConfig:
     """Section ``encode`` of ``params.yaml``."""
 
-    encoder: str  #: registered name, or FILE.py:NAME
-    image: Annotated[int, Ge(8)]  #: side of the crop of a view, pixels
-    spectrogram: tuple[int, int]  #: bins and frames; the paper's: 257, 201
-    touch: tuple[int, int]  #: height and width, pixels; the paper's: 160, 120
-    subtract: bool  #: the median touch from touches, before recognition and retrieval (`Ground`)
-    shift: Annotated[int, Ge(0)]  #: pixels by which these touches are moved at most in training
-    flip: bool  #: half of the views in training, left to right, before recognition and retrieval
-    precision: Precision  #: of training on a CPU; `objectfolder.benchmarks.models.training.train`
+    encoder: str = "resnet18"  #: registered name, or FILE.py:NAME
+    image: Annotated[int, Ge(8)] = 56  #: side of the crop of a view, pixels
+    spectrogram: tuple[int, int] = (64, 50)  #: bins and frames; the paper's: 257, 201
+    touch: tuple[int, int] = (64, 48)  #: height and width, pixels; the paper's: 160, 120
+    subtract: bool = False  #: the median touch from touches, before recognition and retrieval (`Ground`)
+    shift: Annotated[int, Ge(0)] = 0  #: pixels by which these touches are moved at most in training
+    flip: bool = False  #: half of the views in training, left to right, before recognition and retrieval
+    precision: Precision = "float32"  #: of training on a CPU; `objectfolder.benchmarks.models.training.train`
 
     @property
     def sizes(self) -> InputSizes:
