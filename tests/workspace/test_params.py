@@ -212,7 +212,7 @@ def test_a_setting_that_is_not_written_is_missed_at_any_depth(write, values):
     del values["train_audio"]["sizes"][1]["steps"], values["train_audio"]["batch"]
     with pytest.raises(ObjectFolderError) as caught:
         stage_params(section_config("train_audio"), "mug", write())
-    assert "train_audio: sizes.steps: Field required, by default 3200; batch: Field req" in str(caught.value)
+    assert "train_audio: sizes.steps: Field required, by default 3400; batch: Field req" in str(caught.value)
 
 
 def test_a_missing_field_and_an_entry_that_is_none(write):
