@@ -26,7 +26,7 @@ def init(
     """
     if find_spec("dvc") is None:
         raise ObjectFolderError(f"DVC is not installed; a workspace needs: {install_command('build')}")
-    from objectfolder.engine.dvc.start import start_repository
+    from objectfolder.engine.dvc.repository import start_repository
     from objectfolder.workspace.creation import create_workspace
 
     create_workspace(folder, start_repository)

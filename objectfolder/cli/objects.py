@@ -232,7 +232,7 @@ def fetch(
     """
     from objectfolder.fetch import report
     from objectfolder.fetch.catalogue import read_catalogue, select_objects
-    from objectfolder.fetch.local import check_directory
+    from objectfolder.fetch.files import check_directory
     from objectfolder.fetch.run import FetchStatus, fetch_all
     from objectfolder.workspace import params
 

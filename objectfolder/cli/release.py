@@ -49,7 +49,7 @@ def release(
     """
     from objectfolder.objectfile.dataset import MAX_CATEGORY, MAX_TEXT
     from objectfolder.release.entries import entry_of, notices_of, released_keys
-    from objectfolder.release.words import described
+    from objectfolder.release.pages import described
     from objectfolder.release.write import write_release
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_own

@@ -2,17 +2,17 @@
 
 import bisect
 import logging
+import py_compile
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib.util import cache_from_source
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from objectfolder import disk
-from objectfolder.engine.bytecode import compare_by_content
-from objectfolder.engine.costs import forget_cost, record_cost
 from objectfolder.engine.dvc import remote, steps
 from objectfolder.engine.dvc.graph import StageGraph, stage_graph
 from objectfolder.engine.dvc.inputs import Stamps, hold_params
@@ -22,7 +22,6 @@ from objectfolder.engine.dvc.repository import (
     read_params,
     remove_partial_outputs,
 )
-from objectfolder.engine.failures import LOGS, forget_failure, log_path, record_failure
 from objectfolder.engine.process import (
     Command,
     CommandResult,
@@ -30,6 +29,14 @@ from objectfolder.engine.process import (
     describe_result,
     stage_environment,
     tail,
+)
+from objectfolder.engine.records import (
+    LOGS,
+    forget_cost,
+    forget_failure,
+    log_path,
+    record_cost,
+    record_failure,
 )
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
 from objectfolder.engine.schedule import Schedule, object_groups
@@ -48,6 +55,7 @@ from objectfolder.engine.summary import (
 )
 from objectfolder.engine.workers import FinishedQueue, LocalWorkers, WorkerLost, Workers
 from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.code_digests import PACKAGES
 from objectfolder.workspace.installed import check_installed
 from objectfolder.workspace.template import note_foreign_code
 
@@ -57,6 +65,10 @@ OBJECTS_PER_CORE = 2
 RESTARTS = 3
 LONGEST = 1e8  #: time limit of a stage, s
 _log = logging.getLogger(__name__)
+#: Creates the workers of a build from the number of jobs and the queue for their results.
+MakeWorkers = Callable[[int | None, FinishedQueue], Workers]
+#: Offset in a ``.pyc`` file of the flags; 0: compared by time and size of the source.
+FLAGS = slice(4, 8)
 
 
 @dataclass(frozen=True)
@@ -94,10 +106,6 @@ class BuildOptions:
             )
         if self.timeout is not None and not 0 <= self.timeout <= LONGEST:
             raise ObjectFolderError(f"timeout is {self.timeout} s, expected 0 (never) to {LONGEST:g}")
-
-
-#: Creates the workers of a build from the number of jobs and the queue for their results.
-MakeWorkers = Callable[[int | None, FinishedQueue], Workers]
 
 
 def local_workers(jobs: int | None, finished: FinishedQueue) -> Workers:
@@ -439,3 +447,22 @@ class _Build:
     def _report(self, result: StageResult) -> None:
         self.results[result.address] = result
         self.on_event(Finished(result))
+
+
+def compare_by_content(root: Path) -> None:
+    """Compile again what Python would compare with its source by size and time alone.
+
+    The time counts whole seconds: after an edit that keeps the size, a stage could run the old code. Python
+    keeps the kind of comparison when it compiles an edited module again.
+
+    Parameters
+    ----------
+    root : Path
+        Directory that contains the packages of the project.
+    """
+    for source in (path for package in PACKAGES for path in (root / package).rglob("*.py")):
+        compiled = cache_from_source(str(source))
+        with suppress(OSError):  # never imported, or a read-only directory
+            if not any(Path(compiled).read_bytes()[FLAGS]):
+                mode = py_compile.PycInvalidationMode.CHECKED_HASH
+                py_compile.compile(str(source), compiled, invalidation_mode=mode, quiet=2)

@@ -1,4 +1,4 @@
-"""Stage commands: each runs in its own session, is timed and logged, and can be killed with its children."""
+"""Processes that end with the engine: commands of stages, with their children, and pools of workers."""
 
 import fcntl
 import json
@@ -9,11 +9,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
+from objectfolder.engine.supervisor import die_with
 from objectfolder.errors import ObjectFolderError
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
@@ -22,6 +25,7 @@ TAIL_LINES = 15
 END = 30.0
 _POLL = 0.1
 TAIL_BYTES = 16_384
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
@@ -289,3 +293,25 @@ def _alarm(seconds: float | None, action: Callable[[], None]) -> Iterator[None]:
 def _kill(group: int) -> None:
     with suppress(ProcessLookupError, PermissionError):  # only a zombie is left
         os.killpg(group, signal.SIGKILL)
+
+
+def process_pool(jobs: int | None) -> ProcessPoolExecutor:
+    """Return a pool of ``jobs`` spawned processes; default: one per core.
+
+    Without `die_with`, workers of a killed parent would finish their task and then wait forever.
+    """
+    return ProcessPoolExecutor(jobs, get_context("spawn"), initializer=die_with, initargs=(os.getpid(),))
+
+
+def in_processes(
+    call: Callable[..., _Result], arguments: list[tuple[Any, ...]], jobs: int
+) -> Iterator[_Result]:
+    """Call a function with each tuple of arguments in parallel; yield results in the order they finish."""
+    with process_pool(min(jobs, len(arguments))) as pool:
+        waiting = [pool.submit(call, *given) for given in arguments]
+        try:
+            for done in as_completed(waiting):
+                yield done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise

@@ -17,8 +17,8 @@ from typing import Any
 
 from objectfolder.engine import node
 from objectfolder.engine.build import MakeWorkers
-from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import Command, CommandResult
+from objectfolder.engine.records import LOGS
 from objectfolder.engine.resources import Needs
 from objectfolder.engine.workers import FinishedQueue, WorkerLost
 from objectfolder.errors import ObjectFolderError

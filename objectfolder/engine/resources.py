@@ -1,19 +1,21 @@
 """Resource needs of stages, and the free resources of one machine."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-from objectfolder.engine.cgroups import core_quota, memory_left
-
 HOUR = 3600.0
 #: Share of the available memory for stages; the rest is for the engine and the system.
 MEMORY_SHARE = 0.9
 _DEVICES = Path("/dev")
+#: Stages that query the net of another stage.
+_NET_OF = {"evaluate": "train_vision", "observe": "train_vision"}
+_TREES = Path("/sys/fs/cgroup")
+_OWN = Path("/proc/self/cgroup")  # lines such as 4:memory:/user and, of the second version, 0::/user
 
 
 @dataclass(frozen=True)
@@ -75,9 +77,6 @@ NEEDS = {
     "grasp_policy": Needs(3000, memory_mb=2000, timeout=None),
     "reach": Needs(300, memory_mb=2000, timeout=None),
 }
-
-#: Stages that query the net of another stage.
-_NET_OF = {"evaluate": "train_vision", "observe": "train_vision"}
 
 
 def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
@@ -192,3 +191,51 @@ class Machine:
         share, count = min(1.0, wanted), max(1, round(wanted))
         fitting = sorted((free, gpu) for gpu, free in self._gpus.items() if free >= share - 1e-9)
         return [gpu for _, gpu in fitting[:count]] if len(fitting) >= count else None
+
+
+def core_quota() -> float:
+    """Return how many cores the groups allow; infinite without a limit."""
+    out = float("inf")
+    for folder in _groups("cpu"):
+        quota, _, period = (_read(folder / "cpu.max") or _quota_of_first_version(folder)).partition(" ")
+        if quota.isdigit() and period.isdigit() and int(period):
+            out = min(out, int(quota) / int(period))
+    return out
+
+
+def memory_left() -> float:
+    """Return the bytes that the groups leave; infinite without a limit."""
+    out = float("inf")
+    for folder in _groups("memory"):
+        for names in (
+            ("memory.max", "memory.current", "inactive_file"),
+            ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+        ):
+            limit, used = (_read(folder / name) for name in names[:2])
+            if limit.isdigit() and used.isdigit():
+                # Pages of files that nobody has used lately count as used, but the system takes them back.
+                lines = dict(line.split() for line in _read(folder / "memory.stat").splitlines())
+                out = min(out, max(0, int(limit) - int(used) + int(lines.get(names[2], 0))))
+    return out
+
+
+def _groups(kind: str) -> Iterator[Path]:
+    """Yield the folders of the groups that this process is in, from inside to outside, of both versions."""
+    for line in _read(_OWN).splitlines() or ["0::/"]:
+        _, kinds, path = line.split(":", 2)
+        if kind in kinds.split(",") or not kinds:
+            tree = _TREES / kinds if kinds else _TREES
+            group = Path(path.lstrip("/"))
+            yield from (tree / each for each in (group, *group.parents) if (tree / each).is_dir())
+
+
+def _quota_of_first_version(folder: Path) -> str:
+    return f"{_read(folder / 'cpu.cfs_quota_us')} {_read(folder / 'cpu.cfs_period_us')}"
+
+
+def _read(path: Path) -> str:
+    """Return the content of a file; empty if there is none that can be read."""
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""

@@ -11,7 +11,7 @@ from objectfolder.engine.dvc.changes import Changes, ChangeTracker
 from objectfolder.engine.dvc.graph import stage_graph
 from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.engine.dvc.steps import has_command, input_state
-from objectfolder.engine.failures import LOGS, recall_failure
+from objectfolder.engine.records import LOGS, recall_failure
 from objectfolder.engine.summary import Addressed
 from objectfolder.workspace.installed import check_installed
 

@@ -18,8 +18,8 @@ from objectfolder.engine.dvc.recorded import (
     with_downstream,
 )
 from objectfolder.engine.dvc.repository import OpenRepository
-from objectfolder.engine.dvc.savedruns import maker, saved_outputs, saved_runs
-from objectfolder.engine.pool import process_pool
+from objectfolder.engine.dvc.runcache import hashes_in, maker, outputs_of, read_entry, saved_runs
+from objectfolder.engine.process import process_pool
 from objectfolder.engine.resources import cores
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.validate import find_problem, readers
@@ -142,10 +142,8 @@ def runs_by_object(repository: OpenRepository, survey: Survey) -> dict[str, list
     bad = survey.bad_objects()
     found: dict[str, list[Path]] = {}
     for path in saved_runs(repository.repo) if bad else ():
-        text = saved_outputs(path.read_text(errors="replace"))
-        for oid in bad:
-            if f"md5: {oid}\n" in text:
-                found.setdefault(oid, []).append(path)
+        for oid in bad & {*hashes_in(outputs_of(read_entry(path)))}:
+            found.setdefault(oid, []).append(path)
     return found
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from objectfolder.objectfile.dataset import COLUMNS, INDEX, OBJECTS, IndexEntry
-from objectfolder.release.words import Words
+from objectfolder.release.pages import Words
 
 CONFORMS_TO = ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"]
 _TERMS = (

@@ -11,8 +11,7 @@ from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
 from objectfolder.release.croissant import croissant
 from objectfolder.release.entries import index_text
 from objectfolder.release.notices import Notice
-from objectfolder.release.pages import LICENCES, card, datasheet
-from objectfolder.release.words import Words
+from objectfolder.release.pages import LICENCES, Words, card, datasheet
 from objectfolder.report.site import write_site
 from objectfolder.workspace.layout import Build
 

@@ -3,7 +3,7 @@ import shutil
 import pytest
 
 from objectfolder.engine.build import BuildOptions, build
-from objectfolder.engine.costs import recall_costs
+from objectfolder.engine.records import recall_costs
 from objectfolder.engine.summary import Finished, Planned, StageOutcome, Started
 from objectfolder.errors import ObjectFolderError
 

@@ -15,8 +15,8 @@ from disks import mounted, small_disk
 
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.dvc.repository import track
-from objectfolder.engine.failures import LOGS, log_path
 from objectfolder.engine.process import Children, open_log
+from objectfolder.engine.records import LOGS, log_path
 from objectfolder.engine.summary import Finished, StageOutcome
 from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError

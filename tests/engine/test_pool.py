@@ -9,7 +9,7 @@ def test_processes_end_with_a_command_that_is_killed(tmp_path):
     script = tmp_path / "wait.py"
     script.write_text(
         "import os, pathlib, sys, time\n"
-        "from objectfolder.engine.pool import in_processes\n"
+        "from objectfolder.engine.process import in_processes\n"
         "def wait(folder):\n"
         "    (pathlib.Path(folder) / str(os.getpid())).touch()\n"
         "    time.sleep(600)\n"

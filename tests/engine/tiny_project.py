@@ -345,7 +345,7 @@ def make_workspace(root: Path, texts: dict[str, str]) -> None:
     shutil.copy(ROOT / ".dvcignore", root)
     shutil.copy(ROOT / ".gitignore", root)
     texts = dict(texts)
-    for name in ("errors", "workspace/code_digests", "workspace/installed", "workspace/layout"):
+    for name in ("errors", "text", "workspace/code_digests", "workspace/installed", "workspace/layout"):
         texts[f"objectfolder/{name}.py"] = (ROOT / "objectfolder" / f"{name}.py").read_text()
     texts["stages/hash_code.py"] = (ROOT / "stages/hash_code.py").read_text()
     texts |= {"objectfolder/__init__.py": "", "objectfolder/workspace/__init__.py": ""}

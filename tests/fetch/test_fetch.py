@@ -17,10 +17,9 @@ from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import run as run_module
 from objectfolder.fetch.catalogue import read_catalogue
-from objectfolder.fetch.checksums import read_checksums
 from objectfolder.fetch.download import WAITS, download_to
-from objectfolder.fetch.local import find_local
-from objectfolder.fetch.run import SIZE_TOLERANCE, FetchStatus, fetch_all, fetch_object
+from objectfolder.fetch.files import find_local
+from objectfolder.fetch.run import SIZE_TOLERANCE, FetchStatus, fetch_all, fetch_object, read_checksums
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_all

@@ -13,8 +13,7 @@ from objectfolder.objectfile.dataset import IndexEntry, read_index
 from objectfolder.release.croissant import croissant
 from objectfolder.release.entries import index_text
 from objectfolder.release.notices import MAX_NOTICE, read_notice
-from objectfolder.release.pages import card, datasheet
-from objectfolder.release.words import described
+from objectfolder.release.pages import card, datasheet, described
 from objectfolder.text import visible
 from objectfolder.yamlfile import read_yaml
 

@@ -22,12 +22,18 @@ from objectfolder.nets.released.network import Frame
 from objectfolder.objectfile.query_files import sample_presses
 from objectfolder.released import convert as converter
 from objectfolder.released import touch
-from objectfolder.released.audio import gains_net, spectrogram_net
 from objectfolder.released.checkpoint import ReleasedDict, read_released
 from objectfolder.released.convert import ImportOptions, convert
-from objectfolder.released.encoding import by_number, by_octave
-from objectfolder.released.touch import depth_net, image_net
-from objectfolder.released.vision import configured_net, nerf_net
+from objectfolder.released.nets import (
+    by_number,
+    by_octave,
+    configured_net,
+    depth_net,
+    gains_net,
+    image_net,
+    nerf_net,
+    spectrogram_net,
+)
 from objectfolder.report.certificate import file_checks
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.vision.cameras import Intrinsics

@@ -19,8 +19,7 @@ from dvc_data.hashfile.tree import Tree
 from objectfolder.engine.dvc import steps
 from objectfolder.engine.dvc.graph import StageGraph
 from objectfolder.engine.dvc.recorded import listing_of
-from objectfolder.engine.dvc.runcache import is_there
-from objectfolder.engine.dvc.savedruns import saved_run
+from objectfolder.engine.dvc.runcache import is_there, saved_run
 from objectfolder.errors import shortened
 from objectfolder.workspace.code_digests import code_text
 from objectfolder.workspace.layout import CODE

@@ -1,4 +1,4 @@
-"""Open a DVC workspace exclusively, without DVC's log output."""
+"""Open a DVC workspace exclusively, without DVC's log output; make a folder one."""
 
 import getpass
 import itertools
@@ -6,7 +6,9 @@ import json
 import logging
 import os
 import re
+import shutil
 import sqlite3
+import subprocess
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, chdir, contextmanager, suppress
@@ -43,6 +45,8 @@ LINKED = ("build", "metrics", "benchmarks", "data", "data/objects", str(COPIES))
 POLL = 0.5
 _PARTIAL = re.compile(r"\.[0-9A-Za-z_-]{20,24}\.tmp")  # DVC's names: 22 characters at random
 _log = logging.getLogger(__name__)
+#: As in this project's own repository: DVC calls nobody, and adds nothing to Git's index by itself.
+CORE = {"analytics": False, "check_update": False, "autostage": False}
 
 
 @dataclass(frozen=True)
@@ -330,3 +334,27 @@ def _refuse_if_busy(repo: Repo) -> None:
                 f"process {pid} (`{holder['cmd']}`) is running a stage in {repo.root_dir} (if it is not a "
                 f"DVC process, remove {path})"
             )
+
+
+def start_repository(root: Path) -> None:
+    """Initialise Git, unless the folder is a repository already, and DVC.
+
+    Raises
+    ------
+    ObjectFolderError
+        If Git is not installed, or one of them refuses.
+    """
+    if shutil.which("git") is None:
+        raise ObjectFolderError(
+            "git is not installed, which a workspace needs; install it (Debian: apt-get install git)"
+        )
+    if not (root / ".git").exists():
+        command = ["git", "init", "--quiet", "--initial-branch", "main", str(root)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise ObjectFolderError(f"git cannot make a repository in {root}: {done.stderr.strip()}")
+    try:
+        with quiet(), Repo.init(str(root)) as repo, repo.config.edit("repo") as config:
+            config["core"].update(CORE)
+    except DvcException as error:
+        raise ObjectFolderError(f"DVC cannot make a repository in {root}: {error}") from error
