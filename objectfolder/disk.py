@@ -54,21 +54,9 @@ def describe_full(path: Path) -> str:
 def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[None]:
     """Check free space before the block writes into a folder, and report a disk that fills up in the block.
 
-    Parameters
-    ----------
-    what : str
-        Name of the data, for messages.
-    folder : Path
-        Destination; it need not exist.
-    needed : int
-        Lower bound of the bytes to write.
-    hint : str
-        Alternative to freeing space, appended to the message.
-
-    Raises
-    ------
-    ObjectFolderError
-        If fewer bytes are free, or the disk fills up before the block ends.
+    ``what``: name of the data, for messages; ``folder``: destination; it need not exist; ``needed``: lower
+    bound of the bytes to write; ``hint``: alternative to freeing space, appended to the message. Raises
+    ObjectFolderError if fewer bytes are free, or the disk fills up before the block ends.
     """
 
     def shortage(place: object) -> ObjectFolderError:
@@ -94,10 +82,7 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
     Its name is drawn at random. Of several who write the same folder the first that ends wins; the others
     raise.
 
-    Raises
-    ------
-    ObjectFolderError
-        If ``out`` exists already, before the block or after it.
+    Raises ObjectFolderError if ``out`` exists already, before the block or after it.
     """
     if os.path.lexists(out):
         raise _exists(out)
@@ -122,10 +107,7 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
 def refuse_links(folder: Path, below: Path) -> None:
     """Check that no folder that the project makes, from ``folder`` up to one ``below``, is a link.
 
-    Raises
-    ------
-    ObjectFolderError
-        If one is: what is written there would go elsewhere.
+    Raises ObjectFolderError if one is: what is written there would go elsewhere.
     """
     for path in (folder, *folder.parents):
         if path == below:

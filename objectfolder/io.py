@@ -41,12 +41,8 @@ def atomic(path: str | Path) -> Iterator[Path]:
     who write the same path the last one wins. What killed writers leave, the next process that writes in the
     folder removes.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the directory cannot be written, or the path is a folder or a device.
-    OSError
-        Of the block, or a full disk that the block met; it names ``path``.
+    Raises ObjectFolderError if the directory cannot be written, or the path is a folder or a device. Raises
+    OSError of the block, or of a full disk that the block met, which names ``path``.
     """
     with _replacing(Path(path)) as (temporary, _):
         yield temporary
@@ -222,10 +218,7 @@ def file_digest(path: str | Path) -> str:
 def read_json(path: str | Path) -> Any:
     """Read a JSON file.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing or damaged.
+    Raises ObjectFolderError if the file is missing or damaged.
     """
     path = _existing(path)
     try:
@@ -237,10 +230,7 @@ def read_json(path: str | Path) -> Any:
 def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
     """Read an ``.npz`` and check that it holds the required arrays.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, damaged, or lacks an array.
+    Raises ObjectFolderError if the file is missing, damaged, or lacks an array.
     """
     path = _existing(path)
     try:
@@ -260,10 +250,7 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
 class StoredTensors(Mapping[str, np.ndarray]):
     """Mapping of the tensors of a safetensors file; its bytes are in memory, and each access gives a copy.
 
-    Raises
-    ------
-    ObjectFolderError
-        On access, if numpy does not support the type of a tensor.
+    Raises ObjectFolderError on access, if numpy does not support the type of a tensor.
     """
 
     def __init__(self, path: Path, stored: dict[str, dict[str, Any]]):
@@ -291,10 +278,8 @@ def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
     The file is not mapped: it may change or shrink afterwards. Nothing in it is executed. All sizes are
     checked before memory is allocated.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, damaged, too large, or not a safetensors file, or holds a name twice.
+    Raises ObjectFolderError if the file is missing, damaged, too large, or not a safetensors file, or holds a
+    name twice.
     """
     from safetensors import deserialize
 
@@ -339,16 +324,9 @@ def torch_problem(error: Exception) -> str:
 def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
     """Read an (N, width) array of real numbers from a ``.npy`` file as float64.
 
-    Parameters
-    ----------
-    hint : str
-        Text appended to errors about the shape.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, or not an array of real numbers of this shape. The file is never unpickled,
-        and no more memory is allocated than its size justifies.
+    ``hint``: text appended to errors about the shape. Raises ObjectFolderError if the file is missing, or not
+    an array of real numbers of this shape. The file is never unpickled, and no more memory is allocated than
+    its size justifies.
     """
     path = _existing(path, f"expected a .npy file of shape (N, {width})")
     try:

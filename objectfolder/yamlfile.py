@@ -19,10 +19,7 @@ MAX_NESTING = 50  #: limit of collections in each other
 def read_yaml(path: str | Path) -> Any:
     """Read a YAML file; otherwise as `checked_yaml`.
 
-    Raises
-    ------
-    ObjectFolderError
-        Also if a value does not have its type, or a key is there twice.
+    Also raises ObjectFolderError if a value does not have its type, or a key is there twice.
     """
     from ruamel.yaml import YAML
 
@@ -36,11 +33,7 @@ def read_yaml(path: str | Path) -> Any:
 def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
     """Return a mapping as YAML; lists of texts take one line.
 
-    Parameters
-    ----------
-    values : mapping
-    *in_quotes : str
-        Names of texts that are written in quotes whether they need them or not.
+    ``*in_quotes``: names of texts that are written in quotes whether they need them or not.
     """
     from ruamel.yaml import YAML
     from ruamel.yaml.comments import CommentedSeq
@@ -65,11 +58,8 @@ def checked_yaml(path: str | Path) -> str:
 
     Loading descends into nested collections, and what is loaded may be written out: a copy for each alias.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it cannot be read, is not YAML, is nested too deeply, has a very long value, refers to itself, or
-        would be too large with a copy for each alias.
+    Raises ObjectFolderError if it cannot be read, is not YAML, is nested too deeply, has a very long value,
+    refers to itself, or would be too large with a copy for each alias.
     """
     from ruamel.yaml import YAML
 

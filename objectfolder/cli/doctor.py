@@ -42,25 +42,13 @@ print("" if found[0] < 0 else ".".join(map(str, found)) + ("" if found >= OLDEST
 
 @dataclass(frozen=True)
 class Part:
-    """Library, program or extra that is used where it is installed.
-
-    Parameters
-    ----------
-    name : str
-    found : str
-        Versions or paths; empty if nothing is installed.
-    usable : bool
-    brings : str
-        What it is for, and what it costs.
-    get : str
-        How to install it.
-    """
+    """Library, program or extra that is used where it is installed."""
 
     name: str
-    found: str
+    found: str  #: versions or paths; empty if nothing is installed
     usable: bool
-    brings: str
-    get: str
+    brings: str  #: what it is for, and what it costs
+    get: str  #: how to install it
 
 
 def doctor() -> None:

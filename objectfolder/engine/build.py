@@ -73,31 +73,17 @@ FLAGS = slice(4, 8)
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """Options of a build.
+    """Options of a build."""
 
-    Parameters
-    ----------
-    jobs : int, optional
-        Cores that stages may use together; default: all of this process.
-    force : bool
-        Run every stage, even if it is up to date.
-    keep_going : bool
-        After a failure, continue with stages that do not depend on it; otherwise start no more stages.
-    timeout : float, optional
-        Wall seconds after which a stage is killed; default: see `objectfolder.engine.resources.NEEDS`;
-        0: never.
-    pull : bool
-        First download recorded outputs and saved runs from DVC's default remote.
-    wait : bool
-        If another process uses the workspace, wait until it ends; otherwise refuse.
-    """
-
-    jobs: int | None = None
-    force: bool = False
+    jobs: int | None = None  #: cores that stages may use together; default: all of this process
+    force: bool = False  #: run every stage, even if it is up to date
+    #: After a failure, continue with stages that do not depend on it; otherwise start no more stages.
     keep_going: bool = True
+    #: Wall seconds after which a stage is killed; default: see `objectfolder.engine.resources.NEEDS`; 0:
+    #: never.
     timeout: float | None = None
-    pull: bool = False
-    wait: bool = False
+    pull: bool = False  #: first download recorded outputs and saved runs from DVC's default remote
+    wait: bool = False  #: if another process uses the workspace, wait until it ends; otherwise refuse
 
     def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
@@ -455,10 +441,7 @@ def compare_by_content(root: Path) -> None:
     The time counts whole seconds: after an edit that keeps the size, a stage could run the old code. Python
     keeps the kind of comparison when it compiles an edited module again.
 
-    Parameters
-    ----------
-    root : Path
-        Directory that contains the packages of the project.
+    ``root``: directory that contains the packages of the project.
     """
     for source in (path for package in PACKAGES for path in (root / package).rglob("*.py")):
         compiled = cache_from_source(str(source))

@@ -22,15 +22,8 @@ class NotShared(Exception):
 def check_workspace(marker: Path) -> None:
     """Check that this node sees the workspace of the build, not another folder at the same path.
 
-    Parameters
-    ----------
-    marker : Path
-        File with a unique name that the engine has created in the workspace.
-
-    Raises
-    ------
-    NotShared
-        If the marker does not exist.
+    ``marker``: file with a unique name that the engine has created in the workspace. Raises NotShared if the
+    marker does not exist.
     """
     if not marker.exists():
         raise NotShared(
@@ -42,14 +35,8 @@ def check_workspace(marker: Path) -> None:
 def run(command: Command, threads: int, marker: Path) -> CommandResult:
     """Run the command of one stage with the Python of this Ray node, on the GPUs that Ray assigned.
 
-    Parameters
-    ----------
-    command : Command
-        Command of the stage; of its environment only DVC's and this project's variables are used.
-    threads : int
-        Threads that numerical libraries may start.
-    marker : Path
-        See `check_workspace`.
+    ``command``: command of the stage; of its environment only DVC's and this project's variables are used;
+    ``threads``: threads that numerical libraries may start; ``marker``: see `check_workspace`.
     """
     import ray
 

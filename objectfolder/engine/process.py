@@ -30,53 +30,26 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class Command:
-    """Shell commands of a stage, with their environment and log.
+    """Shell commands of a stage, with their environment and log."""
 
-    Parameters
-    ----------
-    lines : sequence of str
-        Shell commands, run one after another until one fails.
-    cwd : Path
-        Working directory.
-    env : mapping of str to str
-        Environment.
-    log : Path
-        File for standard output and standard error.
-    timeout : float, optional
-        Wall seconds after which the command is killed; None: never.
-    """
-
-    lines: Sequence[str]
+    lines: Sequence[str]  #: shell commands, run one after another until one fails
     cwd: Path
     env: Mapping[str, str]
-    log: Path
-    timeout: float | None = None
+    log: Path  #: file for standard output and standard error
+    timeout: float | None = None  #: wall seconds after which the command is killed; None: never
 
 
 @dataclass(frozen=True)
 class CommandResult:
-    """Exit code, times and peak memory of a command.
+    """Exit code, times and peak memory of a command."""
 
-    Parameters
-    ----------
-    code : int
-        Exit code; the negative signal number if the shell was killed.
-    seconds : float
-        Wall time, s.
-    peak_mb : float
-        Peak resident memory of the largest process, MB. Of a warm start, it contains the libraries that the
-        process has in common with others.
-    timed_out : bool
-        Whether the command was killed at its time limit.
-    cpu_seconds : float
-        Processor time of the command and the processes that it waited for, s.
-    """
-
-    code: int
-    seconds: float
+    code: int  #: exit code; the negative signal number if the shell was killed
+    seconds: float  #: wall time, s
+    #: Peak resident memory of the largest process, MB. Of a warm start, it contains the libraries that the
+    #: process has in common with others.
     peak_mb: float
-    timed_out: bool = False
-    cpu_seconds: float = 0.0
+    timed_out: bool = False  #: whether the command was killed at its time limit
+    cpu_seconds: float = 0.0  #: processor time of the command and the processes that it waited for, s
 
 
 class NotStarted(RuntimeError):
@@ -118,17 +91,7 @@ class Children:
         The calling thread must outlive the command: to the kernel, the thread that started a child is its
         parent.
 
-        Parameters
-        ----------
-        command : Command
-            The command.
-        start : callable
-            Starts its supervisor.
-
-        Raises
-        ------
-        NotStarted
-            If no supervisor was started.
+        Raises NotStarted if no supervisor was started.
         """
         if self._closed:
             return CommandResult(-signal.SIGKILL, 0.0, 0.0)
@@ -204,17 +167,8 @@ def users(log: Path) -> list[int] | None:
 def await_end(log: Path, check: Callable[[], None]) -> None:
     """Wait until no process of an earlier run of a stage writes its log, as it would write the same outputs.
 
-    Parameters
-    ----------
-    log : Path
-        Of the stage.
-    check : callable
-        Called again and again meanwhile; may raise.
-
-    Raises
-    ------
-    ObjectFolderError
-        If one still does after `END` seconds.
+    ``check``: called again and again meanwhile; may raise. Raises ObjectFolderError if one still does after
+    `END` seconds.
     """
     deadline = time.monotonic() + END
     while (left := users(log)) is not None:

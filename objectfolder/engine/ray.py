@@ -37,20 +37,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Node:
-    """Cluster node that can run stages.
+    """Cluster node that can run stages."""
 
-    Parameters
-    ----------
-    id : str
-        Node id of Ray.
-    name : str
-        Host name and address.
-    cpus, gpus, memory_mb : int
-        Total resources, free or taken.
-    """
-
-    id: str
-    name: str
+    id: str  #: node id of Ray
+    name: str  #: host name and address
+    #: Total resources, free or taken.
     cpus: int
     gpus: int
     memory_mb: int
@@ -105,21 +96,9 @@ class RayWorkers:
     When this process ends, for whatever reason, its commands end too: Ray kills the workers of a dead driver,
     and each command dies with its worker.
 
-    Parameters
-    ----------
-    address : str
-        Address of the cluster; see `ray_workers`.
-    jobs : int, optional
-        Cores to use in the whole cluster; default: all.
-    finished : SimpleQueue
-        Queue for outcomes. A command that was lost with its worker yields a `WorkerLost`.
-    workspace : Path
-        Folder that must be visible on all nodes.
-
-    Raises
-    ------
-    ObjectFolderError
-        See `ray_workers`.
+    ``address``: address of the cluster; see `ray_workers`. ``jobs``: cores to use in the whole cluster;
+    default: all. ``finished``: queue for outcomes. A command that was lost with its worker yields a
+    `WorkerLost`. ``workspace``: folder that must be visible on all nodes. Raises what `ray_workers` says.
     """
 
     def __init__(self, address: str, jobs: int | None, finished: FinishedQueue, workspace: Path):
@@ -168,10 +147,7 @@ class RayWorkers:
     def submit(self, address: str, command: Command, needs: Needs) -> None:
         """Hand a command to Ray.
 
-        Raises
-        ------
-        ObjectFolderError
-            If no node is left.
+        Raises ObjectFolderError if no node is left.
         """
         self._nodes = self._find_nodes()
         wanted = fitted(needs, self._nodes, self.jobs)

@@ -20,27 +20,15 @@ _OWN = Path("/proc/self/cgroup")  # lines such as 4:memory:/user and, of the sec
 
 @dataclass(frozen=True)
 class Needs:
-    """Resources of a running stage.
+    """Resources of a running stage."""
 
-    Parameters
-    ----------
-    seconds : float
-        Rough time on one core with preset quick; sets the priority of a stage and the estimate of remaining
-        time.
-    cpus : int
-        Number of cores, which is also the thread limit of numerical libraries.
-    gpus : float
-        Number of GPUs; a fraction is a share of one GPU.
-    memory_mb : int
-        Peak resident memory, MB.
-    timeout : float, optional
-        Wall seconds after which the stage is considered hung and killed; None: never.
-    """
-
+    #: Rough time on one core with preset quick; sets the priority of a stage and the estimate of remaining
+    #: time.
     seconds: float = 1.0
-    cpus: int = 1
-    gpus: float = 0.0
-    memory_mb: int = 500
+    cpus: int = 1  #: number of cores, which is also the thread limit of numerical libraries
+    gpus: float = 0.0  #: number of GPUs; a fraction is a share of one GPU
+    memory_mb: int = 500  #: peak resident memory, MB
+    #: Wall seconds after which the stage is considered hung and killed; None: never.
     timeout: float | None = HOUR
 
 
@@ -82,12 +70,7 @@ NEEDS = {
 def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
     """Return the needs of a stage, by its name and by the net or renderer in the parameters that it uses.
 
-    Parameters
-    ----------
-    address : str
-        Stage address, such as ``train_vision@mug``.
-    params : mapping
-        Contents of ``params.yaml``.
+    ``address``: stage address, such as ``train_vision@mug``.
     """
     stage = address.partition("@")[0]
     section = params.get(_NET_OF.get(stage, stage))
@@ -123,14 +106,8 @@ class Machine:
 
     Needs beyond the capacity of the machine are capped, so that no stage waits forever.
 
-    Parameters
-    ----------
-    cpus : int
-        Number of cores to use.
-    memory_mb : float, optional
-        Memory to use; default: 90 % of the memory available now.
-    gpus : sequence of str, optional
-        Names of the GPUs to use; default: all. Without GPUs, stages train on the CPU.
+    ``cpus``: number of cores to use. ``memory_mb``: memory to use; default: 90 % of the memory available now.
+    ``gpus``: names of the GPUs to use; default: all. Without GPUs, stages train on the CPU.
     """
 
     def __init__(self, cpus: int, memory_mb: float | None = None, gpus: Sequence[str] | None = None):

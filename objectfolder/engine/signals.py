@@ -15,12 +15,8 @@ class _Interrupted(Exception):
 class StopSignals:
     """Turns the first signal into a clean stop; a second one raises KeyboardInterrupt at once.
 
-    Parameters
-    ----------
-    wake : callable
-        Called from the signal handler, to end a wait of the main loop.
-    on_interrupt : callable
-        Called by the main loop, once it sees that the user interrupts it; not if the terminal is gone.
+    ``wake``: called from the signal handler, to end a wait of the main loop; ``on_interrupt``: called by the
+    main loop, once it sees that the user interrupts it; not if the terminal is gone.
     """
 
     def __init__(self, wake: Callable[[], None], on_interrupt: Callable[[], None]):

@@ -33,38 +33,21 @@ Track = Callable[[Iterable[Any], str, int], Iterable[Any]]
 
 @dataclass
 class Survey:
-    """Recorded files, and their state on disk.
-
-    Parameters
-    ----------
-    root : Path
-        Workspace.
-    files : list of RecordedFile
-        Recorded files, also those in directories.
-    folders : list of RecordedFile
-        Recorded directories.
-    others : dict of Path to str
-        Hashes of cached objects that no stage refers to.
-    hashes : dict of Path to str
-        Hashes found; for an unreadable file, the reason instead.
-    invalid : dict of Path to str
-        Problems of artifacts with the right hash that their reader rejects.
-    misrecorded : dict of str to str
-        Stages whose outputs a saved run made from other inputs than those recorded, with the differences.
-    blocked : set of str
-        Stages that cannot be rebuilt, because a source upstream is not as recorded.
-    sizes : dict
-        Sizes of the files that were read, by device and inode.
-    """
+    """Recorded files, and their state on disk."""
 
     root: Path
-    files: list[RecordedFile] = field(default_factory=list)
-    folders: list[RecordedFile] = field(default_factory=list)
-    others: dict[Path, str] = field(default_factory=dict)
+    files: list[RecordedFile] = field(default_factory=list)  #: recorded files, also those in directories
+    folders: list[RecordedFile] = field(default_factory=list)  #: recorded directories
+    others: dict[Path, str] = field(default_factory=dict)  #: hashes of cached objects that no stage refers to
+    #: Hashes found; for an unreadable file, the reason instead.
     hashes: dict[Path, str] = field(default_factory=dict)
+    #: Problems of artifacts with the right hash that their reader rejects.
     invalid: dict[Path, str] = field(default_factory=dict)
+    #: Stages whose outputs a saved run made from other inputs than those recorded, with the differences.
     misrecorded: dict[str, str] = field(default_factory=dict)
+    #: Stages that cannot be rebuilt, because a source upstream is not as recorded.
     blocked: set[str] = field(default_factory=set)
+    #: Sizes of the files that were read, by device and inode.
     sizes: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def matches(self, path: Path | None, oid: str) -> bool:
@@ -99,15 +82,8 @@ class Survey:
 def take_survey(repository: OpenRepository, targets: Sequence[str], jobs: int | None, track: Track) -> Survey:
     """Hash what the lock files describe and, without targets, the whole cache; validate the artifacts.
 
-    Parameters
-    ----------
-    repository : OpenRepository
-    targets : sequence of str
-        As for `objectfolder.engine.build.build`.
-    jobs : int, optional
-        Threads; default: all cores.
-    track : callable
-        Wraps iterations in a progress bar.
+    ``targets``: as for `objectfolder.engine.build.build`; ``jobs``: threads; default: all cores; ``track``:
+    wraps iterations in a progress bar.
     """
     survey = Survey(repository.root, misrecorded=_misrecorded(repository, targets))
     for found in recorded_outputs(repository, targets):

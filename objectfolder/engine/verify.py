@@ -23,45 +23,22 @@ from objectfolder.io import atomic
 
 @dataclass(frozen=True)
 class Defect(Addressed):
-    """A damaged, missing or unexpected file.
+    """A damaged, missing or unexpected file."""
 
-    Parameters
-    ----------
-    address : str
-        Stage that it belongs to; empty if no stage refers to it.
-    path : str
-        File, relative to the workspace.
-    problem : str
-        Description of the defect.
-    remedy : str
-        Recommended action.
-    """
-
-    address: str
-    path: str
-    problem: str
-    remedy: str
+    address: str  #: stage that it belongs to; empty if no stage refers to it
+    path: str  #: file, relative to the workspace
+    problem: str  #: description of the defect
+    remedy: str  #: recommended action
 
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """Result of a verification.
-
-    Parameters
-    ----------
-    findings : tuple of Defect
-    files : int
-        Number of distinct files read.
-    bytes : int
-        Their total size.
-    rebuilt : Summary, optional
-        Summary of the build that a repair started.
-    """
+    """Result of a verification."""
 
     findings: tuple[Defect, ...]
-    files: int
-    bytes: int
-    rebuilt: Summary | None = None
+    files: int  #: number of distinct files read
+    bytes: int  #: their total size
+    rebuilt: Summary | None = None  #: summary of the build that a repair started
 
 
 def verify(
@@ -178,10 +155,7 @@ def restore_files(survey: Survey) -> set[str]:
 
     Every step is a removal of a bad file or one rename, so that an interrupted repair loses nothing intact.
 
-    Returns
-    -------
-    set of str
-        Addresses of the stages to run again.
+    Returns the addresses of the stages to run again.
     """
     rebuild: set[str] = set()
     checkout: dict[str, Any] = {}

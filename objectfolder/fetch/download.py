@@ -38,11 +38,7 @@ ProgressFactory = Callable[[str], ProgressCallback]  #: takes the name of the fi
 class UnreachableError(ObjectFolderError):
     """No connection to a host at the first attempt.
 
-    Parameters
-    ----------
-    host : str
-        As in a URL, perhaps with a port.
-    reason : object
+    ``host``: as in a URL, perhaps with a port.
     """
 
     def __init__(self, host: str, reason: object):
@@ -72,25 +68,12 @@ def download(
     A download is resumed only if the server still has the same file, by its ETag or date (RFC 9110,
     If-Range), which is stored next to it in ``<name>.tag``.
 
-    Parameters
-    ----------
-    url : str
-        ``http`` or ``https``.
-    path : Path
-        Destination, partial after an error. Its directory must exist.
-    report : callable
-        Called with the bytes received and the bytes expected, or None.
-    waits : sequence of float
-        Seconds before each further attempt. Attempts that bring bytes at the least rate restart the sequence.
-    most : int
-        Maximum size of the file, bytes.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the server cannot be reached (`UnreachableError`, after the first attempt), refuses, redirects to
-        another protocol, keeps breaking off or is slower than `LEAST` in `PERIOD`, or the file is too large
-        or cannot be written.
+    ``url``: ``http`` or ``https``. ``path``: destination, partial after an error. Its directory must exist.
+    ``report``: called with the bytes received and the bytes expected, or None. ``waits``: seconds before each
+    further attempt. Attempts that bring bytes at the least rate restart the sequence. ``most``: maximum size
+    of the file, bytes. Raises ObjectFolderError if the server cannot be reached (`UnreachableError`, after
+    the first attempt), refuses, redirects to another protocol, keeps breaking off or is slower than `LEAST`
+    in `PERIOD`, or the file is too large or cannot be written.
     """
     furthest, since, left = 0, time.monotonic(), list(waits)
     reached = False

@@ -27,14 +27,7 @@ def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
     source, either of these after the source's name, and the name of the source's archive. Otherwise, names
     that start with the id, as ``025_mug_google_64k.tgz``; otherwise, the directory itself.
 
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    ObjectFolderError
-        If nothing matches, or more than one; the message lists candidates.
+    Raises ObjectFolderError if nothing matches, or more than one; the message lists candidates.
     """
     check_directory(directory)
     entry = catalogue.objects[key]
@@ -79,10 +72,7 @@ def _form(name: str) -> str:
 def find_mesh(tree: Path, source: MeshSource) -> Path:
     """Return the mesh at the source's path, otherwise with the source's file name, otherwise the only mesh.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is none, or more than one.
+    Raises ObjectFolderError if there is none, or more than one.
     """
     files = [path for path in _files(tree) if path.suffix.lower() in FORMATS]
     found = (
@@ -105,25 +95,9 @@ def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
     A file that is not at its path is looked up by name in the whole tree: Google Scanned Objects keep the
     texture in another folder than the material. Missing files are reported later, by ``add_mesh``.
 
-    Parameters
-    ----------
-    mesh : Path
-    tree : Path
-        Folder with the files of the source.
-    into : Path
-        New directory.
-
-    Returns
-    -------
-    mesh : Path
-        The copy.
-    files : dict of str to Path
-        All copies, by their path relative to ``into``.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the mesh cannot be read, or refers to a file outside its folder.
+    ``tree``: folder with the files of the source; ``into``: new directory. Returns ``mesh``, the copy;
+    ``files``, all copies, by their path relative to ``into``. Raises ObjectFolderError if the mesh cannot be
+    read, or refers to a file outside its folder.
     """
     into.mkdir()
     copy = into / mesh.name

@@ -173,11 +173,7 @@ def fetch_all(
 
     A host that cannot be reached is not asked for further objects.
 
-    Parameters
-    ----------
-    keys : sequence of str
-    on_result : callable
-        Called with each result. The other parameters are those of `fetch_object`.
+    ``on_result``: called with each result. The other parameters are those of `fetch_object`.
     """
     # Without a workspace, raises once instead of once per object.
     present = params.read(root / params.PARAMS_FILE)["objects"]
@@ -250,10 +246,7 @@ def _obtain(
 def read_checksums(path: Path) -> dict[str, dict[str, str]]:
     """Read recorded checksums by object and file name; empty if the file does not exist.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is damaged.
+    Raises ObjectFolderError if it is damaged.
     """
     if not path.exists():
         return {}
@@ -267,10 +260,7 @@ def read_checksums(path: Path) -> dict[str, dict[str, str]]:
 def check_unchanged(recorded: Mapping[str, str], digests: Mapping[str, str], key: str, path: Path) -> None:
     """Compare checksums with the recorded ones; new files are accepted.
 
-    Raises
-    ------
-    ObjectFolderError
-        If a file has changed.
+    Raises ObjectFolderError if a file has changed.
     """
     for name, digest in digests.items():
         if recorded.get(name, digest) != digest:

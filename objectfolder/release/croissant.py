@@ -54,13 +54,7 @@ _MEANINGS = {
 def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) -> dict[str, Any]:
     """Return the metadata as JSON-LD.
 
-    Parameters
-    ----------
-    entries : sequence of IndexEntry
-    words : Words
-        What people read.
-    index_digest : str
-        SHA-256 of the index.
+    ``words``: what people read; ``index_digest``: SHA-256 of the index.
     """
     return {
         "@context": _CONTEXT,

@@ -39,23 +39,10 @@ def entry_of(
 ) -> IndexEntry:
     """Describe a built object.
 
-    Parameters
-    ----------
-    key : str
-    values : mapping
-        Content of params.yaml.
-    licences, categories : mapping
-        By key. Those of key "" are of all other objects whose mesh has no SOURCE.txt, or whose category
-        `CATEGORIES` does not know.
-    root : Path
-        Workspace.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object is not built or of another material or size than params.yaml says, its scores are of
-        another build, its mesh is not there and so no SOURCE.txt, or its licence is not known or not the one
-        that its SOURCE.txt states.
+    ``licences``, ``categories``: by key. Those of key "" are of all other objects whose mesh has no
+    SOURCE.txt, or whose category `CATEGORIES` does not know. Raises ObjectFolderError if the object is not
+    built or of another material or size than params.yaml says, its scores are of another build, its mesh is
+    not there and so no SOURCE.txt, or its licence is not known or not the one that its SOURCE.txt states.
     """
     build = Build(key, root)
     if not build.object_file.is_file():
@@ -98,10 +85,7 @@ def entry_of(
 def released_keys(chosen: Iterable[str], values: Mapping[str, Any], root: Path = Path()) -> list[str]:
     """Return the objects to release in the order of labels: those chosen, or all that are built.
 
-    Raises
-    ------
-    ObjectFolderError
-        If an object is unknown, or none is built.
+    Raises ObjectFolderError if an object is unknown, or none is built.
     """
     known = values["objects"]
     keys = list(chosen) or [key for key in known if Build(key, root).object_file.is_file()]

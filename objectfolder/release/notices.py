@@ -38,11 +38,8 @@ class Notice:
 def read_notice(mesh: Path) -> Notice | None:
     """Read the notice beside a mesh; None if there is none.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is too long for a notice, or a link to another place than the folder of the mesh or a DVC cache:
-        a release copies it, and the file may be private.
+    Raises ObjectFolderError if it is too long for a notice, or a link to another place than the folder of the
+    mesh or a DVC cache: a release copies it, and the file may be private.
     """
     path = mesh.parent / SOURCE
     if not path.is_file():

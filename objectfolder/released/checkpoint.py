@@ -86,13 +86,8 @@ STAND_INS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
 class ReleasedDict:
     """Dictionary of a released file, with methods that return validated entries.
 
-    Parameters
-    ----------
-    path : path
-        Path of the file, for error messages.
-    name : str
-        Keys that lead to the dictionary, joined by dots; empty for the outermost dictionary.
-    values : dict
+    ``path``: path of the file, for error messages; ``name``: keys that lead to the dictionary, joined by
+    dots; empty for the outermost dictionary.
     """
 
     def __init__(self, path: str | Path, name: str, values: Mapping[Any, Any]):
@@ -106,10 +101,7 @@ class ReleasedDict:
     def part(self, key: str) -> "ReleasedDict":
         """Return a nested dictionary.
 
-        Raises
-        ------
-        ObjectFolderError
-            If the entry is missing or not as expected; all methods raise it.
+        Raises ObjectFolderError if the entry is missing or not as expected; all methods raise it.
         """
         value = self._get(key, "a dictionary")
         if not isinstance(value, Mapping):
@@ -130,10 +122,7 @@ class ReleasedDict:
     def tensor(self, key: str, *shape: int | None) -> torch.Tensor:
         """Return a float32 tensor of finite numbers.
 
-        Parameters
-        ----------
-        *shape : int or None
-            Expected shape; None allows any size.
+        ``*shape``: expected shape; None allows any size.
         """
         expected = f"a float tensor of shape {_shape_text(shape)}"
         value = self._get(key, expected)
@@ -240,15 +229,8 @@ def read_released(path: str | Path) -> ReleasedDict:
     No code in it is executed: torch's restricted reader rebuilds tensors and plain containers, `STAND_INS`
     rebuild NumPy arrays, and any other name is an error.
 
-    Returns
-    -------
-    ReleasedDict
-        Outermost dictionary.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, too large, damaged, or contains more than numbers.
+    Returns the outermost dictionary. Raises ObjectFolderError if the file is missing, too large, damaged, or
+    contains more than numbers.
     """
     path = Path(path)
     if path.is_dir():

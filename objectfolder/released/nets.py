@@ -68,21 +68,8 @@ def trunk(
 ) -> tuple[dict[str, torch.Tensor], int]:
     """Read the layers ``pts_linears.N`` as those of a `SkipNetwork`.
 
-    Parameters
-    ----------
-    inputs : int
-        Numbers before encoding.
-    prefix : str
-        Prefix of the returned names.
-    refeed : bool
-        Whether the input is concatenated again after the layer of index 4.
-    depth : int
-        Number of layers.
-
-    Returns
-    -------
-    tensors : dict
-    octaves : int
+    ``inputs``: numbers before encoding; ``prefix``: prefix of the returned names; ``refeed``: whether the
+    input is concatenated again after the layer of index 4; ``depth``: number of layers.
     """
     first = state.tensor("pts_linears.0.weight", None, None)
     width, channels = first.shape
@@ -114,10 +101,7 @@ def network(state: ReleasedDict, inputs: int, outputs: int, prefix: str = "") ->
 def spectrogram_net(audio: ReleasedDict, frame: Frame) -> ReleasedSpectrogram:
     """Read an AudioNet of ObjectFolder 1.0.
 
-    Raises
-    ------
-    ObjectFolderError
-        If an entry is missing or not as documented.
+    Raises ObjectFolderError if an entry is missing or not as documented.
     """
     vertices = audio.numbers("voxel_vertex", None, 3)
     if len(vertices) < NEIGHBOURS or np.ptp(vertices) == 0:
@@ -142,10 +126,7 @@ def spectrogram_net(audio: ReleasedDict, frame: Frame) -> ReleasedSpectrogram:
 def gains_net(audio: ReleasedDict, frame: Frame) -> ReleasedGains:
     """Read an AudioNet of ObjectFolder 2.0.
 
-    Raises
-    ------
-    ObjectFolderError
-        If an entry is missing or not as documented.
+    Raises ObjectFolderError if an entry is missing or not as documented.
     """
     frequencies = audio.numbers("frequencies", None)
     count = len(frequencies)
@@ -186,10 +167,7 @@ def _range(normalizer: ReleasedDict, axis: int) -> list[float]:
 def nerf_net(vision: ReleasedDict, crop: float | None = None) -> ReleasedNerf:
     """Read a VisionNet of ObjectFolder 1.0.
 
-    Raises
-    ------
-    ObjectFolderError
-        If an entry is missing or not as documented; all functions here raise it.
+    Raises ObjectFolderError if an entry is missing or not as documented; all functions here raise it.
     """
     keys = {"coarse": "network_fn_state_dict", "fine": "network_fine_state_dict"}
     nets = {name: _net(vision.state(key)) for name, key in keys.items()}
@@ -334,15 +312,8 @@ def _sizes(part: ReleasedDict, key: str, limit: int) -> tuple[int, int, int]:
 def image_net(touch: ReleasedDict, frame: Frame, bounds: np.ndarray) -> ReleasedImage:
     """Read a TouchNet of ObjectFolder 1.0.
 
-    Parameters
-    ----------
-    bounds : (2, 3) array
-        Bounds of the object in the file's coordinates.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an entry is missing or not as documented.
+    ``bounds`` (2, 3): bounds of the object in the file's coordinates. Raises ObjectFolderError if an entry is
+    missing or not as documented.
     """
     net = network_of(network(touch.state("model_state_dict"), 5, 3), 5)
     config = {
@@ -360,18 +331,10 @@ def depth_net(
 ) -> ReleasedDepth:
     """Read a TouchNet of ObjectFolder 2.0.
 
-    Parameters
-    ----------
-    profile : SensorProfile
-        Sensor that renders images from the depth maps.
-    gel : (120, 160) array, optional
-        The untouched gel as the released code stores it (``calibs/depth_bg.npy``): heights in pixels.
-        Default: the 90th percentile of the depths of contacts across the object, pixel by pixel.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an entry is missing or not as documented.
+    ``profile``: sensor that renders images from the depth maps. ``gel`` (120, 160): the untouched gel as the
+    released code stores it (``calibs/depth_bg.npy``): heights in pixels. Default: the 90th percentile of the
+    depths of contacts across the object, pixel by pixel. Raises ObjectFolderError if an entry is missing or
+    not as documented.
     """
     net = network_of(network(touch.state("model_state_dict"), 9, 1), 9)
     config = {"frame": frame.to_dict(), "bounds": box(touch), "sensor": profile.to_dict()}

@@ -21,7 +21,6 @@ from objectfolder.nets.positional import encoded
 from objectfolder.nets.released.network import Frame
 from objectfolder.objectfile.query_files import sample_presses
 from objectfolder.released import convert as converter
-from objectfolder.released import touch
 from objectfolder.released.checkpoint import ReleasedDict, read_released
 from objectfolder.released.convert import ImportOptions, convert
 from objectfolder.released.nets import (
@@ -59,7 +58,7 @@ def file(tmp_path):
 @pytest.fixture
 def quick_gel(monkeypatch):
     """Look at fewer contacts for the untouched gel."""
-    monkeypatch.setattr(touch, "_PROBES", 1)
+    monkeypatch.setattr("objectfolder.released.nets._PROBES", 1)
 
 
 def saved(obj, tmp_path):

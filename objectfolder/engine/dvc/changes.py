@@ -30,33 +30,17 @@ Content = dict[tuple[str, ...], tuple[Meta, HashInfo]]
 
 @dataclass(frozen=True)
 class Changes:
-    """Differences between a stage and its record.
+    """Differences between a stage and its record."""
 
-    Parameters
-    ----------
-    inputs : tuple of str
-        Changes of its command, parameters, and dependencies that no stale stage writes.
-    missing : tuple of str
-        Outputs that are missing.
-    altered : tuple of str
-        Outputs that differ from the record.
-    waits_for : tuple of str
-        Upstream stages that are not up to date and will change its dependencies.
-    recorded : bool
-        Whether it has ever been built.
-    predictable : bool
-        Whether the dependencies that it will get are known without running anything.
-    restorable : bool
-        Whether its outputs will come from the cache.
-    """
-
+    #: Changes of its command, parameters, and dependencies that no stale stage writes.
     inputs: tuple[str, ...] = ()
-    missing: tuple[str, ...] = ()
-    altered: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()  #: outputs that are missing
+    altered: tuple[str, ...] = ()  #: outputs that differ from the record
+    #: Upstream stages that are not up to date and will change its dependencies.
     waits_for: tuple[str, ...] = ()
-    recorded: bool = True
-    predictable: bool = True
-    restorable: bool = False
+    recorded: bool = True  #: whether it has ever been built
+    predictable: bool = True  #: whether the dependencies that it will get are known without running anything
+    restorable: bool = False  #: whether its outputs will come from the cache
 
     @property
     def fresh(self) -> bool:
@@ -65,15 +49,7 @@ class Changes:
 
 
 class ChangeTracker:
-    """Finds the changes of stages in topological order, predicting the outputs of stale stages.
-
-    Parameters
-    ----------
-    graph : StageGraph
-        Stages to examine.
-    root : Path
-        Workspace.
-    """
+    """Finds the changes of stages in topological order, predicting the outputs of stale stages."""
 
     def __init__(self, graph: StageGraph, root: Path):
         self.graph = graph

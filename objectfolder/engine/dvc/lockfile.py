@@ -42,10 +42,7 @@ _NUMBER = re.compile(r"[0-9]+(?:e[0-9]+)?")
 class LockFiles:
     """Contents of the lock files of a workspace, including finished stages not written yet.
 
-    Parameters
-    ----------
-    root : Path
-        Directory that holds ``.dvc``.
+    ``root``: directory that holds ``.dvc``.
     """
 
     def __init__(self, root: Path):

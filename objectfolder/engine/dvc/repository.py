@@ -51,21 +51,11 @@ CORE = {"analytics": False, "check_update": False, "autostage": False}
 
 @dataclass(frozen=True)
 class OpenRepository:
-    """A DVC repository whose lock this process holds.
+    """A DVC repository whose lock this process holds."""
 
-    Parameters
-    ----------
-    repo : dvc.repo.Repo
-        For the modules of this package.
-    root : Path
-        Workspace, the directory that holds ``dvc.yaml``.
-    lockfiles : LockFiles
-        Its lock files.
-    """
-
-    repo: Repo
+    repo: Repo  #: for the modules of this package
     root: Path
-    lockfiles: LockFiles
+    lockfiles: LockFiles  #: its lock files
 
     @property
     def cache(self) -> Path:
@@ -99,10 +89,7 @@ class OpenRepository:
     def check_cache(self) -> None:
         """Check that this user can write to every folder of the cache.
 
-        Raises
-        ------
-        ObjectFolderError
-            If not: else a stage would run, and its outputs could not be kept.
+        Raises ObjectFolderError if not: else a stage would run, and its outputs could not be kept.
         """
         folders = [self.cache_dir, self.cache, self.cache_dir / "runs"]
         folders += [
@@ -152,17 +139,8 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
     The working directory is ``root`` meanwhile: DVC resolves the outputs of its run cache against the
     current directory. Errors of DVC in the block are raised as ObjectFolderError.
 
-    Parameters
-    ----------
-    root : Path
-        Workspace, the directory that holds ``dvc.yaml``.
-    wait : bool
-        If another process uses the workspace, log which and wait until it ends; otherwise refuse.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is not a DVC workspace, another process uses it, or DVC cannot read it.
+    ``wait``: if another process uses the workspace, log which and wait until it ends; otherwise refuse.
+    Raises ObjectFolderError if it is not a DVC workspace, another process uses it, or DVC cannot read it.
     """
     root = Path(root).resolve()
     if not root.is_dir():
@@ -209,10 +187,7 @@ def _links_in(folder: Path, root: Path) -> list[str]:
 def track(path: Path, root: str | Path = ".") -> None:
     """Put a folder of a workspace under DVC's control, with every file in it.
 
-    Raises
-    ------
-    ObjectFolderError
-        If DVC cannot or leaves files out, or another process uses the workspace.
+    Raises ObjectFolderError if DVC cannot or leaves files out, or another process uses the workspace.
     """
     path = path.resolve()
     with open_repository(root) as repository:
@@ -339,10 +314,7 @@ def _refuse_if_busy(repo: Repo) -> None:
 def start_repository(root: Path) -> None:
     """Initialise Git, unless the folder is a repository already, and DVC.
 
-    Raises
-    ------
-    ObjectFolderError
-        If Git is not installed, or one of them refuses.
+    Raises ObjectFolderError if Git is not installed, or one of them refuses.
     """
     if shutil.which("git") is None:
         raise ObjectFolderError(

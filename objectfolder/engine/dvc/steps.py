@@ -25,24 +25,12 @@ from objectfolder.errors import ObjectFolderError
 
 @dataclass(frozen=True)
 class ShellCommand:
-    """Command of a stage.
+    """Command of a stage."""
 
-    Parameters
-    ----------
-    lines : sequence of str
-        Shell commands, to run one after another.
-    cwd : Path
-        Working directory.
-    env : mapping of str to str
-        Environment, with DVC's variables.
-    inputs : dict of Path to tuple
-        Identity of the files that it reads.
-    """
-
-    lines: Sequence[str]
+    lines: Sequence[str]  #: shell commands, to run one after another
     cwd: Path
-    env: Mapping[str, str]
-    inputs: Stamps
+    env: Mapping[str, str]  #: environment, with DVC's variables
+    inputs: Stamps  #: identity of the files that it reads
 
 
 @contextmanager
@@ -70,16 +58,8 @@ def has_changed(stage: Stage) -> bool:
 def update_data(stage: Stage, force: bool) -> bool:
     """Let DVC handle a stage without a command: it verifies data or downloads an import.
 
-    Returns
-    -------
-    bool
-        Whether anything was done.
-
-    Raises
-    ------
-    ObjectFolderError
-        If data is missing, and so is a part of its copy in the cache. DVC would restore the rest, and record
-        that as the data from then on.
+    Returns whether anything was done. Raises ObjectFolderError if data is missing, and so is a part of its
+    copy in the cache. DVC would restore the rest, and record that as the data from then on.
     """
     missing = [out for out in stage.outs if out.hash_info and not is_there(out)]
     if missing:
