@@ -40,9 +40,7 @@ def add(
     scale: Annotated[
         float | None,
         typer.Option(
-            metavar="METRES",
-            parser=_metres,
-            help="Longest side in metres; default: the size of the mesh.",
+            metavar="METRES", parser=_metres, help="Longest side in metres; default: the size of the mesh."
         ),
     ] = None,
     up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,

@@ -43,8 +43,5 @@ def run(command: Command, threads: int, marker: Path) -> CommandResult:
     check_workspace(marker)
     gpus = ",".join(str(gpu) for gpu in ray.get_gpu_ids())
     passed_on = {name: value for name, value in command.env.items() if name.startswith(PASSED_ON)}
-    env = {
-        **stage_environment({**os.environ, **passed_on}, threads),
-        "CUDA_VISIBLE_DEVICES": gpus or "-1",
-    }
+    env = {**stage_environment({**os.environ, **passed_on}, threads), "CUDA_VISIBLE_DEVICES": gpus or "-1"}
     return Children().run(replace(command, env=env))

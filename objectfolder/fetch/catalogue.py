@@ -139,8 +139,8 @@ def comparable_name(name: str) -> str:
 def select_objects(catalogue: Catalogue, wanted: Sequence[str]) -> list[str]:
     """Find objects by key, published name or id at the source; case and punctuation are ignored.
 
-    Returns their keys, each once, in the given order. Raises ObjectFolderError if there is no such object; the
-    message lists similar names.
+    Returns their keys, each once, in the given order. Raises ObjectFolderError, which lists similar names, if
+    there is no such object.
     """
     known = {
         comparable_name(name): key

@@ -12,15 +12,7 @@ from objectfolder.text import in_markdown, visible
 
 SOURCE = "SOURCE.txt"  #: that ``objectfolder fetch`` writes beside a mesh
 # Identifiers of SPDX. In lower case they are those of the Hugging Face Hub.
-_LICENCES = (
-    "Apache-2.0",
-    "CC-BY-4.0",
-    "CC-BY-NC-4.0",
-    "CC-BY-NC-SA-4.0",
-    "CC-BY-SA-4.0",
-    "CC0-1.0",
-    "MIT",
-)
+_LICENCES = ("Apache-2.0", "CC-BY-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "CC-BY-SA-4.0", "CC0-1.0", "MIT")
 MAX_NOTICE = 2**16  #: bytes
 
 

@@ -158,11 +158,7 @@ def _audio(part: ReleasedDict, frame: Frame) -> ReleasedSpectrogram | ReleasedGa
 
 
 def _touch(
-    part: ReleasedDict,
-    frame: Frame,
-    bounds: np.ndarray | None,
-    sensor: SensorProfile,
-    gel: np.ndarray | None,
+    part: ReleasedDict, frame: Frame, bounds: np.ndarray | None, sensor: SensorProfile, gel: np.ndarray | None
 ) -> ReleasedImage | ReleasedDepth:
     if "xyz_min" in part or "xyz_max" in part:
         return depth_net(part, frame, sensor, gel)

@@ -272,11 +272,7 @@ def _kilo(vision: ReleasedDict, cfg: ReleasedDict, state: ReleasedDict) -> Relea
     orders = {
         "points.0": by_number(3, octaves[0]),
         "direction": np.concatenate(
-            [
-                np.arange(width),
-                width + by_number(3, octaves[1]),
-                width + view + by_number(3, octaves[2]),
-            ]
+            [np.arange(width), width + by_number(3, octaves[1]), width + view + by_number(3, octaves[2])]
         ),
     }
     weights: dict[str, Any] = {}

@@ -213,8 +213,7 @@ def test_node_without_the_workspace_is_named(workspace, cluster, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("number", "code"),
-    [(signal.SIGKILL, -9), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)],
+    ("number", "code"), [(signal.SIGKILL, -9), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
 )
 def test_stages_die_with_the_engine_and_the_next_build_completes(located, cluster, number, code):
     located.control("solve@mug", "60")

@@ -127,10 +127,7 @@ def test_a_file_of_2_0_answers_all_three_questions(file, tmp_path):
 
 def test_an_answer_depends_on_its_own_row_only(file):
     """Unlike the original's, whose coordinates are scaled by the extremes of the batch."""
-    first, second = (
-        file(released.released_1(2), bounds=BOUNDS),
-        file(released.released_2(2)),
-    )
+    first, second = (file(released.released_1(2), bounds=BOUNDS), file(released.released_2(2)))
     for obj in (first, second):
         for ask in (
             lambda rows, obj=obj: obj.touch(POINTS[rows]),
