@@ -49,7 +49,7 @@ def real_array(name: str, values: Any) -> np.ndarray:
         raise ObjectFolderError(f"{name} holds masked values, expected numbers: leave them out or fill them")
     try:
         if hasattr(values, "detach"):  # a tensor, without importing torch
-            if _transformed(values):
+            if _is_transformed(values):
                 raise ObjectFolderError(f"{name}: {TRANSFORMED}")
             values = values.detach().cpu()
             values = values.double() if values.is_floating_point() else values
@@ -125,7 +125,7 @@ def require_memory(what: str, needed: int, remedy: str) -> None:
         raise ObjectFolderError(f"{what}: needs {needed:,} bytes, this machine has {memory:,}; {remedy}")
 
 
-def _transformed(tensor: Any) -> bool:
+def _is_transformed(tensor: Any) -> bool:
     """Return whether torch.func or vmap has wrapped a tensor, whose values then cannot be read."""
     import torch  # it is there, as there is a tensor
 

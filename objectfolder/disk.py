@@ -12,15 +12,15 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.locks import left_folders, private_path
 
 #: Free bytes below which a disk counts as full.
-LOW = 2**20
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+FULL_BELOW = 2**20
+_FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
 _log = logging.getLogger(__name__)
 
 
 def is_shortage(error: BaseException | None) -> bool:
     """Return whether an error or one of its causes reports a full disk."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in _FULL:
+        if isinstance(error, OSError) and error.errno in _FULL_DISK:
             return True
         error = error.__cause__ or error.__context__
     return False
@@ -28,7 +28,7 @@ def is_shortage(error: BaseException | None) -> bool:
 
 def mentions_shortage(lines: Iterable[str]) -> bool:
     """Return whether a log reports a full disk."""
-    return any(os.strerror(number) in line for line in lines for number in _FULL)
+    return any(os.strerror(number) in line for line in lines for number in _FULL_DISK)
 
 
 def free_bytes(path: Path) -> int:
@@ -36,7 +36,7 @@ def free_bytes(path: Path) -> int:
     return shutil.disk_usage(_existing(path)).free
 
 
-def fullest(paths: Iterable[Path]) -> tuple[Path, int]:
+def find_fullest(paths: Iterable[Path]) -> tuple[Path, int]:
     """Return the path whose disk has the least free space, and its free bytes."""
     free = {path: free_bytes(path) for path in paths}
     path = min(free, key=free.__getitem__)
@@ -70,7 +70,7 @@ def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[No
     try:
         yield
     except OSError as error:
-        if error.errno in _FULL:
+        if error.errno in _FULL_DISK:
             raise shortage(f"{folder} to write {error.filename}" if error.filename else folder) from error
         raise
 
@@ -95,7 +95,7 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
             yield temporary
             _place(temporary, out)
         except OSError as error:
-            if error.errno in _FULL:  # name the file; libraries may not
+            if error.errno in _FULL_DISK:  # name the file; libraries may not
                 name = error.filename2 or error.filename or _last_written(temporary)
                 error.filename = str(name).replace(str(temporary), str(out))
                 del error.filename2

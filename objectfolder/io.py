@@ -20,9 +20,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from objectfolder.disk import LOW, free_bytes, is_shortage
+from objectfolder.disk import FULL_BELOW, free_bytes, is_shortage
 from objectfolder.errors import ObjectFolderError, shortened
-from objectfolder.locks import claimed_file, private_path
+from objectfolder.locks import claim_file, private_path
 
 MAX_BYTES = 2**30  #: size limit of a safetensors file; a thousand times that of an Object File
 MAX_HEADER = 2**20  #: length limit of its JSON header, characters
@@ -44,7 +44,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
     Raises ObjectFolderError if the directory cannot be written, or the path is a folder or a device. Raises
     OSError of the block, or of a full disk that the block met, which names ``path``.
     """
-    with _replacing(Path(path)) as (temporary, _):
+    with _replace(Path(path)) as (temporary, _):
         yield temporary
         with temporary.open("rb") as stream:  # a library may have replaced the file
             os.fsync(stream.fileno())
@@ -56,23 +56,23 @@ def atomic_stream(path: str | Path) -> Iterator[BinaryIO]:
 
     Nobody can divert it: the file stays open from when it is made.
     """
-    with _replacing(Path(path)) as (_, handle), os.fdopen(handle, "wb", closefd=False) as stream:
+    with _replace(Path(path)) as (_, handle), os.fdopen(handle, "wb", closefd=False) as stream:
         yield stream
         stream.flush()
         os.fsync(handle)
 
 
 @contextmanager
-def _replacing(path: Path) -> Iterator[tuple[Path, int]]:
+def _replace(path: Path) -> Iterator[tuple[Path, int]]:
     """Yield a new file beside ``path`` and its descriptor; then rename it into place, or remove it."""
-    temporary, lock = _claimed(path)
+    temporary, lock = _claim(path)
     try:
         yield temporary, lock
         temporary.replace(path)
     except BaseException as error:
         # What torch, numpy and Pillow raise if a disk is full has no number.
         vague = isinstance(error, RuntimeError) or (isinstance(error, OSError) and error.errno is None)
-        full = vague and free_bytes(path.parent) < LOW
+        full = vague and free_bytes(path.parent) < FULL_BELOW
         temporary.unlink(missing_ok=True)
         if full:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
@@ -86,12 +86,12 @@ def _replacing(path: Path) -> Iterator[tuple[Path, int]]:
 
 def check_output(path: str | Path) -> None:
     """Raise ObjectFolderError unless a file can be written at a path: before work that takes long."""
-    temporary, lock = _claimed(Path(path))
+    temporary, lock = _claim(Path(path))
     temporary.unlink(missing_ok=True)
     os.close(lock)
 
 
-def _claimed(path: Path) -> tuple[Path, int]:
+def _claim(path: Path) -> tuple[Path, int]:
     """Return a new file beside ``path``, whose folder is made, and a descriptor that locks it."""
     if not path.name:
         raise ObjectFolderError(f"cannot write {str(path)!r}: it is a folder, expected a file's name")
@@ -101,10 +101,10 @@ def _claimed(path: Path) -> tuple[Path, int]:
                 f"cannot write {path}: it is a folder or a device, expected a file's name"
             )
         try:
-            return claimed_file(path)
+            return claim_file(path)
         except FileNotFoundError:
             path.parent.mkdir(parents=True, exist_ok=True)
-            return claimed_file(path)
+            return claim_file(path)
     except OSError as error:
         folder = shortened(path.parent, 300)
         full = is_shortage(error)

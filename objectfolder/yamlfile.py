@@ -17,13 +17,13 @@ MAX_NESTING = 50  #: limit of collections in each other
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Read a YAML file; otherwise as `checked_yaml`.
+    """Read a YAML file; otherwise as `check_yaml`.
 
     Also raises ObjectFolderError if a value does not have its type, or a key is there twice.
     """
     from ruamel.yaml import YAML
 
-    text = checked_yaml(path)
+    text = check_yaml(path)
     try:
         return YAML(typ="safe").load(text)
     except Exception as error:  # of a value's own type as well
@@ -53,7 +53,7 @@ def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
     return stream.getvalue()
 
 
-def checked_yaml(path: str | Path) -> str:
+def check_yaml(path: str | Path) -> str:
     """Return the text of a YAML file that is safe to load.
 
     Loading descends into nested collections, and what is loaded may be written out: a copy for each alias.

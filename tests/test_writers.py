@@ -76,10 +76,10 @@ EXCEPTIONS = {
     # What the two ways are made of.
     "objectfolder/disk.py:new_folder": "makes and removes the folder, whose name is random",
     "objectfolder/disk.py:_place": "renames it over an empty folder that it has made itself",
-    "objectfolder/io.py:_replacing": "renames the file, whose name is random",
+    "objectfolder/io.py:_replace": "renames the file, whose name is random",
     "objectfolder/io.py:atomic_stream": "opens the descriptor of the file",
     "objectfolder/io.py:keep": "a hard link of a random name",
-    "objectfolder/locks.py:claimed_file": "O_EXCL and O_NOFOLLOW",
+    "objectfolder/locks.py:claim_file": "O_EXCL and O_NOFOLLOW",
     "objectfolder/locks.py:remove_unused": "rmtree follows no links; in a progress folder",
     # The caller gives a path or a folder of its own.
     "objectfolder/benchmarks/datasets/lerobot.py:_write_frames": "in the new folder of write_lerobot",

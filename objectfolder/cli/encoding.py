@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 
 import numpy as np
 
-from objectfolder.cli.console import print_line, tracked
+from objectfolder.cli.console import print_line, track_progress
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.io import atomic, check_output
 
@@ -61,7 +61,7 @@ def write_video(
         with subprocess.Popen([*command, str(path)], stdin=subprocess.PIPE, stderr=log) as running:
             assert running.stdin is not None
             try:
-                for picture in tracked(pictures, "pictures", count):
+                for picture in track_progress(pictures, "pictures", count):
                     running.stdin.write(picture.tobytes())
             except BrokenPipeError:
                 pass  # it says why

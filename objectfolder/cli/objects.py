@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 from rich.text import Text
 
-from objectfolder.cli.console import console, print_line, tracked
+from objectfolder.cli.console import console, print_line, track_progress
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.terminal import Terminal
 
@@ -161,13 +161,13 @@ def _add_folder(
 
     candidates = discover(folder, material)
     examined = examine_all(candidates, values, up, unit, wall, bridge)
-    findings = list(tracked(examined, "examining", len(candidates)))
+    findings = list(track_progress(examined, "examining", len(candidates)))
     console.print(examination_table(findings, up is not None))
     refused = [(f.candidate.key, f.refusal) for f in findings if f.refusal is not None]
     _print_notes(findings)
     accepted = [f for f in findings if f.refusal is None]
     added = []
-    for finding in tracked([] if dry_run else accepted, "adding", len(accepted)):
+    for finding in track_progress([] if dry_run else accepted, "adding", len(accepted)):
         candidate = finding.candidate
         try:
             material = candidate.material or ""

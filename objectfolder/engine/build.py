@@ -63,7 +63,7 @@ from objectfolder.workspace.template import note_foreign_code
 OBJECTS_PER_CORE = 2
 #: Restarts of a stage whose worker was lost, or whose inputs changed while it ran.
 RESTARTS = 3
-LONGEST = 1e8  #: time limit of a stage, s
+MAX_TIMEOUT = 1e8  #: time limit of a stage, s
 _log = logging.getLogger(__name__)
 #: Creates the workers of a build from the number of jobs and the queue for their results.
 MakeWorkers = Callable[[int | None, FinishedQueue], Workers]
@@ -90,8 +90,8 @@ class BuildOptions:
             raise ObjectFolderError(
                 f"jobs is {self.jobs}, expected at least 1; use --jobs 1 to run one stage at a time"
             )
-        if self.timeout is not None and not 0 <= self.timeout <= LONGEST:
-            raise ObjectFolderError(f"timeout is {self.timeout} s, expected 0 (never) to {LONGEST:g}")
+        if self.timeout is not None and not 0 <= self.timeout <= MAX_TIMEOUT:
+            raise ObjectFolderError(f"timeout is {self.timeout} s, expected 0 (never) to {MAX_TIMEOUT:g}")
 
 
 def local_workers(jobs: int | None, finished: FinishedQueue) -> Workers:
@@ -195,7 +195,7 @@ class _Build:
 
     def run(self) -> dict[str, StageResult]:
         """Run all stages and return their results by address."""
-        with self.signals.caught():
+        with self.signals.catch():
             try:
                 self._loop()
             finally:
@@ -388,14 +388,14 @@ class _Build:
             return f"{error.filename} does not exist; put it there, or fetch it: `dvc pull`"
         if not disk.is_shortage(error):
             return str(error)
-        text = f"{error}: {disk.describe_full(disk.fullest(self._disks(address))[0])}"
+        text = f"{error}: {disk.describe_full(disk.find_fullest(self._disks(address))[0])}"
         self.repository.remove_partial_files()
         return text
 
     def _hint(self, address: str, log: Path) -> str:
         """Name the full disk if that may be why a command failed."""
-        path, free = disk.fullest(self._disks(address))
-        full = free < disk.LOW or disk.mentions_shortage(tail(log))
+        path, free = disk.find_fullest(self._disks(address))
+        full = free < disk.FULL_BELOW or disk.mentions_shortage(tail(log))
         return f"; {disk.describe_full(path)}" if full else ""
 
     def _disks(self, address: str | None) -> list[Path]:

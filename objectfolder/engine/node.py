@@ -12,7 +12,7 @@ from objectfolder.engine.process import Children, Command, CommandResult, stage_
 
 #: Prefixes of the variables that a command gets from the engine's environment. All others come from the node,
 #: because paths, GPUs and temporary folders differ between machines.
-PASSED_ON = ("DVC_", "OBJECTFOLDER_")
+FORWARDED_PREFIXES = ("DVC_", "OBJECTFOLDER_")
 
 
 class NotShared(Exception):
@@ -42,6 +42,6 @@ def run(command: Command, threads: int, marker: Path) -> CommandResult:
 
     check_workspace(marker)
     gpus = ",".join(str(gpu) for gpu in ray.get_gpu_ids())
-    passed_on = {name: value for name, value in command.env.items() if name.startswith(PASSED_ON)}
+    passed_on = {name: value for name, value in command.env.items() if name.startswith(FORWARDED_PREFIXES)}
     env = {**stage_environment({**os.environ, **passed_on}, threads), "CUDA_VISIBLE_DEVICES": gpus or "-1"}
     return Children().run(replace(command, env=env))

@@ -22,7 +22,7 @@ from objectfolder.errors import ObjectFolderError
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 TAIL_LINES = 15
 #: Seconds for the processes of a stage to end, after a killed engine or worker.
-END = 30.0
+END_TIMEOUT = 30.0
 _POLL = 0.1
 TAIL_BYTES = 16_384
 _Result = TypeVar("_Result")
@@ -168,9 +168,9 @@ def await_end(log: Path, check: Callable[[], None]) -> None:
     """Wait until no process of an earlier run of a stage writes its log, as it would write the same outputs.
 
     ``check``: called again and again meanwhile; may raise. Raises ObjectFolderError if one still does after
-    `END` seconds.
+    `END_TIMEOUT` seconds.
     """
-    deadline = time.monotonic() + END
+    deadline = time.monotonic() + END_TIMEOUT
     while (left := users(log)) is not None:
         if time.monotonic() > deadline:
             numbers = ", ".join(map(str, left))

@@ -51,7 +51,7 @@ class Node:
         return needs.cpus <= self.cpus and needs.gpus <= self.gpus and needs.memory_mb <= self.memory_mb
 
 
-def fitted(needs: Needs, nodes: Sequence[Node], jobs: int | None = None) -> Needs:
+def fit_to_nodes(needs: Needs, nodes: Sequence[Node], jobs: int | None = None) -> Needs:
     """Reduce the needs of a stage to the resources of the best-fitting node, so that no stage waits forever.
 
     Nodes are compared by GPUs first, then cores, then memory. Without GPUs, stages run on the CPU.
@@ -133,7 +133,7 @@ class RayWorkers:
         nodes = self._nodes  # `_watch` replaces the attribute
         if not self._taken or not nodes:
             return ""  # without nodes, `submit` raises an error
-        wanted = fitted(needs, nodes, self.jobs)
+        wanted = fit_to_nodes(needs, nodes, self.jobs)
         taken = self._taken.values()
         if sum(other.cpus for other in taken) + wanted.cpus > self.cores:
             return "cpu"
@@ -150,7 +150,7 @@ class RayWorkers:
         Raises ObjectFolderError if no node is left.
         """
         self._nodes = self._find_nodes()
-        wanted = fitted(needs, self._nodes, self.jobs)
+        wanted = fit_to_nodes(needs, self._nodes, self.jobs)
         task = self.ray.remote(node.run).options(
             name=address,
             num_cpus=wanted.cpus,
@@ -305,7 +305,7 @@ def _connect(address: str) -> Any:
     try:
         found = canonicalize_bootstrap_address_or_die(given)
         _knock(found)
-        with _own_signals():
+        with _keep_signals():
             ray.init(found, log_to_driver=False, logging_level=logging.CRITICAL)
     except (ConnectionError, OSError, ValueError) as error:
         raise ObjectFolderError(
@@ -328,7 +328,7 @@ def _knock(address: str) -> None:
 
 
 @contextmanager
-def _own_signals() -> Iterator[None]:
+def _keep_signals() -> Iterator[None]:
     """Restore the handler of SIGTERM, which Ray replaces."""
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -127,7 +127,7 @@ class Machine:
 
     def room(self, needs: Needs) -> str:
         """Return the resource that a stage must wait for: ``cpu``, ``memory`` or ``gpu``; empty if none."""
-        needs = self._capped(needs)
+        needs = self._cap(needs)
         if needs.cpus > self._cpus:
             return "cpu"
         if needs.memory_mb > self._memory_mb:
@@ -136,7 +136,7 @@ class Machine:
 
     def take(self, address: str, needs: Needs) -> list[str]:
         """Reserve the resources of a stage; return its GPUs."""
-        needs = self._capped(needs)
+        needs = self._cap(needs)
         chosen = self._choose_gpus(needs.gpus) or []
         self._cpus -= needs.cpus
         self._memory_mb -= needs.memory_mb
@@ -153,7 +153,7 @@ class Machine:
         for gpu in chosen:
             self._gpus[gpu] += min(1.0, needs.gpus)
 
-    def _capped(self, needs: Needs) -> Needs:
+    def _cap(self, needs: Needs) -> Needs:
         limits = self._limits
         return Needs(
             cpus=min(needs.cpus, limits.cpus),

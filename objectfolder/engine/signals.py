@@ -25,7 +25,7 @@ class StopSignals:
         self._number: int | None = None
 
     def raise_if_caught(self) -> None:
-        """Leave the block of `caught` if a signal has arrived."""
+        """Leave the block of `catch` if a signal has arrived."""
         if self._number is None:
             return
         if self._number == signal.SIGINT:
@@ -33,7 +33,7 @@ class StopSignals:
         raise _Interrupted
 
     @contextmanager
-    def caught(self) -> Iterator[None]:
+    def catch(self) -> Iterator[None]:
         """Handle signals in the block; a caught one ends it with KeyboardInterrupt or SystemExit."""
         if threading.current_thread() is not threading.main_thread():
             yield  # only the main thread may handle signals; its handlers belong to the caller

@@ -25,7 +25,7 @@ from objectfolder.workspace.layout import Build
 from objectfolder.workspace.validate import find_problem, readers
 
 #: Number of artifacts from which validation uses processes.
-MANY = 200
+PROCESS_THRESHOLD = 200
 
 #: Wraps an iteration of known length in a progress bar.
 Track = Callable[[Iterable[Any], str, int], Iterable[Any]]
@@ -85,7 +85,7 @@ def take_survey(repository: OpenRepository, targets: Sequence[str], jobs: int | 
     ``targets``: as for `objectfolder.engine.build.build`; ``jobs``: threads; default: all cores; ``track``:
     wraps iterations in a progress bar.
     """
-    survey = Survey(repository.root, misrecorded=_misrecorded(repository, targets))
+    survey = Survey(repository.root, misrecorded=_find_misrecorded(repository, targets))
     for found in recorded_outputs(repository, targets):
         (survey.folders if found.oid.endswith(".dir") else survey.files).append(found)
     with ThreadPoolExecutor(jobs or cores()) as pool:
@@ -108,7 +108,7 @@ def take_survey(repository: OpenRepository, targets: Sequence[str], jobs: int | 
             survey.others = {p: oid for p, oid in cached_objects(repository) if p not in known}
             wanted |= dict.fromkeys(survey.others, cache_hash_name(repository))
         hash_all(wanted, "reading")
-        survey.blocked = _blocked(repository, survey)
+        survey.blocked = _find_blocked(repository, survey)
     _validate(survey, jobs, track)
     return survey
 
@@ -123,7 +123,7 @@ def runs_by_object(repository: OpenRepository, survey: Survey) -> dict[str, list
     return found
 
 
-def _misrecorded(repository: OpenRepository, targets: Sequence[str]) -> dict[str, str]:
+def _find_misrecorded(repository: OpenRepository, targets: Sequence[str]) -> dict[str, str]:
     found = {}
     for address, _, record in records(repository, targets):
         if run := maker(repository.repo.stage_cache, record):
@@ -172,7 +172,7 @@ def _validate(survey: Survey, jobs: int | None, track: Track) -> None:
         for f in survey.files
         if f.path in tables.get(key := f.address.partition("@")[2], {}) and survey.matches(f.path, f.oid)
     ]
-    executor: Executor = process_pool(jobs) if len(todo) >= MANY else ThreadPoolExecutor(jobs)
+    executor: Executor = process_pool(jobs) if len(todo) >= PROCESS_THRESHOLD else ThreadPoolExecutor(jobs)
     with executor as pool:
         problems = track(pool.map(_problem, todo), "validating", len(todo))
         survey.invalid |= {path: problem for (*_, path), problem in zip(todo, problems) if problem}
@@ -183,23 +183,23 @@ def _problem(item: tuple[str, Path, Path]) -> str:
     return find_problem(readers(Build(key, root))[path], path)
 
 
-def _blocked(repository: OpenRepository, survey: Survey) -> set[str]:
+def _find_blocked(repository: OpenRepository, survey: Survey) -> set[str]:
     """Return the stages that a build would run on a source that differs from the record.
 
     A build takes such a source for the user's edit and records it.
     """
-    unsound = [f.out for f in survey.files if not f.rebuildable and not _restorable(survey, f)]
-    unsound += [f.out for f in survey.folders if not f.rebuildable and _altered(survey, f)]
+    unsound = [f.out for f in survey.files if not f.rebuildable and not _is_restorable(survey, f)]
+    unsound += [f.out for f in survey.folders if not f.rebuildable and _is_altered(survey, f)]
     return with_downstream(repository, unsound)
 
 
-def _restorable(survey: Survey, file: RecordedFile) -> bool:
+def _is_restorable(survey: Survey, file: RecordedFile) -> bool:
     """Return whether a source is as recorded, or missing but in the cache."""
     missing = file.path not in survey.hashes
     return survey.matches(file.path, file.oid) or (missing and survey.matches(file.cached, file.oid))
 
 
-def _altered(survey: Survey, folder: RecordedFile) -> bool:
+def _is_altered(survey: Survey, folder: RecordedFile) -> bool:
     """Return whether a directory has unrecorded files, or a damaged listing that cannot be recreated."""
     if survey.matches(folder.cached, folder.oid):
         return bool(survey.strays(folder))

@@ -16,7 +16,7 @@ _PAPER = (
     "Visual, Auditory, and Tactile Representations. CoRL, 2021."
 )
 LICENCES = "licences"  #: folder of the notices
-_NAMED = "Name these with what you make from the objects; the Object Files were made from their meshes."
+_ATTRIBUTION = "Name these with what you make from the objects; the Object Files were made from their meshes."
 _SITE = "\n\n[site/index.html](site/index.html) shows every object: see, strike and touch it in a browser."
 
 
@@ -62,7 +62,7 @@ class Words:
     )
 
 
-def described(
+def describe_release(
     entries: Sequence[IndexEntry], *, name: str, creator: str, version: str, date: str, url: str
 ) -> Words:
     """Describe a release."""
@@ -70,19 +70,19 @@ def described(
     summary = (
         f"{len(entries)} Object Files: implicit representations that answer how an object looks from any "
         "camera under any light, how it sounds when struck anywhere, and what a tactile sensor feels "
-        f"anywhere on it. Materials: {counted(entry.material for entry in entries)}. "
+        f"anywhere on it. Materials: {count_values(entry.material for entry in entries)}. "
         f"Sizes: {sizes[0]:.2g} to {sizes[-1]:.2g} m."
     )
     return Words(name=name, summary=summary, creator=creator, version=version, date=date, url=url)
 
 
-def counted(values: Iterable[str]) -> str:
+def count_values(values: Iterable[str]) -> str:
     """List values with how often each occurs, the most frequent first."""
     ordered = sorted(Counter(values).items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{value or 'other'} {count}" for value, count in ordered)
 
 
-def spread(values: Sequence[float | None]) -> str:
+def summarize(values: Sequence[float | None]) -> str:
     """Return median and extremes of those that are known."""
     known = sorted(value for value in values if value is not None)
     if not known:
@@ -94,7 +94,7 @@ def spread(values: Sequence[float | None]) -> str:
 def card(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice], site: bool) -> str:
     """Return README.md: what the release is and how to load it, with the Hub's metadata."""
     named = attributions(notices)
-    attribution = f"## Attribution\n\n{_NAMED}\n\n{named}\n\n" if named else ""
+    attribution = f"## Attribution\n\n{_ATTRIBUTION}\n\n{named}\n\n" if named else ""
     copies = f"| `{LICENCES}/` | where each mesh is from: licence, authors, changes |\n" if notices else ""
     metadata = {
         "pretty_name": words.name,
@@ -111,7 +111,7 @@ def card(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Noti
 {words.summary}{_SITE if site else ""}
 
 Version {words.version}, {words.date}, by {in_markdown(words.creator)}.
-Licences: {_counted(entry.licence for entry in entries)}; {INDEX} gives that of each object.
+Licences: {_count(entry.licence for entry in entries)}; {INDEX} gives that of each object.
 
 ## Load it
 
@@ -140,16 +140,16 @@ touch = item.touch(item.sample_surface(1), depth=0.001)
 
 | objects | median (least to most) |
 |---|---|
-| longest side, m | {spread([entry.size for entry in entries])} |
-| modes | {spread([entry.modes for entry in entries])} |
-| lowest mode, Hz | {spread([entry.lowest_hz for entry in entries])} |
-| PSNR of held-out views, dB | {spread([entry.vision_psnr for entry in entries])} |
-| error of gains at held-out points | {spread([entry.gain_error for entry in entries])} |
-| PSNR of held-out touches, dB | {spread([entry.touch_psnr for entry in entries])} |
+| longest side, m | {summarize([entry.size for entry in entries])} |
+| modes | {summarize([entry.modes for entry in entries])} |
+| lowest mode, Hz | {summarize([entry.lowest_hz for entry in entries])} |
+| PSNR of held-out views, dB | {summarize([entry.vision_psnr for entry in entries])} |
+| error of gains at held-out points | {summarize([entry.gain_error for entry in entries])} |
+| PSNR of held-out touches, dB | {summarize([entry.touch_psnr for entry in entries])} |
 
-Categories: {_counted(entry.category for entry in entries)}.
-Materials: {_counted(entry.material for entry in entries)}.
-Split by object, for tests on unseen objects: {counted(entry.split for entry in entries)}.
+Categories: {_count(entry.category for entry in entries)}.
+Materials: {_count(entry.material for entry in entries)}.
+Split by object, for tests on unseen objects: {count_values(entry.split for entry in entries)}.
 
 {attribution}## Cite
 
@@ -160,7 +160,7 @@ Split by object, for tests on unseen objects: {counted(entry.split for entry in 
 def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice]) -> str:
     """Return DATASHEET.md, after Gebru et al., Datasheets for Datasets, 2021."""
     named = attributions(notices)
-    sources = _counted(entry.source or "not stated" for entry in entries)
+    sources = _count(entry.source or "not stated" for entry in entries)
     answers = (
         ("Motivation", words.uses),
         (
@@ -172,15 +172,18 @@ def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str,
             "Preprocessing",
             "Meshes were scaled to their size and closed to solids; small gaps between bodies may be filled.",
         ),
-        ("Splits", f"By object: {counted(entry.split for entry in entries)}. Scores are of held-out data."),
+        (
+            "Splits",
+            f"By object: {count_values(entry.split for entry in entries)}. Scores are of held-out data.",
+        ),
         ("Limits", words.limits),
         ("Biases", words.biases),
         ("Personal data", words.personal),
         ("Social impact", words.impact),
         (
             "Distribution",
-            f"Licences: {_counted(entry.licence for entry in entries)}. Each object has that of its mesh."
-            + (f" {_NAMED}\n\n{named}" if named else ""),
+            f"Licences: {_count(entry.licence for entry in entries)}. Each object has that of its mesh."
+            + (f" {_ATTRIBUTION}\n\n{named}" if named else ""),
         ),
         ("Maintenance", f"{words.maintenance} By {in_markdown(words.creator)}."),
     )
@@ -188,8 +191,8 @@ def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str,
     return f"# Datasheet of {in_markdown(words.name)}, version {words.version}\n\n{sections}"
 
 
-def _counted(values: Iterable[str]) -> str:
-    return counted(map(in_markdown, values))
+def _count(values: Iterable[str]) -> str:
+    return count_values(map(in_markdown, values))
 
 
 def _size_category(count: int) -> str:

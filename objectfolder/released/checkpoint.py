@@ -105,7 +105,7 @@ class ReleasedDict:
         """
         value = self._get(key, "a dictionary")
         if not isinstance(value, Mapping):
-            raise self.wrong(key, _described(value), "a dictionary")
+            raise self.wrong(key, _describe(value), "a dictionary")
         return ReleasedDict(self.path, self._full(key), value)
 
     def state(self, key: str) -> "ReleasedDict":
@@ -127,12 +127,12 @@ class ReleasedDict:
         expected = f"a float tensor of shape {_shape_text(shape)}"
         value = self._get(key, expected)
         if not isinstance(value, torch.Tensor) or value.layout != torch.strided:
-            raise self.wrong(key, _described(value), expected)
+            raise self.wrong(key, _describe(value), expected)
         if value.dtype not in _FLOATS or value.device.type != "cpu" or not _fits(value.shape, shape):
-            raise self.wrong(key, _described(value), expected)
+            raise self.wrong(key, _describe(value), expected)
         # With strides of zero, a few bytes stand for a tensor of any size.
         if value.numel() * value.element_size() > Path(self.path).stat().st_size:
-            raise self.wrong(key, f"{_described(value)}, more than the file holds", expected)
+            raise self.wrong(key, f"{_describe(value)}, more than the file holds", expected)
         # Copied, because the file is memory-mapped and may be replaced.
         value = value.detach().contiguous().to(torch.float32, copy=True)
         if not torch.isfinite(value).all():
@@ -143,7 +143,7 @@ class ReleasedDict:
         """Return an array, tensor or list of finite numbers as float64; without a shape, a single number."""
         expected = f"numbers of shape {_shape_text(shape)}" if shape else "a number"
         value = self._get(key, expected)
-        found = _described(value)
+        found = _describe(value)
         if isinstance(value, StoredArray):
             array = value.value
         elif isinstance(value, torch.Tensor):
@@ -171,7 +171,7 @@ class ReleasedDict:
         if shape is None:
             shape = (len(value),) if isinstance(value, list | tuple) else ()
         if math.prod(shape) not in (1, count):
-            raise self.wrong(key, _described(value), f"{count} numbers or one")
+            raise self.wrong(key, _describe(value), f"{count} numbers or one")
         numbers = self.numbers(key, *shape).reshape(-1)
         return np.broadcast_to(numbers, (count,)).copy()
 
@@ -190,7 +190,7 @@ class ReleasedDict:
         """Return a number, Boolean or string; the string ``"None"`` becomes None."""
         value = self.values.get(key, default)
         if value is not None and not isinstance(value, bool | int | float | str):
-            raise self.wrong(key, _described(value), "a number, Boolean or string")
+            raise self.wrong(key, _describe(value), "a number, Boolean or string")
         return None if value == "None" else value
 
     def mask(self, key: str, size: int) -> np.ndarray:
@@ -200,11 +200,11 @@ class ReleasedDict:
         if isinstance(value, torch.Tensor) and value.dtype in (torch.bool, torch.uint8):
             if value.layout == torch.strided and value.device.type == "cpu" and value.numel() == size:
                 if size > Path(self.path).stat().st_size:
-                    raise self.wrong(key, f"{_described(value)}, more than the file holds", expected)
+                    raise self.wrong(key, f"{_describe(value)}, more than the file holds", expected)
                 return value.flatten().bool().clone().numpy()
         elif isinstance(value, StoredArray) and value.value.dtype.kind in "bu" and value.value.size == size:
             return value.value.reshape(-1).astype(bool)
-        raise self.wrong(key, _described(value), expected)
+        raise self.wrong(key, _describe(value), expected)
 
     def wrong(self, key: str, found: str, expected: str) -> ObjectFolderError:
         """Return an error that names an entry, its value and the expected value."""
@@ -255,7 +255,7 @@ def read_released(path: str | Path) -> ReleasedDict:
             "ObjectFile.pth"
         ) from error
     if not isinstance(values, Mapping):
-        raise ObjectFolderError(f"{path} holds {_described(values)}; expected a dictionary")
+        raise ObjectFolderError(f"{path} holds {_describe(values)}; expected a dictionary")
     return ReleasedDict(path, "", values)
 
 
@@ -301,7 +301,7 @@ def _shape_text(shape: tuple[int | None, ...]) -> str:
     return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
 
 
-def _described(value: Any) -> str:
+def _describe(value: Any) -> str:
     if isinstance(value, torch.Tensor):
         return f"a tensor of {str(value.dtype).removeprefix('torch.')}, shape {tuple(value.shape)}"
     if isinstance(value, StoredArray):

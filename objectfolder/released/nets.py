@@ -23,7 +23,7 @@ MAX_MODES = 1 << 16
 #: Ray marching settings, fixed in the released code of 1.0.
 MARCH = March(near=0.01, far=4.0, samples=64, more=128, inverse=False)
 # Settings that make the released code render in a way that is not supported here.
-_UNKNOWN = (
+_UNSUPPORTED = (
     *("no_color_sigmoid", "use_view_independent_color", "use_hard_parameter_sharing_for_color"),
     *("use_global_coordinates", "use_single_net", "crop_to_global_domain", "visualize_global_domain"),
     "render_debug_network_color_map",
@@ -31,7 +31,7 @@ _UNKNOWN = (
 PRESS_DEPTH = 0.001  #: m, assigned to images of 1.0, whose true depth is unknown; the default of queries
 _PROBES = 64  # contacts to estimate the untouched gel from
 _STRIDE = 4  # pixel stride of the estimate
-_RARE = 0.9  # quantile of the probes' depths
+_QUANTILE = 0.9  # quantile of the probes' depths
 
 
 def by_octave(inputs: int, octaves: int) -> np.ndarray:
@@ -196,7 +196,7 @@ def configured_net(vision: ReleasedDict, crop: float | None = None) -> ReleasedN
 
 
 def _march(cfg: ReleasedDict, refine: bool) -> March:
-    for name in _UNKNOWN:
+    for name in _UNSUPPORTED:
         if cfg.setting(name):
             raise cfg.wrong(name, "set", "it to be unset, since its way of rendering is not supported")
     if not cfg.setting("blender_white_background"):
@@ -258,7 +258,7 @@ def _kilo(vision: ReleasedDict, cfg: ReleasedDict, state: ReleasedDict) -> Relea
     if "occupancy_grid" in vision and vision.values["occupancy_grid"] is not None:
         voxels = _sizes(cfg.part("occupancy"), "resolution", 1 << 30)
         occupied = torch.from_numpy(vision.mask("occupancy_grid", math.prod(voxels)))
-    cells = _asked(occupied, voxels, grid)
+    cells = _select_cells(occupied, voxels, grid)
     width = cfg.integer("hidden_layer_size", 1, 4096)
     branch = cfg.integer("direction_layer_size", 1, 4096)
     depth = cfg.integer("num_hidden_layers", 1, 32)
@@ -284,7 +284,7 @@ def _kilo(vision: ReleasedDict, cfg: ReleasedDict, state: ReleasedDict) -> Relea
     return ReleasedKilo(weights, cells, occupied, march, grid, voxels, box, octaves)
 
 
-def _asked(occupied: torch.Tensor, voxels: tuple[int, ...], grid: tuple[int, ...]) -> torch.Tensor:
+def _select_cells(occupied: torch.Tensor, voxels: tuple[int, ...], grid: tuple[int, ...]) -> torch.Tensor:
     """Return the cells that overlap an occupied voxel; the networks of the others are never evaluated."""
     # A cell covers the voxels from one end to the other; one more on each side allows for rounding.
     mask = occupied.view(voxels)
@@ -334,12 +334,14 @@ def depth_net(
     """
     net = network_of(network(touch.state("model_state_dict"), 9, 1), 9)
     config = {"frame": frame.to_dict(), "bounds": box(touch), "sensor": profile.to_dict()}
-    depth = _untouched(net) if gel is None else torch.from_numpy(APEX - PIXEL * np.asarray(gel, np.float64))
+    depth = (
+        _estimate_gel(net) if gel is None else torch.from_numpy(APEX - PIXEL * np.asarray(gel, np.float64))
+    )
     return ReleasedDepth(net, depth.float(), config)
 
 
 @torch.no_grad()
-def _untouched(net: ReleasedNetwork) -> torch.Tensor:
+def _estimate_gel(net: ReleasedNetwork) -> torch.Tensor:
     """Estimate the depth map of the untouched gel from the lightest contacts at random places; (120, 160)."""
     rng = np.random.default_rng(0)
     places = torch.from_numpy(rng.random((_PROBES, 3)).astype(np.float32))
@@ -352,6 +354,6 @@ def _untouched(net: ReleasedNetwork) -> torch.Tensor:
             for place in places
         ]
     )
-    low = depths.quantile(_RARE, 0).view(1, 1, len(rows), len(columns))
+    low = depths.quantile(_QUANTILE, 0).view(1, 1, len(rows), len(columns))
     full = interpolate(low, DEPTH_SIZE, mode="bilinear", align_corners=True)[0, 0]
     return full * (DEPTHS[1] - DEPTHS[0]) + DEPTHS[0]

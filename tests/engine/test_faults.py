@@ -78,7 +78,7 @@ def test_killed_stage_is_said_in_words_and_its_half_output_is_not_taken(workspac
 
 
 def test_a_stage_does_not_start_beside_a_process_of_an_earlier_run(workspace, monkeypatch):
-    monkeypatch.setattr("objectfolder.engine.process.END", 0.3)
+    monkeypatch.setattr("objectfolder.engine.process.END_TIMEOUT", 0.3)
     log = log_path(workspace.root / LOGS, "prepare@mug")
     log.parent.mkdir(parents=True)
     with open_log(log) as stream:

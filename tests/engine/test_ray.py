@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from objectfolder.cli import app
 from objectfolder.engine import resources
 from objectfolder.engine.build import BuildOptions, build
-from objectfolder.engine.ray import Node, RayWorkers, fitted, ray_workers
+from objectfolder.engine.ray import Node, RayWorkers, fit_to_nodes, ray_workers
 from objectfolder.engine.resources import Needs
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import install_command
@@ -266,7 +266,7 @@ LARGE = Node("2", "large", cpus=8, gpus=2, memory_mb=32_000)
 )
 def test_needs_are_cut_to_the_closest_node(given, nodes, jobs, expected):
     given, expected = (Needs(cpus=c, gpus=g, memory_mb=m) for c, g, m in (given, expected))
-    assert fitted(given, nodes, jobs) == expected
+    assert fit_to_nodes(given, nodes, jobs) == expected
 
 
 def test_what_runs_on_a_node_needs_no_dvc():

@@ -19,7 +19,7 @@ from dvc_data.hashfile.tree import Tree
 from objectfolder.engine.dvc import steps
 from objectfolder.engine.dvc.graph import StageGraph
 from objectfolder.engine.dvc.recorded import listing_of
-from objectfolder.engine.dvc.runcache import is_there, saved_run
+from objectfolder.engine.dvc.runcache import find_saved_run, is_there
 from objectfolder.errors import shortened
 from objectfolder.workspace.code_digests import code_text
 from objectfolder.workspace.layout import CODE
@@ -207,7 +207,7 @@ def _find_run(stage: Stage, hashes: dict[int, tuple[Meta, HashInfo]], changed: b
             )  # as a build does with those that are not in the lock file
             dep.meta, dep.hash_info = hashes[number] if number in hashes else dep._get_hash_meta()
             dep.get_hash = partial(getattr, dep, "hash_info")  # DVC would ask the disk, which may lack it yet
-        return saved_run(stage, changed)
+        return find_saved_run(stage, changed)
     except (DvcException, OSError):  # a dependency is missing: the stage will fail
         return None
 

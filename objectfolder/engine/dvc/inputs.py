@@ -31,7 +31,7 @@ class _HeldParams(ParamsDependency):
     exists = True
 
     def __init__(self, dep: ParamsDependency, held: str):
-        vars(self).update(vars(dep))  # a new one takes DVC 0.1 ms, and an object has twenty
+        self.__dict__.update(vars(dep))  # a new one takes DVC 0.1 ms, and an object has twenty
         self.held = held
 
     def isfile(self) -> bool:
@@ -73,7 +73,7 @@ def stamps(stage: Stage) -> Stamps:
     return {path: _stamp(path) for dep in stage.deps for path in _files(dep)}
 
 
-def written(before: Stamps, after: Stamps) -> list[Path]:
+def find_written(before: Stamps, after: Stamps) -> list[Path]:
     """Return the files that were written, made or removed between two stamps."""
     if before == after:
         return []
@@ -111,11 +111,11 @@ def _files(dep: Any) -> list[Path]:
 def _modules(dep: Any) -> dict[Path, str]:
     """Return digests by file if a dependency is a list of modules, as `code_digests.digests` writes it."""
     path, home = Path(dep.fs_path), Path(dep.stage.wdir)
-    return _listed(path, home, _stamp(path)) if path.is_relative_to(home / CODE) else {}
+    return _read_list(path, home, _stamp(path)) if path.is_relative_to(home / CODE) else {}
 
 
 @cache  # all objects share it
-def _listed(path: Path, home: Path, stamp: tuple[int, ...] | None) -> dict[Path, str]:
+def _read_list(path: Path, home: Path, stamp: tuple[int, ...] | None) -> dict[Path, str]:
     lines = [] if stamp is None else path.read_text().splitlines()
     return {located(name, home): digest for digest, _, name in (line.partition("  ") for line in lines)}
 

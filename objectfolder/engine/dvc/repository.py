@@ -36,12 +36,12 @@ from objectfolder.engine.dvc.runcache import RunCache
 from objectfolder.errors import ObjectFolderError
 from objectfolder.locks import remove_abandoned
 from objectfolder.workspace.params import outside_workspace
-from objectfolder.yamlfile import checked_yaml, read_yaml
+from objectfolder.yamlfile import check_yaml, read_yaml
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 PARAMS = "params.yaml"
 #: Folders that hold what stages write, and those around them.
-LINKED = ("build", "metrics", "benchmarks", "data", "data/objects", str(COPIES))
+OUTPUT_FOLDERS = ("build", "metrics", "benchmarks", "data", "data/objects", str(COPIES))
 POLL = 0.5
 _PARTIAL = re.compile(r"\.[0-9A-Za-z_-]{20,24}\.tmp")  # DVC's names: 22 characters at random
 _log = logging.getLogger(__name__)
@@ -148,14 +148,14 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
     if not (root / "dvc.yaml").is_file() and not (root / PARAMS).is_file():
         raise outside_workspace(root / PARAMS)
     if (root / PARAMS).exists():  # before DVC reads it, which has no limits
-        checked_yaml(root / PARAMS)
-    for name in (*LINKED, *_links_in(root / "build", root)):
+        check_yaml(root / PARAMS)
+    for name in (*OUTPUT_FOLDERS, *_links_in(root / "build", root)):
         if (root / name).is_symlink():
             raise ObjectFolderError(
                 f"{root / name} is a link, which DVC does not follow; make it a folder. To keep its files on "
                 "another disk: `dvc cache dir PATH` and `dvc config cache.type symlink`"
             )
-    with quiet(), chdir(root), _site_cache():
+    with silence_dvc(), chdir(root), _site_cache():
         _give_user_a_name()
         try:
             repo = Repo()
@@ -167,7 +167,7 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
         repo.stage_cache = RunCache(repo)
         # DVC removes a file before it finds out that it cannot link it; then it copies it.
         repo.cache.local.cache_types = [*dict.fromkeys((*repo.cache.local.cache_types, "copy"))]
-        with repo, _alone(repo, wait):
+        with repo, _hold_lock(repo, wait):
             lockfiles = LockFiles(Path(repo.root_dir))
             with repo.scm_context(quiet=True), replacements(lockfiles):
                 try:
@@ -234,7 +234,7 @@ def _give_user_a_name() -> None:
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def silence_dvc() -> Iterator[None]:
     """Silence DVC's log, in the block."""
     # Above ERROR, DVC disables its progress bars too.
     levels = {name: logging.getLogger(name).level for name in LOGGERS}
@@ -252,12 +252,12 @@ class _Busy(Exception):
 
 
 @contextmanager
-def _alone(repo: Repo, wait: bool) -> Iterator[None]:
+def _hold_lock(repo: Repo, wait: bool) -> Iterator[None]:
     said = ""
     with ExitStack() as stack:
         while True:
             try:
-                stack.enter_context(_locked(repo))
+                stack.enter_context(_try_lock(repo))
                 break
             except _Busy as busy:
                 if not wait:
@@ -273,7 +273,7 @@ def _alone(repo: Repo, wait: bool) -> Iterator[None]:
 
 
 @contextmanager
-def _locked(repo: Repo) -> Iterator[None]:
+def _try_lock(repo: Repo) -> Iterator[None]:
     with ExitStack() as stack:
         try:
             stack.enter_context(lock_repo(repo))
@@ -326,7 +326,7 @@ def start_repository(root: Path) -> None:
         if done.returncode:
             raise ObjectFolderError(f"git cannot make a repository in {root}: {done.stderr.strip()}")
     try:
-        with quiet(), Repo.init(str(root)) as repo, repo.config.edit("repo") as config:
+        with silence_dvc(), Repo.init(str(root)) as repo, repo.config.edit("repo") as config:
             config["core"].update(CORE)
     except DvcException as error:
         raise ObjectFolderError(f"DVC cannot make a repository in {root}: {error}") from error

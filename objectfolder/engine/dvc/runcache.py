@@ -27,7 +27,7 @@ from objectfolder.workspace.params import UNSEEN_BY_DVC
 _log = logging.getLogger(__name__)
 
 
-def saved_run(stage: Stage, changed: bool) -> Stage | None:
+def find_saved_run(stage: Stage, changed: bool) -> Stage | None:
     """Find the run whose outputs `steps.restore_run` would restore; None if missing or incomplete.
 
     Changes nothing on disk. The stage's dependencies hold the hashes that they will have when it runs.
