@@ -91,12 +91,7 @@ KEYS = ("bell", "bowl", "mug")
 class Workspace:
     """A workspace and the means to change and inspect it.
 
-    Parameters
-    ----------
-    root : Path
-        Where it is.
-    server : ForkServer
-        Runs its commands.
+    ``root``: where it is; ``server``: runs its commands.
     """
 
     def __init__(self, root: Path, server: ForkServer):

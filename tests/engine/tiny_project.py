@@ -230,28 +230,16 @@ def parameters() -> dict[Names, list[Any]]:
 
 @dataclass(frozen=True)
 class Sources:
-    """All that the outputs depend on.
+    """All that the outputs depend on."""
 
-    Parameters
-    ----------
-    versions, prose : dict of str to str
-        Statement and docstring of every stage and library module.
-    values : dict
-        params.yaml.
-    profiles : dict of str to str
-        Content of the sensors' files.
-    mesh : str
-        Content of the tracked mesh.
-    keys : tuple of str
-        Objects in params.yaml.
-    """
-
+    #: Statement and docstring of every stage and library module.
     versions: dict[str, str] = field(default_factory=lambda: dict.fromkeys((*STAGES, *LIBRARY), "1"))
     prose: dict[str, str] = field(default_factory=lambda: dict.fromkeys((*STAGES, *LIBRARY), "1"))
-    values: dict[str, Any] = field(default_factory=start)
+    values: dict[str, Any] = field(default_factory=start)  #: params.yaml
+    #: Content of the sensors' files.
     profiles: dict[str, str] = field(default_factory=lambda: dict.fromkeys(PROFILES, "1"))
-    mesh: str = "mesh 1"
-    keys: tuple[str, ...] = KEYS
+    mesh: str = "mesh 1"  #: content of the tracked mesh
+    keys: tuple[str, ...] = KEYS  #: objects in params.yaml
 
     def with_one(self, name: str, key: str, value: str) -> "Sources":
         """Copy with another value of one entry of a mapping."""
