@@ -22,16 +22,13 @@ def is_yaml_name(value: object) -> bool:
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Read a YAML file; otherwise as `checked_yaml`.
+    """Read a YAML file; otherwise as `check_yaml`.
 
-    Raises
-    ------
-    ObjectFolderError
-        Also if a value does not have its type, or a key is there twice.
+    Also raises ObjectFolderError if a value does not have its type, or a key is there twice.
     """
     from ruamel.yaml import YAML
 
-    text = checked_yaml(path)
+    text = check_yaml(path)
     try:
         return YAML(typ="safe").load(text)
     except Exception as error:  # of a value's own type as well
@@ -41,11 +38,7 @@ def read_yaml(path: str | Path) -> Any:
 def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
     """Return a mapping as YAML; see `inline_lists`.
 
-    Parameters
-    ----------
-    values : mapping
-    *in_quotes : str
-        Names of texts that are written in quotes whether they need them or not.
+    ``*in_quotes``: names of texts that are written in quotes whether they need them or not.
     """
     from ruamel.yaml import YAML
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
@@ -74,16 +67,13 @@ def inline_lists(value: Any) -> Any:
     return written
 
 
-def checked_yaml(path: str | Path) -> str:
+def check_yaml(path: str | Path) -> str:
     """Return the text of a YAML file that is safe to load.
 
     Loading descends into nested collections, and what is loaded may be written out: a copy for each alias.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it cannot be read, is not YAML, is nested too deeply, has a very long value, refers to itself, or
-        would be too large with a copy for each alias.
+    Raises ObjectFolderError if it cannot be read, is not YAML, is nested too deeply, has a very long value,
+    refers to itself, or would be too large with a copy for each alias.
     """
     from ruamel.yaml import YAML
 

@@ -32,7 +32,7 @@ from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognition import FLAT, RECOGNIZE
 from objectfolder.benchmarks.tasks.recognition_config import RecognizeConfig
 from objectfolder.benchmarks.tasks.running import SplitRun
-from objectfolder.engine.pool import in_processes
+from objectfolder.engine.process import in_processes
 from objectfolder.io import write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded

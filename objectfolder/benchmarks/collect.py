@@ -12,7 +12,7 @@ from objectfolder.benchmarks.datasets.glances import glance_request, is_glanced,
 from objectfolder.benchmarks.datasets.observe_config import ObserveConfig
 from objectfolder.benchmarks.datasets.sampling import is_sampled, observation_request, sample_observations
 from objectfolder.benchmarks.tasks.running import Report
-from objectfolder.engine.pool import in_processes
+from objectfolder.engine.process import in_processes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.dataset import INDEX, Dataset
 from objectfolder.objectfile.file import ObjectFile

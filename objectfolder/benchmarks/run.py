@@ -34,7 +34,7 @@ from objectfolder.benchmarks.tasks.running import (
     run_benchmark,
     training_device,
 )
-from objectfolder.engine.pool import in_processes
+from objectfolder.engine.process import in_processes
 from objectfolder.engine.resources import cores
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import read_json, write_json

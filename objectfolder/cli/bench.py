@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from objectfolder.cli.console import print_line, print_wide, tracked
+from objectfolder.cli.console import print_line, print_wide, track_progress
 from objectfolder.cli.files import SAMPLE, files_or_folders
 
 if TYPE_CHECKING:
@@ -274,7 +274,7 @@ def run_on_splits(task: "Task", options: "BenchmarkOptions") -> None:
     from objectfolder.benchmarks.reporting.tables import score_table
 
     folder = options.folder
-    for split, scores in run.run_on_splits(task, options, print_line, tracked).items():
+    for split, scores in run.run_on_splits(task, options, print_line, track_progress).items():
         print_scores(score_table(task.name, split, scores))
         print_line(f"{folder.result(task.name, split)}  curves: {folder.curve(task.name, split)}")
 

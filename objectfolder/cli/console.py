@@ -14,7 +14,7 @@ from objectfolder.text import visible
 console = Terminal()
 
 
-def tracked(items: Iterable[Any], description: str, total: int) -> Iterable[Any]:
+def track_progress(items: Iterable[Any], description: str, total: int) -> Iterable[Any]:
     """Iterate with a progress bar, shown only on a terminal."""
     screen = Terminal(stderr=True)
     return track(items, description, total, console=screen, transient=True, disable=not screen.is_terminal)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from objectfolder.cli.console import console, print_line, tracked
+from objectfolder.cli.console import console, print_line, track_progress
 from objectfolder.cli.files import SAMPLE, folder_to_write, object_files
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.installation import install_command
@@ -30,8 +30,7 @@ OutArgument = Annotated[
     Path, typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write)
 ]
 FoldersArgument = Annotated[
-    list[Path],
-    typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below."),
+    list[Path], typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below.")
 ]
 FilesArgument = Annotated[
     list[Path],
@@ -150,7 +149,7 @@ def nerfstudio(
     """
     from objectfolder.benchmarks.datasets.nerfstudio import write_nerfstudio
 
-    objects = _loaded(out, files, "vision")
+    objects = _load_objects(out, files, "vision")
     for file in objects:
         if file.header["vision"]["kind"] == "surface":
             file.require("geometry")
@@ -203,14 +202,14 @@ def _export_objects(
 ) -> None:
     from objectfolder.envs.body import density
 
-    objects = _loaded(out, files, "geometry")
+    objects = _load_objects(out, files, "geometry")
     for found in objects:
         density(found)
-    for found in tracked(objects, "exporting objects", len(objects)):
+    for found in track_progress(objects, "exporting objects", len(objects)):
         print_line(str(write(found, out, hulls)))
 
 
-def _loaded(out: Path, files: list[Path], *needs: str) -> "list[ObjectFile]":
+def _load_objects(out: Path, files: list[Path], *needs: str) -> "list[ObjectFile]":
     """Load objects, each of which gets a new folder and has the parts; checked before anything is written."""
     from objectfolder.objectfile.file import ObjectFile
 

@@ -14,7 +14,8 @@ fit_app = typer.Typer(
     rich_markup_mode="markdown",
     help="Fit an object to reality: `sound`, to recordings of taps.",
 )
-GUESS = 0.6  # score of the next best stiffness, relative to the best, from which on the fit may be wrong
+#: Score of the next best stiffness, relative to the best, from which on the fit may be wrong.
+RIVAL_LIMIT = 0.6
 
 
 @fit_app.callback()
@@ -86,7 +87,7 @@ def sound(
         f"modes below 200 Hz are not used: {(computed < 200).sum()} of {len(computed)} computed ones",
         f"material: {fit.material}",
     ]
-    if match.rival > GUESS:
+    if match.rival > RIVAL_LIMIT:
         lines.append(
             f"uncertain: another stiffness matches {match.rival:.0%} as well; give more recordings, or check "
             "the size"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 from rich.text import Text
 
-from objectfolder.cli.console import console, print_line, tracked
+from objectfolder.cli.console import console, print_line, track_progress
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.terminal import Terminal
 
@@ -40,9 +40,7 @@ def add(
     scale: Annotated[
         float | None,
         typer.Option(
-            metavar="METRES",
-            parser=_metres,
-            help="Longest side in metres; default: the size of the mesh.",
+            metavar="METRES", parser=_metres, help="Longest side in metres; default: the size of the mesh."
         ),
     ] = None,
     up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,
@@ -163,13 +161,13 @@ def _add_folder(
 
     candidates = discover(folder, material)
     examined = examine_all(candidates, values, up, unit, wall, bridge)
-    findings = list(tracked(examined, "examining", len(candidates)))
+    findings = list(track_progress(examined, "examining", len(candidates)))
     console.print(examination_table(findings, up is not None))
     refused = [(f.candidate.key, f.refusal) for f in findings if f.refusal is not None]
     _print_notes(findings)
     accepted = [f for f in findings if f.refusal is None]
     added = []
-    for finding in tracked([] if dry_run else accepted, "adding", len(accepted)):
+    for finding in track_progress([] if dry_run else accepted, "adding", len(accepted)):
         candidate = finding.candidate
         try:
             material = candidate.material or ""
@@ -232,7 +230,7 @@ def fetch(
     """
     from objectfolder.fetch import report
     from objectfolder.fetch.catalogue import read_catalogue, select_objects
-    from objectfolder.fetch.local import check_directory
+    from objectfolder.fetch.files import check_directory
     from objectfolder.fetch.run import FetchStatus, fetch_all
     from objectfolder.workspace import params
 

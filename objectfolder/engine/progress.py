@@ -27,7 +27,7 @@ from objectfolder.engine.summary import (
 from objectfolder.errors import plural
 from objectfolder.terminal import Terminal
 
-ENOUGH = 0.1  # of the planned work, after which the rest is estimated
+MIN_SHARE = 0.1  # of the planned work, after which the rest is estimated
 MAX_ROWS = 60  # of the summary table; with more results, one row per stage and outcome
 STYLES = {
     StageOutcome.RAN: "green",
@@ -73,10 +73,7 @@ class Progress:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._live is not None:
             self._live.stop()
@@ -122,7 +119,7 @@ class Progress:
     def seconds_left(self) -> float | None:
         """Return the remaining time in s at the speed so far; None before a tenth of the work is done."""
         ahead = sum(self._ahead.copy().values())
-        if not self._behind or self._behind < ENOUGH * (self._behind + ahead):
+        if not self._behind or self._behind < MIN_SHARE * (self._behind + ahead):
             return None
         return (time.monotonic() - self._clock) * ahead / self._behind
 

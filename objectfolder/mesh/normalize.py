@@ -8,7 +8,7 @@ import trimesh
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.closing.piercing import self_intersections
-from objectfolder.mesh.closing.surface import ClosedSurface, Rung, close_surface
+from objectfolder.mesh.closing.surface import ClosedSurface, RepairStep, close_surface
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
 from objectfolder.mesh.topology import Mesh
 
@@ -38,8 +38,8 @@ class Normalized:
             "source_up": up,
             "source_centre": self.source_centre.tolist(),
             "source_size": self.source_size,
-            "rung": surface.rung,
-            "rungs": [_in_metres(rung, scale) for rung in surface.rungs],
+            "rung": surface.last_step,
+            "rungs": [_in_metres(step, scale) for step in surface.repairs],
             "warnings": surface.warnings,
             "weld_tolerance": surface.weld_tolerance,
             "deviation_max_m": surface.deviation_max * scale,
@@ -138,8 +138,8 @@ def mass_properties(surface: Mesh) -> dict[str, Any]:
     }
 
 
-def _in_metres(rung: Rung, scale: float) -> dict[str, Any]:
-    values = asdict(rung)
+def _in_metres(step: RepairStep, scale: float) -> dict[str, Any]:
+    values = asdict(step)
     for name in ("volume_before", "volume_after"):
         volume = values.pop(name)
         values[f"{name}_m3"] = None if volume is None else volume * scale**3

@@ -21,10 +21,16 @@ from objectfolder.nets.released.touch import DEPTH_SIZE, ReleasedDepth, Released
 from objectfolder.nets.released.vision import ReleasedNerf
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import checked_name, format_name
-from objectfolder.released.audio import box, gains_net, spectrogram_net
 from objectfolder.released.checkpoint import ReleasedDict, read_released
-from objectfolder.released.touch import depth_net, image_net
-from objectfolder.released.vision import configured_net, nerf_net
+from objectfolder.released.nets import (
+    box,
+    configured_net,
+    depth_net,
+    gains_net,
+    image_net,
+    nerf_net,
+    spectrogram_net,
+)
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.workspace.layout import MODALITIES
 
@@ -152,11 +158,7 @@ def _audio(part: ReleasedDict, frame: Frame) -> ReleasedSpectrogram | ReleasedGa
 
 
 def _touch(
-    part: ReleasedDict,
-    frame: Frame,
-    bounds: np.ndarray | None,
-    sensor: SensorProfile,
-    gel: np.ndarray | None,
+    part: ReleasedDict, frame: Frame, bounds: np.ndarray | None, sensor: SensorProfile, gel: np.ndarray | None
 ) -> ReleasedImage | ReleasedDepth:
     if "xyz_min" in part or "xyz_max" in part:
         return depth_net(part, frame, sensor, gel)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.engine.costs import recall_costs
+from objectfolder.engine.records import recall_costs
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.modal import uncertainty_warning
 from objectfolder.io import file_digest, read_json, read_npz

@@ -11,13 +11,13 @@ from ruamel.yaml import YAML
 from objectfolder.io import write_text
 from objectfolder.locks import exclusive
 from objectfolder.workspace.params import read
-from objectfolder.yamlfile import checked_yaml
+from objectfolder.yamlfile import check_yaml
 
 
 def editable(path: Path) -> tuple[Any, dict[str, Any]]:
     """Read ``params.yaml`` twice: as a document that keeps comments and order, and as plain values."""
     values = read(path)
-    document = YAML().load(checked_yaml(path))
+    document = YAML().load(check_yaml(path))
     for group in ("objects", "procedural"):
         if not values[group]:
             document[group].fa.set_block_style()  # else all that is added would be on one line

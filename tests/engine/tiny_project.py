@@ -230,28 +230,16 @@ def parameters() -> dict[Names, list[Any]]:
 
 @dataclass(frozen=True)
 class Sources:
-    """All that the outputs depend on.
+    """All that the outputs depend on."""
 
-    Parameters
-    ----------
-    versions, prose : dict of str to str
-        Statement and docstring of every stage and library module.
-    values : dict
-        params.yaml.
-    profiles : dict of str to str
-        Content of the sensors' files.
-    mesh : str
-        Content of the tracked mesh.
-    keys : tuple of str
-        Objects in params.yaml.
-    """
-
+    #: Statement and docstring of every stage and library module.
     versions: dict[str, str] = field(default_factory=lambda: dict.fromkeys((*STAGES, *LIBRARY), "1"))
     prose: dict[str, str] = field(default_factory=lambda: dict.fromkeys((*STAGES, *LIBRARY), "1"))
-    values: dict[str, Any] = field(default_factory=start)
+    values: dict[str, Any] = field(default_factory=start)  #: params.yaml
+    #: Content of the sensors' files.
     profiles: dict[str, str] = field(default_factory=lambda: dict.fromkeys(PROFILES, "1"))
-    mesh: str = "mesh 1"
-    keys: tuple[str, ...] = KEYS
+    mesh: str = "mesh 1"  #: content of the tracked mesh
+    keys: tuple[str, ...] = KEYS  #: objects in params.yaml
 
     def with_one(self, name: str, key: str, value: str) -> "Sources":
         """Copy with another value of one entry of a mapping."""
@@ -345,7 +333,7 @@ def make_workspace(root: Path, texts: dict[str, str]) -> None:
     shutil.copy(ROOT / ".dvcignore", root)
     shutil.copy(ROOT / ".gitignore", root)
     texts = dict(texts)
-    for name in ("errors", "workspace/code_digests", "workspace/installed", "workspace/layout"):
+    for name in ("errors", "text", "workspace/code_digests", "workspace/installed", "workspace/layout"):
         texts[f"objectfolder/{name}.py"] = (ROOT / "objectfolder" / f"{name}.py").read_text()
     texts["stages/hash_code.py"] = (ROOT / "stages/hash_code.py").read_text()
     texts |= {"objectfolder/__init__.py": "", "objectfolder/workspace/__init__.py": ""}

@@ -6,7 +6,7 @@ import pytest
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.catalogue import read_catalogue
-from objectfolder.fetch.local import find_local
+from objectfolder.fetch.files import find_local
 
 OTHERS = ("024_bowl", "Barrel_02", "notes.txt", ".hidden", "025_mug.png", "gso_mug_white")
 

@@ -20,10 +20,8 @@ from objectfolder.nets.touch_image_training import train_image
 from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_osf_training import train_osf
-from objectfolder.released.audio import gains_net, spectrogram_net
 from objectfolder.released.checkpoint import read_released
-from objectfolder.released.touch import depth_net, image_net
-from objectfolder.released.vision import configured_net
+from objectfolder.released.nets import configured_net, depth_net, gains_net, image_net, spectrogram_net
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, look_at
 

@@ -12,16 +12,15 @@ import pytest
 from objectfolder import Dataset
 from objectfolder.benchmarks.collect import load_object_files
 from objectfolder.cli import app
-from objectfolder.engine.costs import record_cost
-from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import CommandResult
+from objectfolder.engine.records import LOGS, record_cost
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, write_json
 from objectfolder.objectfile.dataset import COLUMNS
 from objectfolder.objectfile.samples import sample_path
 from objectfolder.release.croissant import croissant
 from objectfolder.release.notices import read_notice
-from objectfolder.release.words import Words
+from objectfolder.release.pages import Words
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 

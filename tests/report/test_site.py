@@ -15,9 +15,8 @@ import soundfile
 from PIL import Image
 
 from objectfolder.cli import app
-from objectfolder.engine.costs import record_cost
-from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import CommandResult
+from objectfolder.engine.records import LOGS, record_cost
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, read_json, read_npz, write_json, write_npz
 from objectfolder.objectfile.file import ObjectFile

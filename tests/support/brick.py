@@ -77,11 +77,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     feel_config = {"sensor": profile.to_dict(), "depth_offset": 0.0, "renderer": "gel", "smoothing": 0}
     header, tensors = pack_object_file(
         "brick",
-        {
-            "material": "plastic",
-            "material_properties": material("plastic").properties(),
-            "scale_m": scale,
-        },
+        {"material": "plastic", "material_properties": material("plastic").properties(), "scale_m": scale},
         {
             **{"source_centre": [0, 0, 0], "source_size": 1.0, "source_up": "z"},
             "solid": mass_properties(solid),
@@ -90,10 +86,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         {
             "vision": (look_tensors, {"kind": "surface", "net": look_config}),
             "audio": (sound_tensors, {"kind": "gains", "net": sound_config, "band_hz": band_hz}),
-            "touch": (
-                {},
-                {"kind": "geometric", "net": feel_config},
-            ),
+            "touch": ({}, {"kind": "geometric", "net": feel_config}),
         },
         {"sdf": "0" * 64},
         stored_radiation(sound_field, surface, scale, 56000),

@@ -91,10 +91,7 @@ CASES = {
 def digests(collection: str) -> dict[str, str]:
     """Generate objects and return the digests of their files.
 
-    Parameters
-    ----------
-    collection : {"generators", "cases", "catalogue"}
-        The first case of each generator, all cases, or the objects of the catalogues.
+    ``collection``: the first case of each generator, all cases, or the objects of the catalogues.
     """
     cases = CASES
     if collection == "generators":

@@ -10,7 +10,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from objectfolder.cli import app
-from objectfolder.engine.dvc.start import start_repository
+from objectfolder.engine.dvc.repository import start_repository
 from objectfolder.engine.status import Outlook, status
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import requirement

@@ -203,7 +203,7 @@ def test_separate_boards_overlap_and_unite_to_the_joined_case():
     assert welded(boards).body_count == 2 + 2 + 1 + 2 + 2  # sides, levels, back, doors, knobs
     assert welded(boards).volume > 1.01 * welded(joined).volume
     united = normalize(boards, "case").surface
-    assert united.rung == "union"
+    assert united.last_step == "union"
     np.testing.assert_allclose(boards.bounds, joined.bounds, atol=1e-12)
     size = np.ptp(boards.bounds, axis=0).max()
     assert united.volume * size**3 == pytest.approx(welded(joined).volume, rel=1e-6)

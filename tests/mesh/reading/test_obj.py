@@ -55,7 +55,7 @@ def test_a_concave_polygon_is_covered_once(tmp_path, form):
         (part,) = read_obj(tmp_path / "m.obj").parts
         np.testing.assert_allclose(part.uv, part.vertices[:, :2] + part.vertices[:, 2:])
     solid = normalize(mesh).surface
-    assert solid.rung == "keep"
+    assert solid.last_step == "keep"
     assert solid.volume == pytest.approx(VOLUME / 27)
 
 
