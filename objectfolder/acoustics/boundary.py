@@ -39,18 +39,9 @@ class _Near:
 
 
 class Boundary:
-    """Closed surface of triangles, outward.
+    """Closed surface of triangles, outward: vertices (V, 3), metres, and faces (N, 3).
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Metres.
-    faces : (N, 3) int array
-
-    Attributes
-    ----------
-    mean_edge : float
-        Edge of an equilateral triangle of mean area, metres.
+    ``mean_edge`` is the edge of an equilateral triangle of mean area, metres.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
@@ -70,20 +61,10 @@ class Boundary:
         return len(self.triangles.area)
 
     def pressure(self, wavenumber: float, slopes: np.ndarray) -> np.ndarray:
-        """Solve for the pressure on the surface.
+        """Solve for the pressure at a wavenumber, 1/m: means over the triangles, Pa, (N, M) complex64.
 
-        Parameters
-        ----------
-        wavenumber : float
-            1/m.
-        slopes : (N, M) array
-            Outward derivative of the pressure, Pa/m, of each triangle: minus the density of air times the
-            outward acceleration.
-
-        Returns
-        -------
-        (N, M) complex64
-            Means over the triangles, Pa.
+        Slopes (N, M) are the outward derivative of the pressure, Pa/m, of each triangle: minus the density of
+        air times the outward acceleration.
         """
         matrix, right = self.system(wavenumber, slopes)
         factors = lu_factor(matrix, overwrite_a=True, check_finite=False)

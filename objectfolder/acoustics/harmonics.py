@@ -73,14 +73,7 @@ def outgoing(order: int, z: np.ndarray) -> np.ndarray:
 
 
 class Radiator:
-    """Map from the field on a surface to the harmonics of the sound that it sends out.
-
-    Parameters
-    ----------
-    triangles : Triangles
-    order : int
-        Highest degree of the harmonics.
-    """
+    """Map from the field on a surface to the harmonics, up to an order, of the sound that it sends out."""
 
     def __init__(self, triangles: Triangles, order: int):
         self.order = order

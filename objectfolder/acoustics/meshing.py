@@ -17,22 +17,12 @@ _RIDGE = 1e-3  # share of the neighbours' spread that keeps slopes across flat n
 
 
 def even_surface(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> Mesh:
-    """Remesh a closed surface with triangles of about one size, smaller where it bends.
+    """Remesh a closed surface with about so many triangles of one size, smaller where it bends.
 
     Long edges are split, then the shortest are collapsed, and vertices return to the surface. Lengths are
     those in the space of positions and normals (Levy and Bonneel, International Meshing Roundtable 21, 2012),
-    so that rims of walls, from which much of the sound comes, keep their shape.
-
-    Parameters
-    ----------
-    vertices, faces : (V, 3) and (F, 3) arrays
-    triangles : int
-        Number to aim at. A surface with many pieces or holes may need more.
-
-    Raises
-    ------
-    ObjectFolderError
-        If nothing of the surface is left.
+    so that rims of walls, from which much of the sound comes, keep their shape. A surface with many pieces or
+    holes may need more triangles. Raises ObjectFolderError if nothing of the surface is left.
     """
     edge = np.sqrt(face_areas(vertices, faces).sum() / triangles * 4 / np.sqrt(3))
     fine = finer_surface(vertices, faces, _FINER * edge)
@@ -58,18 +48,7 @@ def finer_surface(vertices: np.ndarray, faces: np.ndarray, edge: float) -> Mesh:
 
 
 def interpolated(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Interpolate values known at scattered points by moving least squares with linear functions.
-
-    Parameters
-    ----------
-    points : (P, 3) array
-    values : (P, K) array
-    places : (N, 3) array
-
-    Returns
-    -------
-    (N, K) array
-    """
+    """Interpolate values (P, K) at points (P, 3) by moving least squares with linear functions; (N, K)."""
     distance, rows = cKDTree(points).query(places, k=min(_NEIGHBOURS, len(points)))
     reach = distance[:, -1:] + 1e-12
     weight = np.maximum(1 - (distance / reach) ** 2, 0) ** 2 + 1e-6

@@ -33,28 +33,13 @@ def radiate(
     triangles: int,
     fewest: int = FEWEST,
 ) -> FarField:
-    """Compute the far field of each mode.
+    """Compute the far field of each mode, per unit of modal acceleration: Pa m / (m kg^1/2 / s^2).
 
-    Parameters
-    ----------
-    surface : (V, 3) and (F, 3) arrays
-        Closed, metres, object frame. Cavities send nothing out, and are left out: the air in one is a
-        problem of its own, with resonances that the boundary elements would see.
-    points : (P, 3) array
-        Near the surface, metres.
-    shapes : (P, 3, M) array
-        Mass-normalised mode shapes at the points, kg^-1/2.
-    frequencies : (M,) array
-        Angular, rad/s.
-    triangles : int
-        At most, of the surfaces on which modes are solved; see `even_surface`.
-    fewest : int
-        Triangles under which modes of long waves, which take a half or a quarter of them, do not go.
-
-    Returns
-    -------
-    FarField
-        Per unit of modal acceleration: pressure times distance, Pa m / (m kg^1/2 / s^2).
+    The surface, (V, 3) and (F, 3), is closed, metres, object frame. Cavities send nothing out, and are left
+    out: the air in one is a problem of its own, with resonances that the boundary elements would see.
+    Mass-normalised mode shapes (P, 3, M), kg^-1/2, are known at points (P, 3) near the surface, metres;
+    frequencies (M,) are angular, rad/s. Modes are solved on surfaces of at most so many triangles, see
+    `even_surface`; those of long waves on a half or a quarter of them, but not fewer than ``fewest``.
     """
     surface = outer_shells(*surface)
     radius = float(np.linalg.norm(surface[0], axis=1).max(initial=0))
@@ -146,15 +131,7 @@ def stored_radiation(
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return tensors and header of what an Object File stores of an object's radiation.
 
-    Parameters
-    ----------
-    field : FarField
-    surface : (V, 3) and (F, 3) arrays
-        Metres.
-    scale : float
-        Longest side, metres.
-    limit : int
-        Bytes.
+    The surface, (V, 3) and (F, 3), and the longest side, ``scale``, are in metres, the limit in bytes.
     """
     recoil = Recoil.of(surface[0], 1.0)
     header = {

@@ -15,28 +15,9 @@ KEPT = 1 << 27  # bytes; larger responses are recomputed for every block of soun
 class Bank:
     """Responses of modes to unit impulses, without modes at or above half the sample rate, which would alias.
 
-    Parameters
-    ----------
-    tuning : Tuning
-        Modes of the object.
-    sample_rate, duration, response, contact_time
-        See `objectfolder.audio.synthesis.sinusoid_bank`.
-    device : torch.device, optional
-        Device that mixes the sounds.
-    phases : bool
-        Whether gains are complex.
-
-    Attributes
-    ----------
-    heard : (H,) int64 tensor
-        Indices of the tuning's modes below half the sample rate.
-    sample_rate : float
-    samples : int
-
-    Raises
-    ------
-    ObjectFolderError
-        As `objectfolder.audio.synthesis.sinusoid_bank`.
+    Sounds are mixed on a device; with ``phases``, gains are complex. ``heard`` (H,) int64 holds the indices
+    of the tuning's modes below half the sample rate. Other parameters, and errors, are those of
+    `objectfolder.audio.synthesis.sinusoid_bank`.
     """
 
     def __init__(

@@ -46,14 +46,7 @@ class Recoil:
 def added_mass(half: np.ndarray) -> np.ndarray:
     """Return the mass of fluid that moves with an ellipsoid along each axis, over that which it displaces.
 
-    Parameters
-    ----------
-    half : (3,) array
-        Semi-axes.
-
-    Notes
-    -----
-    Lamb, Hydrodynamics, section 114; 1/2 for a sphere.
+    Of its semi-axes (3,): Lamb, Hydrodynamics, section 114; 1/2 for a sphere.
     """
     from scipy.special import elliprd  # loading it takes a fifth of a second, which queries need not wait
 
@@ -71,34 +64,16 @@ def recoil_pressure(
     contact_time: float,
     delay: bool = False,
 ) -> np.ndarray:
-    """Compute the sound pressure of the recoils of impulses, in pascals.
+    """Compute the sound pressure of the recoils of impulses, in pascals; (N, samples) float32.
 
-    Parameters
-    ----------
-    body : Recoil
-    impulses : (N, 3) array
-        N s.
-    listeners : (N, 3) array
-        Object frame, metres; outside the body.
-    sample_rate : float
-        Hz.
-    samples : int
-    contact_time : float
-        Duration of the strikes, half sines of force; seconds.
-    delay : bool
-        Whether sounds start when they reach the listener, rather than with the contact.
-
-    Returns
-    -------
-    (N, samples) float32
-
-    Notes
-    -----
     A sphere of radius a that accelerates by A(t) gives, at distance r and angle theta to the motion,
 
         p = rho a^3 / r^2 cos(theta) (c / a)^2 (y + r / c y'),    y'' + 2 (c / a) y' + 2 (c / a)^2 y = A
 
     from the time at which sound leaves the nearest point of its surface: the recoil is one more damped mode.
+    Impulses (N, 3), N s, are half sines of force over the contact time, seconds; listeners (N, 3), object
+    frame, metres, are outside the body. With ``delay``, sounds start when they reach the listener, rather
+    than with the contact.
     """
     away = np.asarray(listeners, np.float64) - body.centre
     distance = np.linalg.norm(away, axis=1)

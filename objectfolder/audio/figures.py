@@ -19,19 +19,10 @@ DYNAMIC_RANGE = 80.0  #: displayed range of a spectrogram, dB
 def show_spectrogram(
     axes: "Axes", sound: np.ndarray, title: str = "", peak: float | None = None
 ) -> "AxesImage | None":
-    """Show the spectrogram of a sound in decibels below its peak.
+    """Show the spectrogram of a sound (samples,) at `SAMPLE_RATE` in decibels below its peak.
 
-    Parameters
-    ----------
-    sound : (samples,) array at `SAMPLE_RATE`
-    title : str
-    peak : float, optional
-        Reference magnitude; default: the sound's own. If given, no colour bar is added: panels share one.
-
-    Returns
-    -------
-    AxesImage or None
-        None for a silent sound.
+    Given a reference magnitude as the peak, no colour bar is added: panels share one. Returns None for a
+    silent sound.
     """
     level = magnitudes(sound)
     axes.set(title=title, xlabel="time [s]", ylabel="frequency [kHz]")
@@ -57,13 +48,7 @@ def magnitudes(sound: np.ndarray) -> np.ndarray:
 def show_sounds(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
     """Fill a page with spectrograms: one column per sound; rows for ground truth, answer and difference.
 
-    Decibels are relative to the peak of the column's ground truth.
-
-    Parameters
-    ----------
-    truth, answers : (N, samples) arrays
-    titles : sequence of str
-        One per sound.
+    Sounds are (N, samples). Decibels are relative to the peak of the column's ground truth.
     """
     panels = figure.subplots(3, len(truth), sharex=True, sharey=True, squeeze=False)
     shown = None

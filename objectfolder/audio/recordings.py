@@ -39,10 +39,8 @@ USABLE = 0.45  #: of the sample rate: modes above are not looked for
 def read_recording(path: Path) -> tuple[np.ndarray, float]:
     """Read a recording: the loudest of its channels, full scale 1, and its sample rate in Hz.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is not an audio file, or is silent, clipped, not finite, too long, of a low rate or cut off.
+    Raises ObjectFolderError if it is not an audio file, or is silent, clipped, not finite, too long, of a low
+    rate or cut off.
     """
     with opened_sound(path) as file:
         rate, seconds = float(file.samplerate), file.frames / file.samplerate
@@ -66,12 +64,9 @@ def read_recording(path: Path) -> tuple[np.ndarray, float]:
 def opened_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
     """Open an audio file; its errors, also of what is done with it, become ObjectFolderError.
 
-    A WAV file whose header has no sizes, as of a program that wrote to a pipe, goes on to its end.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it does not exist, cannot be read, or does not say how long it is; if an OGG file lacks its end.
+    A WAV file whose header has no sizes, as of a program that wrote to a pipe, goes on to its end. Raises
+    ObjectFolderError if it does not exist, cannot be read, or does not say how long it is; if an OGG file
+    lacks its end.
     """
     import soundfile
 
@@ -98,10 +93,7 @@ def opened_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
 def read_channels(file: "soundfile.SoundFile", path: Path, most: float = math.inf) -> np.ndarray:
     """Return the sound of an open file, (samples, channels), or its first ``most`` seconds.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it holds less than its header says.
+    Raises ObjectFolderError if it holds less than its header says.
     """
     import soundfile
 
@@ -177,10 +169,7 @@ def _sized(path: Path) -> io.BytesIO | None:
 def loudest_channel(channels: np.ndarray, path: Path) -> np.ndarray:
     """Return the channel of a recording, (samples, channels), that has the highest peak; (samples,).
 
-    Raises
-    ------
-    ObjectFolderError
-        If a channel holds values that are not finite.
+    Raises ObjectFolderError if a channel holds values that are not finite.
     """
     peaks = np.abs(channels).max(0, initial=0)
     if not np.isfinite(peaks).all():
@@ -193,19 +182,10 @@ def loudest_channel(channels: np.ndarray, path: Path) -> np.ndarray:
 def at_one_rate(
     recordings: Sequence[tuple[np.ndarray, float]], names: Sequence[object] | None = None
 ) -> tuple[list[np.ndarray], float]:
-    """Resample recordings to the lowest of their rates.
+    """Resample recordings, (samples,) of a rate in Hz each, to the lowest of their rates.
 
-    Parameters
-    ----------
-    recordings : sequence of ((samples,) array, float)
-        Sounds and their sample rates, Hz.
-    names : sequence, optional
-        Names of the recordings in error messages.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the rates differ so much that high modes would be lost.
+    Raises ObjectFolderError, with the names of the recordings, if the rates differ so much that high modes
+    would be lost.
     """
     names = names or [f"recording {i}" for i in range(1, len(recordings) + 1)]
     rates = [rate for _, rate in recordings]

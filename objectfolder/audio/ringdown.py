@@ -40,17 +40,11 @@ class Ringdown:
 
 
 def strikes(sound: np.ndarray, rate: float) -> list[np.ndarray]:
-    """Cut a recording into taps, each from shortly after its strike to the next or the end.
+    """Cut a recording (samples,) into taps, each from shortly after its strike to the next or the end.
 
     A strike is where the power of a millisecond, above 200 Hz, exceeds ten times that of each of the 20
     before it, and a thousandth of the largest. Before the recording is what is at its end. A tap shorter than
     0.3 s, such as the click of a recorder that is switched off, is left out.
-
-    Parameters
-    ----------
-    sound : (samples,) array
-    rate : float
-        Hz.
     """
     shortest, longest, skipped = (round(seconds * rate) for seconds in (SHORTEST, LONGEST, START))
     if len(sound) < shortest:
@@ -76,15 +70,7 @@ def ringdown(
     decimated; their damped exponentials are the eigenvalues that shift the signal subspace of their Hankel
     matrices (ESPRIT: Roy and Kailath 1989; Laroche 1993, for percussion). Modes a few hertz apart, such as
     the pairs of round objects, are told from each other, because their mix differs from tap to tap.
-
-    Parameters
-    ----------
-    taps : sequence of (samples,) arrays
-        From `strikes`.
-    rate : float
-        Hz.
-    lowest, highest : float
-        Range of frequencies, Hz; up to 0.45 of the rate by default.
+    Frequencies are from the lowest to the highest, Hz; up to 0.45 of the rate by default.
     """
     limit = USABLE * rate if highest is None else min(highest, USABLE * rate)
     bands = [(centre, _band(taps, rate, centre)) for centre in _bands(taps, rate, lowest, limit)]

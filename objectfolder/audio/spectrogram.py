@@ -13,10 +13,7 @@ SHAPE = (FFT // 2 + 1, 1 + round(SAMPLE_RATE * DURATION) // HOP)  #: (257, 201):
 def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
     """Compute complex spectrograms; (N, samples) -> (N, 257, frames), 201 frames for two seconds.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the sounds are too short for one window.
+    Raises ObjectFolderError if the sounds are too short for one window.
     """
     if sounds.shape[-1] <= FFT // 2:
         raise ObjectFolderError(

@@ -37,19 +37,8 @@ def adaptive_cut_cells(
 ) -> CutCells:
     """Cut a surface at the finest listed resolution whose model stays within a size limit.
 
-    Blocky solids fill the grid and get a coarser one. The coarsest resolution has no size limit.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolutions : list of int
-        Finest first.
-    subdivisions : int
-        Sub-cells along each side of a cell, at least 4.
-    max_degrees_of_freedom : int
-    name : str
-        Name of the object in errors.
+    Blocky solids fill the grid and get a coarser one. Resolutions are listed finest first; the coarsest has
+    no size limit. Other parameters are those of `cut_cells`.
     """
     least = _least_unknowns(vertices, faces)
     for resolution in resolutions:
@@ -71,24 +60,12 @@ def refined(
 ) -> Discretisation:
     """Cut a solid on finer grids until the estimated error of its lowest frequencies is accepted.
 
-    Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of
-    the cells' size, or to the finest one within the size limit. Where that is too coarse by more than
-    ``_REACH`` and most of the solid is bulk, cells get several sizes (`objectfolder.fem.local`). An
-    estimate may be a third of the error; so where it is accepted, grids go on to a third of it while they
-    stay small.
-
-    Parameters
-    ----------
-    solid : Solid
-        Elements other than cut cells are returned unchanged.
-    surface : (V, 3) and (F, 3) arrays, unit frame
-        Surface of the solid.
-    fine : FineGrids
-    material : Material
-    scale : float
-        Longest side, metres.
-    name : str
-        Name of the object in errors.
+    Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of the
+    cells' size, or to the finest one within the size limit. Where that is too coarse by more than ``_REACH``
+    and most of the solid is bulk, cells get several sizes (`objectfolder.fem.local`). An estimate may be a
+    third of the error; so where it is accepted, grids go on to a third of it while they stay small. Elements
+    other than cut cells are returned unchanged. The surface is in the unit frame, the longest side,
+    ``scale``, in metres.
     """
     candidate = Discretisation(solid, material, scale)
     if not isinstance(solid, CutCells):

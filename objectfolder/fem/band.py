@@ -12,22 +12,9 @@ def solved_band(data: ModalData, material: Material, max_frequency: float, max_m
     """Return the band of natural frequencies in Hz in which no mode of the object is missing.
 
     `objectfolder.audio.tuning` rescales the modes to other materials and sizes of the same shape; the
-    rescaled band bounds the frequencies for which that is valid.
-
-    Parameters
-    ----------
-    data : ModalData
-    material : Material
-        Material of the object.
-    max_frequency : float
-        Upper limit of the solve, Hz.
-    max_modes : int
-        Maximum number of modes kept.
-
-    Returns
-    -------
-    list of float
-        Lower and upper end; equal if the band is empty. The lower end is 0 only if no mode was dropped.
+    rescaled band bounds the frequencies for which that is valid. The solve had an upper limit, Hz, and a
+    greatest number of modes. Both ends are equal if the band is empty; the lower is 0 only if no mode was
+    dropped.
     """
     top = max_frequency
     if data.report["truncated"]:

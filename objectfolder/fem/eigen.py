@@ -37,12 +37,7 @@ class Modes:
 
 
 class FreeVibration:
-    """Eigenproblem of a free solid; its factorised K - sigma M serves rough and exact solves alike.
-
-    Parameters
-    ----------
-    fem : FiniteElements
-    """
+    """Eigenproblem of a free solid; its factorised K - sigma M serves rough and exact solves alike."""
 
     def __init__(self, fem: FiniteElements):
         self.fem = fem
@@ -72,16 +67,8 @@ class FreeVibration:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute the lowest elastic modes to a relative residual, uncertified.
 
-        Parameters
-        ----------
-        wanted : callable
-            Maps the eigenvalues found so far, ascending, to the number of modes that must converge.
-        tolerance : float
-
-        Returns
-        -------
-        values : (k,) array, rad^2/s^2
-        vectors : (3N, k) array, mass-normalised
+        ``wanted`` maps the eigenvalues found so far, ascending, to the number of modes that must converge.
+        Returns eigenvalues (k,), rad^2/s^2, and mass-normalised vectors (3N, k).
         """
         fem = self.fem
         return lowest_modes(
@@ -130,23 +117,10 @@ class FreeVibration:
 
 
 def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
-    """Find the elastic modes below a frequency.
+    """Find the elastic modes below a frequency, Hz, at most so many, lowest first.
 
-    Parameters
-    ----------
-    fem : FiniteElements
-    max_frequency : float
-        Hz.
-    max_modes : int
-        Maximum number of modes to keep, lowest first.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the solid has more than six rigid modes (it is not one connected piece), or the solver misses
-        modes.
+    Raises ObjectFolderError, with the object's name, if the solid has more than six rigid modes (it is not
+    one connected piece), or the solver misses modes.
     """
     return FreeVibration(fem).modes_below(max_frequency, max_modes, name)
 

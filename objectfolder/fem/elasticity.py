@@ -104,19 +104,10 @@ def strain_displacement(gradients: np.ndarray) -> np.ndarray:
 
 
 def upper_blocks(matrices: np.ndarray, size: int) -> np.ndarray:
-    """Take the blocks on and above the diagonal of symmetric element matrices.
+    """Take the blocks on and above the diagonal of symmetric element matrices; (..., P size^2).
 
-    Parameters
-    ----------
-    matrices : (..., n size, n size) array
-        Of elements with n nodes.
-    size : int
-        Unknowns per node.
-
-    Returns
-    -------
-    (..., P size^2) array
-        P = n (n + 1) / 2 blocks of pairs of nodes, in the order of `numpy.triu_indices`.
+    Matrices (..., n size, n size) of elements with n nodes and ``size`` unknowns per node have P = n (n + 1)
+    / 2 blocks of pairs of nodes, in the order of `numpy.triu_indices`.
     """
     lead, n = matrices.shape[:-2], matrices.shape[-1] // size
     own, other = np.triu_indices(n)
@@ -125,16 +116,9 @@ def upper_blocks(matrices: np.ndarray, size: int) -> np.ndarray:
 
 
 def scatter(blocks: np.ndarray, connectivity: np.ndarray, nodes: int) -> sp.csr_matrix:
-    """Sum element matrices into one symmetric sparse matrix.
+    """Sum element matrices, given by their `upper_blocks` (E, P size^2), into one symmetric sparse matrix.
 
-    Parameters
-    ----------
-    blocks : (E, P size^2) array
-        Their `upper_blocks`.
-    connectivity : (E, n) int array
-        Nodes of each element.
-    nodes : int
-        Number of all nodes.
+    Connectivity (E, n) holds the nodes of each element, of all the nodes.
     """
     own, other = (connectivity[:, side].ravel() for side in np.triu_indices(connectivity.shape[1]))
     blocks = blocks.reshape(len(own), -1)

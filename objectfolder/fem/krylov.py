@@ -31,32 +31,13 @@ def lowest_modes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the lowest eigenpairs of K u = lambda M u other than the deflated ones.
 
-    Parameters
-    ----------
-    stiffness : (3N, 3N) sparse
-        K.
-    nodal_mass : (N, N) sparse
-        M is its Kronecker product with the identity.
-    solve : callable
-        Applies (K - shift M)^-1 to (3N, b) columns.
-    shift : float
-        Below every eigenvalue; the lowest modes are the most accurate.
-    deflated : (3N, R) array
-        Known eigenvectors, M-orthonormal.
-    wanted : callable
-        Maps ascending Ritz values to the number of lowest ones that must converge.
-    tolerance : float
-        Relative residual of a Ritz pair of the inverse.
+    K is (3N, 3N); M the Kronecker product of the nodal mass (N, N) with the identity. ``solve`` applies (K -
+    shift M)^-1 to (3N, b) columns; the shift is below every eigenvalue, and the lowest modes are the most
+    accurate. Deflated are known M-orthonormal eigenvectors (3N, R). ``wanted`` maps ascending Ritz values to
+    the number of lowest ones that must converge, up to a relative residual of the inverse.
 
-    Returns
-    -------
-    values : (k,) array, ascending
-    vectors : (3N, k) array, M-orthonormal
-
-    Raises
-    ------
-    ObjectFolderError
-        If the modes do not converge.
+    Returns ascending values (k,) and M-orthonormal vectors (3N, k). Raises ObjectFolderError if the modes do
+    not converge.
     """
     size, known = deflated.shape
     target = wanted(np.empty(0))
@@ -118,12 +99,9 @@ def _orthonormal(
 ) -> tuple[np.ndarray, ...]:
     """Decompose columns by an M-orthonormal basis: vectors = basis @ inside + new @ beyond.
 
-    In exact arithmetic only the last ``recent`` basis vectors have non-zero coefficients; rounding leaves
-    so little of the others that one pass over all of them suffices.
-
-    Returns
-    -------
-    new, pushed, inside, beyond : ``pushed`` is the product of M and ``new``
+    In exact arithmetic only the last ``recent`` basis vectors have non-zero coefficients; rounding leaves so
+    little of the others that one pass over all of them suffices. Returns new, pushed (M times new), inside
+    and beyond.
     """
     inside, beyond = np.zeros((basis.shape[1], vectors.shape[1])), np.eye(vectors.shape[1])
     for first in (max(basis.shape[1] - recent, 0), 0):

@@ -54,12 +54,8 @@ class Levels:
     def mesh(self, divided: Sequence[np.ndarray], coarser: CutCells | None = None) -> MixedCells:
         """Build the elements that are not divided and lie in no element that is not divided.
 
-        Parameters
-        ----------
-        divided : list of (E,) bool arrays
-            For every level, whether each of its elements is divided; none of the finest is.
-        coarser : CutCells, optional
-            The same solid in larger elements.
+        ``divided`` says for every level whether each of its elements is (E,); none of the finest is.
+        ``coarser`` is the same solid in larger elements.
         """
         level, element = self.leaves(divided)
         used = [own == k for k, own in enumerate(level)]

@@ -26,19 +26,11 @@ def locally_refined(
 ) -> Discretisation | None:
     """Choose the sizes of cells within a size limit; None if the solid has no two coarse grids.
 
-    Modes are solved on the finest uniform grid within 30 % of the limit, and on its half. Where the energy
-    of a block differs between the two, small cells matter: the difference is what dividing the block is
-    worth, and each further division is worth less by the power ``ORDER`` of the cells' size. Elements are
-    divided in order of this worth until the limit is reached. Full elements are never divided.
-
-    Parameters
-    ----------
-    finest : CutCells
-        Cells of the finest size, not merged.
-    max_degrees_of_freedom : int
-    material : Material
-    scale : float
-        Longest side, metres.
+    Modes are solved on the finest uniform grid within 30 % of the limit, and on its half. Where the energy of
+    a block differs between the two, small cells matter: the difference is what dividing the block is worth,
+    and each further division is worth less by the power ``ORDER`` of the cells' size. Elements are divided in
+    order of this worth until the limit is reached. Full elements are never divided. ``finest`` are cells of
+    the finest size, not merged; the longest side, ``scale``, is in metres.
     """
     levels = Levels.of(finest, LEVELS)
     start = next(

@@ -50,27 +50,11 @@ def modal_analysis(
     name: str = "object",
     wall: float = np.inf,
 ) -> ModalData:
-    """Compute the modes of a solid and evaluate them at points.
+    """Compute the modes of a solid and evaluate them at points (P, 3), unit frame.
 
-    Parameters
-    ----------
-    cells : Solid
-    points : (P, 3) array, unit frame
-    material : Material
-    scale : float
-        Longest side, metres.
-    max_frequency : float
-        Hz.
-    max_modes : int
-    name : str
-        Name of the object in errors.
-    wall : float
-        Wall thickness, unit frame; the highest resolved frequency depends on it.
-
-    Notes
-    -----
     A mode decays with rate c (`Material.damping`) and rings at sqrt(lambda - c^2). Overdamped and inaudible
-    modes are dropped.
+    modes are dropped. The longest side, ``scale``, is in metres, the limit of frequencies in Hz; the
+    thickness of the wall, unit frame, limits the highest resolved frequency.
     """
     candidate = Discretisation(cells, material, scale)
     return _modes_at(candidate, points, max_frequency, max_modes, name, wall)
@@ -140,15 +124,7 @@ def refined_analysis(
 ) -> ModalData:
     """Compute modes as `modal_analysis`, on a finer grid if `objectfolder.fem.adaptive.refined` chooses one.
 
-    Parameters
-    ----------
-    solid : Solid
-        Solid on the first grid.
-    surface : (V, 3) and (F, 3) arrays, unit frame
-        Surface of the solid.
-    fine : FineGrids
-    points, material, scale, max_frequency, max_modes, name
-        See `modal_analysis`.
+    The solid is on the first grid; its surface is (V, 3), unit frame, and (F, 3).
     """
     candidate = refined(solid, surface, fine, material, scale, name)
     return _modes_at(candidate, points, max_frequency, max_modes, name, wall_thickness(*surface))
@@ -157,16 +133,7 @@ def refined_analysis(
 def shape_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Choose the points at which shapes are stored: vertices, at most `MAX_VERTICES`, then random points.
 
-    Parameters
-    ----------
-    vertices, faces : (V, 3) and (F, 3) arrays
-    count : int
-        Random points, uniform by area.
-    rng : Generator
-
-    Returns
-    -------
-    (min(V, `MAX_VERTICES`) + count, 3) array
+    Returns (min(V, `MAX_VERTICES`) + count, 3): so many random points, uniform by area.
     """
     if len(vertices) > MAX_VERTICES:
         kept = vertices[np.sort(rng.choice(len(vertices), MAX_VERTICES, replace=False))]
@@ -179,21 +146,8 @@ def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object
     """Describe an estimated error of the lowest frequencies above `CERTAIN`; None below.
 
     Cut cells whose error cannot be estimated, since half of their grid falls apart, count as above `REFUSED`.
-    Other elements have no estimates.
-
-    Parameters
-    ----------
-    report : dict
-        Content of ``modal.json``.
-    allow : bool
-        Whether an error above `REFUSED` is accepted, too.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the error exceeds `REFUSED`, or is not known, and is not allowed.
+    Other elements have no estimates. The report is the content of ``modal.json``. Raises ObjectFolderError,
+    with the object's name, if the error exceeds `REFUSED`, or is not known, and is not allowed.
     """
     error, grid = report["frequency_uncertainty"], f"{report['resolution']}^3"
     if error is None:

@@ -8,27 +8,10 @@ MAX_DROPPED = 0.05  #: accepted volume fraction outside the main piece
 
 
 def main_piece(piece: np.ndarray, volume: np.ndarray, name: str) -> tuple[np.ndarray, float]:
-    """Keep the largest piece of a solid.
+    """Keep the largest connected piece of a solid: which elements (E,), and the dropped volume fraction.
 
-    Parameters
-    ----------
-    piece : (E,) int array
-        Connected piece of each element.
-    volume : (E,) array
-        Volume of each element.
-    name : str
-        Name of the object in errors.
-
-    Returns
-    -------
-    keep : (E,) bool
-    dropped : float
-        Dropped volume fraction.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the other pieces hold more than `MAX_DROPPED` of the volume.
+    Takes the piece of each element (E,) and its volume (E,). Raises ObjectFolderError, with the object's
+    name, if the other pieces hold more than `MAX_DROPPED` of the volume.
     """
     volumes = np.bincount(piece, weights=volume)
     share = np.sort(volumes / volumes.sum())[::-1]

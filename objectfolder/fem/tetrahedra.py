@@ -112,21 +112,10 @@ class Tetrahedra:
 
 
 def tetrahedra(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> Tetrahedra:
-    """Fill a closed surface with tetrahedra.
+    """Fill a closed surface, (V, 3) in the unit frame and (F, 3), with tetrahedra.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolution : int
-        Longest side divided by the edge length.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If pytetwild is not installed, or the solid is in several pieces.
+    The resolution is the longest side divided by the edge length. Raises ObjectFolderError, with the object's
+    name, if pytetwild is not installed, or the solid is in several pieces.
     """
     try:
         import pytetwild

@@ -15,23 +15,9 @@ def supporting_pressure(
 ) -> np.ndarray:
     """Return the pressure on some pixels that moves them by given displacements, Pa; (H, W) float64.
 
-    Conjugate gradients with the preconditioner of `objectfolder.touch.gel`.
-
-    Parameters
-    ----------
-    displacement : (H, W) array, metres
-        Outside of the active pixels it does not count.
-    active : (H, W) bool array
-    pitch : float
-        Metres between pixels.
-    layer : Layer
-    accuracy : float
-        Greatest error of the displacement, relative to its greatest value.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the iteration does not converge.
+    Conjugate gradients with the preconditioner of `objectfolder.touch.gel`, to an accuracy relative to the
+    greatest displacement. Displacement (H, W), metres, counts at the active pixels (H, W) bool only; `pitch`
+    is metres between pixels. Raises ObjectFolderError if the iteration does not converge.
     """
     residual = np.where(active, displacement, 0.0).astype(np.float64)
     pressure, limit = np.zeros_like(residual), accuracy * np.abs(residual).max(initial=0)
@@ -56,27 +42,10 @@ def settle(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve a contact to rounding, from an approximate pressure, by a primal-dual active set method.
 
-    Hintermüller, Ito and Kunisch, SIAM Journal on Optimization 13, 2002.
-
-    Parameters
-    ----------
-    height : (H, W) array, metres
-        As of `objectfolder.touch.gel.indent`.
-    pressure : (H, W) array, Pa
-        Its support is the first guess of the pixels that touch.
-    pitch : float
-        Metres between pixels.
-    layer : Layer
-
-    Returns
-    -------
-    displacement : (H, W) float64, metres
-    pressure : (H, W) float64, Pa
-
-    Raises
-    ------
-    ObjectFolderError
-        If the set of touching pixels does not settle.
+    Hintermüller, Ito and Kunisch, SIAM Journal on Optimization 13, 2002. Takes heights (H, W) as of
+    `objectfolder.touch.gel.indent` and a pressure (H, W), Pa, whose support is the first guess of the pixels
+    that touch; returns displacement, metres, and pressure, Pa, (H, W) float64. Raises ObjectFolderError if
+    the set of touching pixels does not settle.
     """
     reachable = within_reach(height, layer.thickness)
     active = pressure > 0

@@ -17,15 +17,9 @@ _KEPT = 256  # displacements: a fit asks for those of all pictures, and changes 
 
 
 class BallModel:
-    """Changes of a sensor's picture by a ball, under lights of any strength.
+    """Changes of a sensor's picture by a ball of some radius, metres, under lights of any strength.
 
     A pose is an array of row and column of the ball's centre, in pixels, and its press depth, in metres.
-
-    Parameters
-    ----------
-    profile : SensorProfile
-    radius : float
-        Radius of the ball, metres.
     """
 
     def __init__(self, profile: SensorProfile, radius: float):

@@ -279,18 +279,7 @@ def _solve(
 def save_fit(fit: SensorFit, path: str | Path, name: str, source: str) -> list[Path]:
     """Write a fitted profile, its background (``_background.png``) and a report (``_report.json``).
 
-    Parameters
-    ----------
-    fit : SensorFit
-    path : str or Path
-        ``.yaml`` file of the profile.
-    name, source : str
-        Name of the new profile and source of its numbers.
-
-    Returns
-    -------
-    list of Path
-        The files written.
+    ``path`` is the ``.yaml`` file of the profile, ``source`` that of its numbers. Returns the files written.
     """
     from ruamel.yaml import YAML
 

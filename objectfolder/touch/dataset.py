@@ -25,18 +25,8 @@ def contact_places(
 ) -> list[tuple[np.ndarray, np.ndarray | None]]:
     """Choose the contact points of the three splits, and their normals if those are the mesh's.
 
-    Vertices are split 80/10/10.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    config : RenderTouchConfig
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    list of (N, 3) arrays, unit frame, each with (N, 3) unit vectors or None
+    Takes vertices (V, 3), unit frame, and faces (F, 3), and returns points (N, 3) and unit vectors (N, 3), or
+    None, of each split. Vertices are split 80/10/10.
     """
     counts = (config.train, config.val, config.test)
     if config.locations == "vertices":

@@ -35,17 +35,9 @@ class Imprint:
 def find_imprint(change: np.ndarray, name: str = "picture") -> tuple[float, float, float]:
     """Return row, column and radius, in pixels, of the round spot where a picture changes.
 
-    Parameters
-    ----------
-    change : (H, W, 3) float array
-        Difference to the untouched sensor.
-    name : str
-        Name of the picture in error messages.
-
-    Raises
-    ------
-    ObjectFolderError
-        If nothing stands out from the noise, or the spot is not round, too small or cut off by the border.
+    ``change`` (H, W, 3) is the difference to the untouched sensor, ``name`` that of the picture in errors.
+    Raises ObjectFolderError if nothing stands out from the noise, or the spot is not round, too small or cut
+    off by the border.
     """
     strength = np.linalg.norm(gaussian_filter(change, (1.5, 1.5, 0)), axis=2)
     noise = np.median(strength)

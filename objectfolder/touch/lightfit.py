@@ -90,16 +90,8 @@ def squared_error(
 ) -> float:
     """Return the mean squared error of a profile's images inside the discs, squared grey levels.
 
-    Gel and optics are those of the profile, without its optical blur.
-
-    Parameters
-    ----------
-    profile : SensorProfile
-    radius : float
-        Of the ball, metres.
-    untouched : (H, W, 3) array
-        Picture of the sensor at rest.
-    photographs : list of Photograph
+    Gel and optics are those of the profile, without its optical blur; the radius of the ball is in metres,
+    ``untouched`` (H, W, 3) the picture of the sensor at rest.
     """
     surface = _Surface(BallModel(profile, radius), untouched, photographs)
     return float(np.mean(surface.error(profile) ** 2))
@@ -110,21 +102,8 @@ def fit_lights(
 ) -> SensorProfile:
     """Fit places and colours of the lights, ambient light, roughness and gamma, for balls in known poses.
 
-    Least squares over the pixels of the discs, with pixel values cut off at 0 and 255 as a camera does.
-
-    Parameters
-    ----------
-    model : BallModel
-        Of the ball and the gel.
-    untouched : (H, W, 3) array
-    photographs : list of Photograph
-    start : SensorProfile
-        Its lights, ambient light, roughness and gamma are the start.
-
-    Returns
-    -------
-    SensorProfile
-        The start with what was fitted.
+    Least squares over the pixels of the discs, with pixel values cut off at 0 and 255 as a camera does, from
+    the values of ``start``, which is returned with what was fitted.
     """
     surface = _Surface(model, untouched, photographs)
     count = len(start.lights)

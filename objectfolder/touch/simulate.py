@@ -91,15 +91,10 @@ def touch_images(
     optics: Optics,
     scale: float = 1.0,
 ) -> tuple[np.ndarray, Contacts]:
-    """Press the sensor on an object and read its images, without noise.
+    """Press the sensor on an object and read its images (N, H, W, 3) uint8, without noise.
 
     Parameters are those of `heightmaps`; ``optics`` renders the same profile. Each row depends on its own
     contact only, to the bit.
-
-    Returns
-    -------
-    images : (N, H, W, 3) uint8, RGB
-    contacts : Contacts
     """
     contacts = press(caster, points, normals, angles, depths, profile, scale)
     return optics.render(torch.from_numpy(contacts.displacement)).numpy(), contacts

@@ -176,18 +176,9 @@ def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def compose(
     rendered: np.ndarray, empty: np.ndarray, background: np.ndarray, profile: SensorProfile
 ) -> np.ndarray:
-    """Compose TACTO's image from renderings with and without the object.
+    """Compose TACTO's image (H, W, 3) uint8, truncated as there, from renderings with and without the object.
 
-    Parameters
-    ----------
-    rendered, empty, background : (H, W, 3) arrays
-        0 to 255.
-    profile : SensorProfile
-        Gain and blur.
-
-    Returns
-    -------
-    (H, W, 3) uint8, truncated as in TACTO
+    All (H, W, 3), 0 to 255; gain and blur are the profile's.
     """
     change = torch.from_numpy((rendered.astype(np.float32) - empty) * profile.gain).permute(2, 0, 1)[None]
     blurred = blur(change, profile.image_smoothing / profile.pixel_pitch)[0].permute(1, 2, 0).numpy()

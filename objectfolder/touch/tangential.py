@@ -32,15 +32,9 @@ class Shears:
 def shear_compliance(layer: Layer, wavenumber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the tangential displacement of the surface per unit of a sinusoidal shear traction, m/Pa.
 
-    The first is that of tractions along the wave vector q, (1 - ν) / (G q) for short waves; the second of
-    those across it, tanh(q h) / (G q). Both are h / G for long ones. Linear elasticity of a layer bonded to
-    a rigid base, its surface free of pressure.
-
-    Parameters
-    ----------
-    layer : Layer
-    wavenumber : array
-        q, rad/m, zero or positive.
+    The first is that of tractions along the wave vector q, rad/m, (1 - ν) / (G q) for short waves; the second
+    of those across it, tanh(q h) / (G q). Both are h / G for long ones. Linear elasticity of a layer bonded
+    to a rigid base, its surface free of pressure.
     """
     nu, thickness = layer.poisson_ratio, layer.thickness
     shear_modulus = layer.young_modulus / (2 * (1 + nu))
@@ -84,23 +78,8 @@ def shear_contacts(
     (Goodman 1962). The press itself moves the surface sideways without friction. Images are halved until
     their shorter side has less than 80 pixels.
 
-    Parameters
-    ----------
-    pressure : (N, H, W) array
-        Pa, from `gel.deform`.
-    shear : (N, 2) array
-        Motion of the object against the sensor, along image right and image up, metres.
-    twist : (N,) array
-        Turn of the object about the optical axis, anticlockwise in the image, radians.
-    friction : (N,) array
-        Coefficients.
-    profile : SensorProfile
-        With a soft gel.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the gel is rigid, or a contact does not converge.
+    Pressure (N, H, W), Pa, is that of `gel.deform`; shear (N, 2), metres, twist (N,), radians, and friction
+    (N,) are those of `sheared`. Raises ObjectFolderError if the gel is rigid, or a contact does not converge.
     """
     if profile.gel == "rigid":
         raise ObjectFolderError(
@@ -159,17 +138,8 @@ def slide(
 ) -> np.ndarray:
     """Return the traction where a rigid object in frictional contact moves; (2, H, W) float32, Pa.
 
-    Projected gradients with the steps of Barzilai and Borwein (1988).
-
-    Parameters
-    ----------
-    pressure : (H, W) float32 array, Pa
-    motion : (2, H, W) float32 array
-        Of the object's points, metres, along image right and up.
-    friction : float
-    pitch : float
-        Metres between pixels.
-    layer : Layer
+    Projected gradients with the steps of Barzilai and Borwein (1988). Pressure (H, W), Pa, and the motion (2,
+    H, W) of the object's points, right and up in the image, metres, are float32.
     """
     traction = np.zeros_like(motion)
     rows, columns = (np.flatnonzero(pressure.any(axis=axis)) for axis in (1, 0))
@@ -285,16 +255,8 @@ def _compliances(
 ) -> tuple[np.ndarray, ...]:
     """Return the displacements of waves, right by right, right by up, and up by up; float32, m/Pa.
 
-    Parameters
-    ----------
-    rows, columns : int
-        Of the transforms. Where they are less than those of the whole image, the layer answers as there to
-        shifts up to half of them.
-    wholes : (int, int)
-        Rows and columns of the transforms of the whole image.
-    pitch : float
-        Metres between pixels.
-    layer : Layer
+    Where the rows and columns of the transforms are less than those of the whole image, ``wholes``, the layer
+    answers as there to shifts up to half of them.
     """
     vector = _wavenumbers(wholes[0], wholes[1], pitch)
     length = np.hypot(*vector)

@@ -87,16 +87,10 @@ def color_table(profile: SensorProfile, bins: int = BINS, sign: float = 1.0) -> 
 
     The bins of the first axis are those of the slope's angle, 0 to π/2 in bins - 1 steps; those of the second
     of its direction, atan2(∂h/∂row, ∂h/∂column), -π to π in bins - 1 steps, h being the height towards the
-    camera. The last axis has the coefficients of x², y², x y, x, y, 1, with x the column and y the row of
-    the profile's images, and yields grey levels. The first bin of the angle is an untouched gel. What such a
-    table cannot hold is left out: optical blur, and that a displaced gel is nearer to the lights.
-
-    Parameters
-    ----------
-    profile : SensorProfile
-    bins : int
-    sign : float
-        -1 for a reader whose h grows away from the camera.
+    camera, or away from it if ``sign`` is -1. The last axis has the coefficients of x², y², x y, x, y, 1,
+    with x the column and y the row of the profile's images, and yields grey levels. The first bin of the
+    angle is an untouched gel. What such a table cannot hold is left out: optical blur, and that a displaced
+    gel is nearer to the lights.
     """
     coarse = _coarse(profile)
     optics = Optics(coarse)
@@ -123,19 +117,8 @@ def export_taxim(profile: SensorProfile, folder: str | Path, isaac: bool = False
     Both look a colour up by the slope of a height map in pixels. Taxim (``simulator.simulating`` in
     ``OpticalSimulation/simOptical.py``) has heights that grow towards the camera. Isaac Lab's sensor hands
     its renderer such heights, too, but ``GelsightRender.render`` in ``visuotactile_render.py`` turns their
-    sign before it looks up.
-
-    Parameters
-    ----------
-    profile : SensorProfile
-    folder : str or Path
-    isaac : bool
-        Write a table for Isaac Lab, not for Taxim: its directions are turned by half a circle.
-
-    Returns
-    -------
-    list of Path
-        The files written.
+    sign before it looks up: with ``isaac``, directions are turned by half a circle. Returns the files
+    written.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

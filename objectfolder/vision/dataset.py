@@ -123,22 +123,11 @@ def render_split(
 
 
 def shown_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """Estimate the mean squared error, in sRGB on white, of the mean of two independent renders of a view.
+    """Estimate the mean squared error, in sRGB on white, of the mean of two independent renders (H, W, 4).
 
     First order in the noise: the variance of the mean is a quarter of the mean squared difference. Rare
     bright paths are underestimated where the image clips them, and missed if neither render sampled them.
-
-    Parameters
-    ----------
-    first, second : (H, W, 4) float32 arrays
-        Linear, premultiplied.
-
-    Returns
-    -------
-    float
-        Over all pixels.
-    float
-        Over the pixels in `lit_foreground`; 0 if there are none.
+    Returns the error over all pixels, and over those in `lit_foreground`; 0 if there are none.
     """
     shown = [on_white(torch.from_numpy(image)).numpy().astype(np.float64) for image in (first, second)]
     error = np.square(shown[0] - shown[1]).mean(-1) / 4

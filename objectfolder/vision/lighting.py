@@ -100,13 +100,9 @@ Lamp = PointLight | DistantLight
 
 
 def toward(light: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-    """Return vectors from points to a light; (S, 3), of unit length if the light is distant.
+    """Return vectors from points (S, 3) to a light; (S, 3), of unit length if the light is distant.
 
-    Parameters
-    ----------
-    light : (3,) or (4,) tensor
-        Position of a point light, or a unit vector and 0: a distant light.
-    points : (S, 3) tensor, unit frame
+    A light is the position (3,) of a point light, or a unit vector and 0 (4,): a distant light.
     """
     return light - points if len(light) == 3 else light[:3] + torch.zeros_like(points)
 
@@ -137,10 +133,7 @@ def studio(azimuth: float = 35.0, elevation: float = 50.0) -> list[PointLight]:
 def chosen_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
     """Return the lights that a query names: "studio", or lights; point lights beyond `FAR` as distant ones.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is anything else.
+    Raises ObjectFolderError if it is anything else.
     """
     if lights is None:
         return []

@@ -18,10 +18,7 @@ from OpenGL.error import Error as OpenGLError  # noqa: E402
 def canvas() -> "pyrender.OffscreenRenderer":
     """Return the canvas shared by all renderers: deleting one ends OpenGL for the others.
 
-    Raises
-    ------
-    ImportError
-        If OpenGL cannot draw here without a window.
+    Raises ImportError if OpenGL cannot draw here without a window.
     """
     try:
         offscreen = pyrender.OffscreenRenderer(1, 1)

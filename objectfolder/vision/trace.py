@@ -72,14 +72,9 @@ def nearest_corners(corners: torch.Tensor, weights: torch.Tensor) -> torch.Tenso
 def trace(
     surface: Isosurface, origins: np.ndarray, directions: np.ndarray, light: np.ndarray
 ) -> SurfaceSamples:
-    """Cast rays against a surface and shadow rays to a light.
+    """Cast rays, origins (N, 3) or (3,), directions (N, 3), float32, and shadow rays to a light; unit frame.
 
-    Parameters
-    ----------
-    origins : (N, 3) or (3,) float32 array, unit frame
-    directions : (N, 3) float32 array
-    light : (3,) or (4,) array, unit frame
-        A point light or a distant one, see `objectfolder.vision.lighting.toward`.
+    The light is a point light (3,) or a distant one (4,), see `objectfolder.vision.lighting.toward`.
     """
     ray, distance, face, barycentric = surface.caster.intersect(origins, directions)
     index, t = torch.from_numpy(ray), torch.from_numpy(distance)
@@ -95,13 +90,9 @@ def trace(
 def is_lit(
     surface: Isosurface, points: torch.Tensor, normals: torch.Tensor, light: torch.Tensor
 ) -> torch.Tensor:
-    """Return which points of the surface face the light and are not in shadow; (S,) bool.
+    """Return which points (S, 3) of the surface face the light and are not in shadow; (S,) bool.
 
-    Parameters
-    ----------
-    points, normals : (S, 3) float32 tensors, unit frame
-    light : (3,) or (4,) float32 tensor, unit frame
-        A point light or a distant one, see `objectfolder.vision.lighting.toward`.
+    Float32, unit frame; lights are those of `objectfolder.vision.lighting.toward`.
     """
     to_light = toward(light, points)
     # Stored normals are off by a degree; shadow rays and shading normals tell what is behind the horizon.

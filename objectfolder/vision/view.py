@@ -44,27 +44,13 @@ def draw(
     """Render one view of a stored surface.
 
     Casts one ray through every pixel that the object may cover, and a square of samples through pixels that
-    silhouettes, shadow edges or creases cross. On silhouettes, more rays measure the coverage of the pixel.
-    Large images are drawn a few rows at a time.
+    silhouettes, shadow edges or creases cross, unless ``supersample`` is false: faster, with aliased edges.
+    On silhouettes, more rays measure the coverage of the pixel. Large images are drawn a few rows at a time.
+    Lights (3,) or (4,) are those of `objectfolder.vision.lighting.toward`.
 
-    Parameters
-    ----------
-    surface : Isosurface
-    shade : callable
-        See `Shader`.
-    camera_to_world : (4, 4) array
-    light : (3,) or (4,) array
-        A point light or a distant one, see `objectfolder.vision.lighting.toward`.
-    intrinsics : Intrinsics
-    supersample : bool
-        Whether to supersample edges; without, one ray per pixel: faster, with aliased edges.
-
-    Returns
-    -------
-    Picture
-        Depth and normal are those of the ray through the pixel's centre; where it misses, of the nearest
-        sample that hits. Normals are those of the stored surface, not the net's shading normals; a camera
-        inside the object sees their back.
+    Depth and normal are those of the ray through the pixel's centre; where it misses, of the nearest sample
+    that hits. Normals are those of the stored surface, not the net's shading normals; a camera inside the
+    object sees their back.
     """
     height, width = intrinsics.height, intrinsics.width
     rgba = np.zeros((height, width, 4), np.float32)
@@ -139,17 +125,7 @@ def _shaped(images: Images, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndar
 
 
 def _refine(surface: Isosurface, rays: PixelRays, edges: np.ndarray, images: Images, found: Images) -> None:
-    """Update the images with the additional samples of edge pixels.
-
-    Parameters
-    ----------
-    edges : (E,) int array
-        Pixel numbers.
-    images
-        Of the rays through the pixels' centres; updated in place.
-    found
-        Of the additional samples of edge pixels.
-    """
+    """Update images in place with the additional samples ``found`` of edge pixels (E,)."""
     color, alpha, depth, normals = images
     hit = np.insert(found[1].reshape(-1, OTHERS), OTHERS // 2, alpha[edges], axis=1) > 0
     hits = hit.sum(1, dtype=np.float32)
@@ -185,16 +161,10 @@ def _coverage(
 ) -> np.ndarray:
     """Return the coverage of each pixel by the surface; (P,).
 
-    Each pixel's samples form lines across the silhouette. A line is covered from one cut to another or to its
-    end. Each cut lies between a sample that hits and one that misses, or the end of the line; bisection finds
-    it.
-
-    Parameters
-    ----------
-    hit : (P, SIDE, SIDE) bool array
-        Whether the pixels' samples hit.
-    slopes : two (P,) arrays
-        Differences of the coverage down the rows and along the columns.
+    Each pixel's samples, hit or not (P, SIDE, SIDE), form lines across the silhouette. A line is covered from
+    one cut to another or to its end. Each cut lies between a sample that hits and one that misses, or the end
+    of the line; bisection finds it. Slopes (P,) are those of the coverage down the rows and along the
+    columns.
     """
     down, along = slopes
     upright = np.abs(down) >= np.abs(along)
@@ -235,12 +205,7 @@ def _coverage(
 
 
 def _varies(values: np.ndarray, shape: tuple[int, int], tolerance: float) -> np.ndarray:
-    """Return which pixels differ by more than a tolerance from one of their eight neighbours; (H*W,) bool.
-
-    Parameters
-    ----------
-    values : (K, H*W) array
-    """
+    """Return which pixels of (K, H*W) values differ from one of eight neighbours by more than a tolerance."""
     height, width = shape
     varies = np.zeros(shape, bool)
     for image in values.reshape(-1, height, width):

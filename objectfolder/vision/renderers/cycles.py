@@ -25,18 +25,9 @@ SHOWN_LINES = 8  # of Blender's output, in an error
 class CyclesRenderer:
     """Path tracer on the CPU: one thread, box filter, no denoising.
 
-    Blender runs in a separate process: it needs its own numpy, and its licence is the GPL.
-
-    Parameters
-    ----------
-    scene : Scene
-
-    Raises
-    ------
-    ImportError
-        If neither the module bpy nor a program blender on the PATH is found.
-    ObjectFolderError
-        If Blender does not start or is too old.
+    Blender runs in a separate process: it needs its own numpy, and its licence is the GPL. Raises ImportError
+    if neither the module bpy nor a program blender on the PATH is found, ObjectFolderError if Blender does
+    not start or is too old.
     """
 
     def __init__(self, scene: Scene):
@@ -106,10 +97,7 @@ class CyclesRenderer:
 def blender_command() -> list[str]:
     """Return the command that runs ``blender_scene`` in Blender; append the folder as its last argument.
 
-    Raises
-    ------
-    ImportError
-        If Blender is not found.
+    Raises ImportError if Blender is not found.
     """
     script = blender_scene.__file__
     if importlib.util.find_spec("bpy"):

@@ -22,18 +22,8 @@ class MitsubaRenderer:
     """Path tracing with one thread.
 
     The box filter makes the result independent of the thread count; multijittered samples gain 4 to 6 dB at
-    equal count.
-
-    Parameters
-    ----------
-    scene : Scene
-    variant : str
-        Of Mitsuba: ``scalar_rgb``, ``llvm_ad_rgb`` (needs an LLVM library) or ``cuda_ad_rgb`` (a GPU).
-
-    Raises
-    ------
-    ImportError
-        If the variant cannot run here.
+    equal count. Mitsuba's variant is ``scalar_rgb``, ``llvm_ad_rgb`` (needs an LLVM library) or
+    ``cuda_ad_rgb`` (a GPU). Raises ImportError if the variant cannot run here.
     """
 
     def __init__(self, scene: Scene, variant: str = SCALAR):

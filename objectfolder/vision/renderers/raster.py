@@ -16,14 +16,7 @@ NEAREST = 1e-3  #: of the plane before which nothing is drawn
 class RasterRenderer:
     """Preview renderer: direct light on every surface that faces the light, without shadows.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Raises
-    ------
-    ImportError
-        If OpenGL cannot draw here without a window.
+    Raises ImportError if OpenGL cannot draw here without a window.
     """
 
     def __init__(self, scene: Scene):

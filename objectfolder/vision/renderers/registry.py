@@ -83,10 +83,7 @@ NEEDS = {
 def make_renderer(name: str, scene: Scene) -> Renderer:
     """Make a renderer by name.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such renderer, or it is not installed; the message says what to install.
+    Raises ObjectFolderError if there is no such renderer, or it is not installed, and says what to install.
     """
     if name not in RENDERERS:
         raise ObjectFolderError(f"renderer {name!r} is not one of {', '.join(RENDERERS)}")
