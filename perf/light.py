@@ -35,9 +35,8 @@ from objectfolder.touch.calibration import SensorFit, fit_sensor_lights, save_fi
 from objectfolder.touch.imprint import find_imprint, overflowed
 from objectfolder.touch.lightfit import Photograph, disc_of, fit_pose, squared_error
 from objectfolder.touch.optics import Optics
-from objectfolder.touch.photographs import read_photograph
+from objectfolder.touch.photographs import Pack, read_pack, read_photograph
 from objectfolder.touch.profiles import SensorProfile, load_profile
-from objectfolder.touch.taxim import Pack, read_pack
 
 FITTED = 7  # photographs
 SEEDS = 0, 1, 2

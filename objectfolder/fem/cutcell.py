@@ -23,6 +23,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    main_piece,
     mix_nodes,
     scatter,
     strain_displacement,
@@ -31,7 +32,6 @@ from objectfolder.fem.elasticity import (
 )
 from objectfolder.fem.hex20 import NODES, shape_functions, shape_gradients
 from objectfolder.fem.occupancy import DEGREE, MARGIN, Occupancy, measure
-from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.topology import components, signed_volume
 

@@ -1,4 +1,4 @@
-"""Linear elasticity and assembly, shared by all elements."""
+"""What all finite elements share: linear elasticity, assembly, and the choice of one connected piece."""
 
 import math
 from dataclasses import dataclass
@@ -7,9 +7,11 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 
 GATHERED = 1 << 24  #: nodal values that are in memory at once while points are interpolated
+MAX_DROPPED = 0.05  #: accepted volume fraction outside the main piece
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,25 @@ def mix_nodes(weights: np.ndarray, values: np.ndarray, nodes: np.ndarray) -> np.
         part = slice(start, start + step)
         out[part] = np.einsum("pi,pic->pc", weights[part], values[nodes[part]])
     return out
+
+
+def main_piece(piece: np.ndarray, volume: np.ndarray, name: str) -> tuple[np.ndarray, float]:
+    """Keep the largest connected piece of a solid: which elements (E,), and the dropped volume fraction.
+
+    Takes the piece of each element (E,) and its volume (E,). Raises ObjectFolderError, with the object's
+    name, if the other pieces hold more than `MAX_DROPPED` of the volume.
+    """
+    volumes = np.bincount(piece, weights=volume)
+    share = np.sort(volumes / volumes.sum())[::-1]
+    dropped = float(share[1:].sum())
+    if dropped > MAX_DROPPED:
+        shown = [f"{s:.2%}" for s in share[:5]] + ["..."] * (len(share) > 5)
+        raise ObjectFolderError(
+            f"{name}: the solid is in {len(share)} separate pieces "
+            f"({', '.join(shown)} of the volume), expected one: "
+            "join the mesh's parts, or split it into several objects"
+        )
+    return piece == volumes.argmax(), dropped
 
 
 def elasticity(material: Material) -> np.ndarray:

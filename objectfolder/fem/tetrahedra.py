@@ -17,12 +17,12 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    main_piece,
     mix_nodes,
     scatter,
     strain_displacement,
     upper_blocks,
 )
-from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.topology import components, signed_volume
 

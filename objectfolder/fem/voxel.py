@@ -15,6 +15,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    main_piece,
     mix_nodes,
     scatter,
     strain_displacement,
@@ -22,7 +23,6 @@ from objectfolder.fem.elasticity import (
 )
 from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.occupancy import MARGIN
-from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.scanline import inside
 from objectfolder.mesh.topology import signed_volume

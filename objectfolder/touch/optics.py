@@ -3,9 +3,16 @@
 import numpy as np
 import torch
 
-from objectfolder.touch.arrays import Array, array_library, zeros
+from objectfolder.touch.arrays import (
+    Array,
+    array_library,
+    blur,
+    convolve,
+    gaussian_weights,
+    neighbours,
+    zeros,
+)
 from objectfolder.touch.camera import gel_depth, ray_directions
-from objectfolder.touch.filters import blur, convolve, gaussian_weights, neighbours
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.residual import places, residual_levels, tilt
 from objectfolder.touch.shading import Vectors, shade, unit_components

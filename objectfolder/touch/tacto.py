@@ -44,7 +44,7 @@ class TactoReference:
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, scale: float = 1.0):
         try:
-            from objectfolder.vision.opengl import canvas, pyrender
+            from objectfolder.vision.renderers.raster import canvas, pyrender
 
             self._canvas = canvas()
         except ImportError as error:

@@ -5,9 +5,9 @@ import torch
 
 from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.touch.arrays import blur
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import sensor_frames
-from objectfolder.touch.filters import blur
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import shade, unit_components

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from objectfolder.audio.figures import magnitudes, show_sounds
+from objectfolder.audio.spectrogram import magnitudes, show_sounds
 from objectfolder.figures import page, save_page
 
 

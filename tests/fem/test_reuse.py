@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from solids import box
 
-from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import modal_analysis, solved_band
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.fem.similarity import similarity
 from objectfolder.materials import material

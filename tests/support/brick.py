@@ -5,9 +5,8 @@ import torch
 from solids import box
 
 from objectfolder.acoustics.radiation import radiate, stored_radiation
-from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import modal_analysis, solved_band
 from objectfolder.materials import material
 from objectfolder.mesh.normalize import mass_properties
 from objectfolder.mesh.sampling import sample_surface

@@ -13,8 +13,9 @@ from objectfolder.touch.ball import BallModel
 from objectfolder.touch.calibration import fit_sensor_lights
 from objectfolder.touch.imprint import overflowed
 from objectfolder.touch.optics import Optics
+from objectfolder.touch.photographs import read_pack
 from objectfolder.touch.profiles import RESIDUAL_TERMS, Light, load_profile
-from objectfolder.touch.taxim import BINS, _coarse, color_table, export_taxim, read_pack
+from objectfolder.touch.taxim import BINS, _coarse, color_table, export_taxim
 
 RADIUS = 0.003  # m
 POSES = np.array([[30, 30, 5e-4], [28, 52, 6e-4], [52, 28, 4.5e-4], [50, 52, 5e-4]])

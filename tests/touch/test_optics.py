@@ -7,8 +7,8 @@ import torch
 from PIL import Image
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.touch.arrays import blur
 from objectfolder.touch.camera import gel_depth, ray_directions
-from objectfolder.touch.filters import blur
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.touch.shading import shade

@@ -298,7 +298,7 @@ def test_renderers_that_are_not_installed_say_which_extra(monkeypatch):
     with pytest.raises(ObjectFolderError, match=r"install the extra cycles .* or Blender"):
         make_renderer("cycles", Scene(square()))
     monkeypatch.setitem(sys.modules, "pyrender", None)
-    monkeypatch.delitem(sys.modules, "objectfolder.vision.opengl", raising=False)
+    monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
     monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
     with pytest.raises(ObjectFolderError, match=r"install the extra raster"):
         make_renderer("raster", Scene(square()))

@@ -1,16 +1,40 @@
 """Previews with OpenGL (pyrender): no shadows, no indirect light, and radiance above 1 is cut off."""
 
+import atexit
+import os
+from functools import cache
+
 import numpy as np
 from PIL import Image
 
 from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.vision.cameras import Intrinsics
-from objectfolder.vision.opengl import canvas, pyrender
 from objectfolder.vision.scene import LIGHT_INTENSITY, Scene
+
+# By default pyrender opens a window; it also uses a name that numpy 2 has dropped.
+os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+vars(np).setdefault("infty", np.inf)
+
+import pyrender  # noqa: E402
+from OpenGL.error import Error as OpenGLError  # noqa: E402
 
 GAMMA = 2.2  # of pyrender's shader
 MAX_SIDE = 4  #: samples per side of a pixel
 NEAREST = 1e-3  #: of the plane before which nothing is drawn
+
+
+@cache
+def canvas() -> "pyrender.OffscreenRenderer":
+    """Return the canvas shared by all renderers: deleting one ends OpenGL for the others.
+
+    Raises ImportError if OpenGL cannot draw here without a window.
+    """
+    try:
+        offscreen = pyrender.OffscreenRenderer(1, 1)
+    except (OpenGLError, RuntimeError, ValueError) as error:
+        raise ImportError(f"OpenGL does not start: {error}") from error
+    atexit.register(offscreen.delete)
+    return offscreen
 
 
 class RasterRenderer:
