@@ -41,7 +41,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.vision import view_images
 from objectfolder.seeding import numpy_generator, torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
-from objectfolder.vision.color import COVERED, lit_foreground, on_white
+from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, lit_foreground, on_white
 from objectfolder.vision.dataset import Shots, render_split
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
@@ -137,7 +137,7 @@ def train(workspace: str, key: str) -> dict:
     config = params.settings(VisionConfig, values)
     views = {split: read_npz(build.views(split)) for split in SPLITS}
     # The loss is a mean over pixels that are covered fully; the background of whole views has no error.
-    covered = float((views["test"]["rgba"][..., 3] >= COVERED).mean())
+    covered = float((views["test"]["rgba"][..., 3] >= MIN_FOREGROUND_ALPHA).mean())
     distances = read_npz(build.sdf, "values", "band")
     surface, scene = (
         Isosurface(DistanceGrid.from_arrays(distances)),

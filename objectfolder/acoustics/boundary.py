@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from objectfolder.acoustics.triangles import Triangles, static_integrals
 
-NEAR = 2.2  #: edge lengths within which static kernels are integrated exactly
+NEAR_DISTANCE = 2.2  #: edge lengths within which static kernels are integrated exactly
 COUPLING = 1.0  #: edge lengths, limit of the coupling at low frequencies
 _ROWS = 32  # of the matrix that are made at once: their intermediates stay in the cache
 _EDGE_POINTS = 8  # Gauss points on each edge, for a triangle's effect on itself
@@ -164,7 +164,7 @@ class Boundary:
     def _near_pairs(self) -> _Near:
         mesh = self.triangles
         tree = cKDTree(mesh.centroid)
-        pairs = tree.query_pairs(NEAR * self.mean_edge, output_type="ndarray")
+        pairs = tree.query_pairs(NEAR_DISTANCE * self.mean_edge, output_type="ndarray")
         rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
         order = np.lexsort((columns, rows))
         rows, columns = rows[order], columns[order]

@@ -14,7 +14,7 @@ import numpy as np
 from objectfolder.acoustics.triangles import Triangles
 
 _SPACING = 0.05  # half the distance of the two poles of a dipole, edge lengths
-_EXTRA = 20  # orders beyond the largest argument at which the recurrence of Bessel functions starts
+_EXTRA_ORDERS = 20  # orders beyond the largest argument at which the recurrence of Bessel functions starts
 
 
 def real_harmonics(directions: np.ndarray, order: int) -> np.ndarray:
@@ -47,7 +47,7 @@ def spherical_bessel(order: int, x: np.ndarray) -> np.ndarray:
 
     Upward products of ratios from a continued fraction, which is stable where upward recurrence is not.
     """
-    start = max(order, int(x.max(initial=0))) + _EXTRA
+    start = max(order, int(x.max(initial=0))) + _EXTRA_ORDERS
     ratio, ratios = np.zeros_like(x), np.empty((order + 1, len(x)))
     for degree in range(start, 0, -1):
         ratio = 1 / ((2 * degree + 1) / x - ratio)

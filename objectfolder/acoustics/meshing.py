@@ -11,9 +11,9 @@ from objectfolder.mesh.closing.solids import arrays, manifold
 from objectfolder.mesh.topology import Mesh, face_areas
 
 _NEIGHBOURS = 12  # points from which a vertex's motion is interpolated
-_FINER = 0.4  # of the final length of edges, to which long ones are split first
-_BEND = 0.5  # edges for which a turn of the normal by one radian counts
-_RIDGE = 1e-3  # share of the neighbours' spread that keeps slopes across flat neighbourhoods at 0
+_SPLIT_EDGE = 0.4  # of the final length of edges, to which long ones are split first
+_NORMAL_WEIGHT = 0.5  # edges for which a turn of the normal by one radian counts
+_REGULARISATION = 1e-3  # share of the neighbours' spread that keeps slopes across flat neighbourhoods at 0
 
 
 def even_surface(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> Mesh:
@@ -25,9 +25,9 @@ def even_surface(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> Mes
     holes may need more triangles. Raises ObjectFolderError if nothing of the surface is left.
     """
     edge = np.sqrt(face_areas(vertices, faces).sum() / triangles * 4 / np.sqrt(3))
-    fine = finer_surface(vertices, faces, _FINER * edge)
+    fine = finer_surface(vertices, faces, _SPLIT_EDGE * edge)
     normals = igl.per_vertex_normals(*(np.ascontiguousarray(each) for each in fine))
-    places = np.concatenate([fine[0], _BEND * edge * np.nan_to_num(normals)], axis=1)
+    places = np.concatenate([fine[0], _NORMAL_WEIGHT * edge * np.nan_to_num(normals)], axis=1)
     points, kept, *_ = igl.decimate(
         np.asfortranarray(places, np.float64), np.asfortranarray(fine[1], np.int32), max_m=triangles
     )
@@ -55,7 +55,7 @@ def interpolated(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> 
     away = (points[rows] - places[:, None]) / reach[:, :, None]
     basis = np.concatenate([np.ones((*away.shape[:2], 1)), away], axis=2)
     normal = np.einsum("nk,nka,nkb->nab", weight, basis, basis)
-    normal[:, 1:, 1:] += _RIDGE * weight.sum(1)[:, None, None] * np.eye(3)
+    normal[:, 1:, 1:] += _REGULARISATION * weight.sum(1)[:, None, None] * np.eye(3)
     first = np.linalg.solve(normal, np.broadcast_to(np.eye(4)[:, :1], (len(places), 4, 1)))[:, :, 0]
     share = weight * np.einsum("nka,na->nk", basis, first)
     out = np.zeros((len(places), values.shape[1]))

@@ -14,15 +14,17 @@ from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.mesh.topology import face_areas, outer_shells
 
 EDGES_PER_WAVE = 2.0  #: of sound; with fewer, a surface radiates as plane waves do
-RESOLVED = 5.0  #: edges per wave that a mode's surface has, if it may have so many triangles
-FEWEST = 2000  #: triangles of a surface, however long the waves are
-_FINER = 0.5  # of a triangle's edge, on which modes' motions are read from the exact surface
-_BEYOND = 4  # orders of harmonics beyond the wavenumber times the radius
-_ALIKE = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
+MODE_EDGES_PER_WAVE = 5.0  #: edges per wave that a mode's surface has, if it may have so many triangles
+MIN_TRIANGLES = 2000  #: triangles of a surface, however long the waves are
+_MOTION_EDGE = 0.5  # of a triangle's edge, on which modes' motions are read from the exact surface
+_EXTRA_ORDERS = 4  # orders of harmonics beyond the wavenumber times the radius
+_SHARED_SPAN = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
 _STEP = 0.5  # between wavenumbers, times the radius, among which the fields of dense modes are interpolated
 _NODES = np.arange(-1, 3)  # of these wavenumbers, those around a mode: cubic polynomials
-_WORTH = 1.5  # times as many matrices, at least, that interpolation must save
-_DOUBT = 0.0075  # least difference of cubic and quadratic interpolation, relative, for which a mode is solved
+_MIN_SAVING = 1.5  # times as many matrices, at least, that interpolation must save
+_MAX_INTERPOLATION_ERROR = (
+    0.0075  # least difference of cubic and quadratic interpolation, relative, for which a mode is solved
+)
 
 
 def radiate(
@@ -31,7 +33,7 @@ def radiate(
     shapes: np.ndarray,
     frequencies: np.ndarray,
     triangles: int,
-    fewest: int = FEWEST,
+    fewest: int = MIN_TRIANGLES,
 ) -> FarField:
     """Compute the far field of each mode, per unit of modal acceleration: Pa m / (m kg^1/2 / s^2).
 
@@ -44,7 +46,7 @@ def radiate(
     surface = outer_shells(*surface)
     radius = float(np.linalg.norm(surface[0], axis=1).max(initial=0))
     area = float(face_areas(*surface).sum())
-    edge = 2 * np.pi * SOUND_SPEED / (RESOLVED * np.asarray(frequencies))
+    edge = 2 * np.pi * SOUND_SPEED / (MODE_EDGES_PER_WAVE * np.asarray(frequencies))
     needed = area / (edge**2 * np.sqrt(3) / 4)
     counts = [triangles]
     while counts[-1] // 2 >= fewest:
@@ -64,7 +66,7 @@ def _outward_flow(
     surface: tuple[np.ndarray, np.ndarray], points: np.ndarray, shapes: np.ndarray, edge: float
 ) -> tuple[Triangles, np.ndarray]:
     """Return fine triangles of a surface, and the outward motion of each mode times their areas."""
-    fine, faces = finer_surface(*surface, _FINER * edge)
+    fine, faces = finer_surface(*surface, _MOTION_EDGE * edge)
     faces = faces[face_areas(fine, faces) > 0]
     motion = interpolated(points, shapes.reshape(len(points), -1), fine).reshape(len(fine), 3, -1)
     source = Triangles.of(fine, faces)
@@ -91,7 +93,7 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, r
     impedance of air times the velocity. Fields with more detail than `MAX_ORDER` keep their power.
     """
     slopes, k = -AIR_DENSITY * motion, np.asarray(frequencies) / SOUND_SPEED
-    orders = np.minimum(np.ceil(k * radius).astype(int) + _BEYOND, MAX_ORDER)
+    orders = np.minimum(np.ceil(k * radius).astype(int) + _EXTRA_ORDERS, MAX_ORDER)
     radiator = Radiator(boundary.triangles, int(orders.max(initial=0)))
     coefficients = np.zeros((len(k), (radiator.order + 1) ** 2), np.complex128)
     of_degree = degrees(radiator.order)
@@ -105,7 +107,7 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, r
         return found
 
     short = k * boundary.mean_edge > 2 * np.pi / EDGES_PER_WAVE
-    for modes in _alike(k, _ALIKE / radius, short):
+    for modes in _alike(k, _SHARED_SPAN / radius, short):
         wavenumber = float(k[modes].mean())
         add(wavenumber, -1j * slopes[:, modes] / wavenumber, modes, np.ones(len(modes)))
     dense = _dense(k, radius, ~short)
@@ -114,9 +116,11 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, r
         found = add(wavenumber, boundary.pressure(wavenumber, slopes[:, modes]), modes, weights)
         differences[modes] += (weights - rough)[:, None] * found
     # Cavities resonate in narrow bands, which nodes do not resolve.
-    doubtful = dense & ((abs(differences) ** 2).sum(1) > _DOUBT**2 * (abs(coefficients) ** 2).sum(1))
+    doubtful = dense & (
+        (abs(differences) ** 2).sum(1) > _MAX_INTERPOLATION_ERROR**2 * (abs(coefficients) ** 2).sum(1)
+    )
     coefficients[doubtful], power[doubtful] = 0, 0
-    for modes in _alike(k, _ALIKE / radius, ~short & ~dense | doubtful):
+    for modes in _alike(k, _SHARED_SPAN / radius, ~short & ~dense | doubtful):
         wavenumber = float(k[modes].mean())
         add(wavenumber, boundary.pressure(wavenumber, slopes[:, modes]), modes, np.ones(len(modes)))
     coefficients[of_degree > orders[:, None]] = 0
@@ -162,12 +166,12 @@ def _dense(k: np.ndarray, radius: float, chosen: np.ndarray) -> np.ndarray:
 
     The field of a motion changes smoothly with the wavenumber. The lowest modes are few.
     """
-    apart, step = _alike(k, _ALIKE / radius, chosen), _STEP / radius
+    apart, step = _alike(k, _SHARED_SPAN / radius, chosen), _STEP / radius
     if not apart:
         return chosen
     lowest = np.array([k[group].min() for group in apart])
     nodes = np.ceil((k[chosen].max() - lowest) / step) + len(_NODES) - 1
-    saved = np.arange(len(apart), 0, -1) - _WORTH * nodes
+    saved = np.arange(len(apart), 0, -1) - _MIN_SAVING * nodes
     saved[lowest <= step] = 0  # a node would be at a negative wavenumber
     return chosen & (k >= lowest[saved.argmax()]) if saved.max() > 0 else np.zeros_like(chosen)
 

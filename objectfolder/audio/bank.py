@@ -8,8 +8,8 @@ from objectfolder.audio.tuning import Tuning
 
 BLOCK = 16  # sounds mixed at once; fixed, so that a row's bits do not depend on its batch
 PIECE = 1 << 15  # samples mixed at once
-NARROWEST = 16  # samples of a piece; of fewer columns, the bits of a product depend on the row
-KEPT = 1 << 27  # bytes; larger responses are recomputed for every block of sounds
+MIN_COLUMNS = 16  # samples of a piece; of fewer columns, the bits of a product depend on the row
+MAX_CACHED_BYTES = 1 << 27  # bytes; larger responses are recomputed for every block of sounds
 
 
 class Bank:
@@ -37,7 +37,7 @@ class Bank:
         self._modes = tuning.damped_frequency[self.heard], tuning.damping[self.heard]
         self._strike = response, contact_time
         self._phases = phases
-        kept = 4 * (1 + phases) * len(self.heard) * self.samples <= KEPT
+        kept = 4 * (1 + phases) * len(self.heard) * self.samples <= MAX_CACHED_BYTES
         self._pieces = [self._piece(start) for start in range(0, self.samples, PIECE)] if kept else []
         if not kept:
             self._piece(self.samples - 1)  # validates the response and the contact time
@@ -61,7 +61,7 @@ class Bank:
         return sounds
 
     def _piece(self, start: int) -> torch.Tensor:
-        span = range(start, max(min(start + PIECE, self.samples), start + NARROWEST))
+        span = range(start, max(min(start + PIECE, self.samples), start + MIN_COLUMNS))
         parts = [
             responses(*self._modes, self.sample_rate, span, *self._strike, ahead)
             for ahead in (False, True)[: 1 + self._phases]

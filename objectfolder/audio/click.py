@@ -17,7 +17,7 @@ from objectfolder.audio.synthesis import response_at
 
 AIR_DENSITY = 1.204  #: kg/m^3, at 20 degrees Celsius
 SOUND_SPEED = 343.2  #: m/s, at 20 degrees Celsius
-_FADED = 30.0  # exponent of the decay after which a click is silence
+_DECAY_EXPONENT = 30.0  # exponent of the decay after which a click is silence
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def recoil_pressure(
     rate = SOUND_SPEED / body.radii
     strength = AIR_DENSITY * body.radii**3 * rate**2 / body.mass * along / distance[:, None] ** 2
     lag = np.maximum(distance[:, None] - body.radii, 0) / SOUND_SPEED * delay  # (N, 3)
-    heard = math.ceil((lag.max(initial=0) + contact_time + _FADED / rate.min()) * sample_rate)
+    heard = math.ceil((lag.max(initial=0) + contact_time + _DECAY_EXPONENT / rate.min()) * sample_rate)
     time = torch.arange(min(heard, samples), dtype=torch.float64) / sample_rate
     s = torch.from_numpy(rate * (-1 + 1j))[:, None]
     sounds = np.zeros((len(along), samples), np.float32)

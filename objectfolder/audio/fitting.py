@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, linear_sum_assignment
 
-from objectfolder.audio.ringdown import LN_1000, RISE, SHORTEST, Ringdown, ringdown, strikes
+from objectfolder.audio.ringdown import LN_1000, MIN_TAP_LENGTH, RISE, Ringdown, ringdown, strikes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material, material, own_material
 
@@ -137,7 +137,7 @@ def fit_sound(
         rise = 10 * np.log10(RISE)
         raise ObjectFolderError(
             f"no strike in the recordings: nothing rises {rise:.0f} dB within a millisecond, and rings for "
-            f"{SHORTEST:g} s; record taps louder, or with less noise"
+            f"{MIN_TAP_LENGTH:g} s; record taps louder, or with less noise"
         )
     heard = ringdown(taps, rate, highest=RATIOS[1] * float(computed.max(initial=0)))
     match = match_modes(computed, heard.frequency)

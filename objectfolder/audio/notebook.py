@@ -7,7 +7,7 @@ import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 
-LOUDEST = 0.9  #: of full scale
+PEAK_LEVEL = 0.9  #: of full scale
 
 
 def players(sounds: np.ndarray, sample_rate: float) -> list[Any]:
@@ -36,5 +36,5 @@ def players(sounds: np.ndarray, sample_rate: float) -> list[Any]:
         ) from error
     rows = np.atleast_2d(np.asarray(sounds, np.float64))
     peak = np.abs(rows).max(initial=0.0)
-    scaled = rows * (LOUDEST / peak if peak > 0 else 0.0)
+    scaled = rows * (PEAK_LEVEL / peak if peak > 0 else 0.0)
     return [audio(data=row, rate=sample_rate, normalize=False) for row in scaled]

@@ -21,7 +21,7 @@ import numpy as np
 
 from objectfolder.audio.synthesis import pressing
 
-QUIET = 2e-9  #: sound below which a body is silent, Pa; 80 dB under the threshold of hearing
+SILENCE_LEVEL = 2e-9  #: sound below which a body is silent, Pa; 80 dB under the threshold of hearing
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class ModalStream:
             phasors[body] += self._pulsed(pulse, body, ears, heard)
             if math.ceil(pulse.start + pulse.duration) >= end:  # its last edge is on a later sample
                 left.append((body, pulse))
-        quiet = (abs(phasors) * abs(self._weights)).sum(1) < QUIET
+        quiet = (abs(phasors) * abs(self._weights)).sum(1) < SILENCE_LEVEL
         quiet[[body for body, _ in left]] = False
         phasors[quiet] = 0
         self._pulses, self._shaking, self.clock, self.phasors = left, [], end, phasors

@@ -10,7 +10,7 @@ from objectfolder.errors import ObjectFolderError
 
 RESPONSES = ("displacement", "velocity", "acceleration")
 _STRIDE = 256  # samples between computed exponentials; the others are products
-_SLOW = (
+_SLOW_CONTACT_PHASE = (
     1.5 * math.pi
 )  # radians of a mode during a contact beyond which its force counts as slow; see `pressing`
 
@@ -169,7 +169,7 @@ def pressing(s: Any, contact_time: float) -> tuple[Any, Any]:
     is fitted to W at all frequencies, for any causal force; see docs/sound.md.
     """
     turned = s.imag * contact_time
-    share = turned**2 / (turned**2 + _SLOW**2)
+    share = turned**2 / (turned**2 + _SLOW_CONTACT_PHASE**2)
     return 1 / s, share * (math.pi / contact_time) / s**2
 
 

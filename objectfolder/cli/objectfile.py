@@ -334,7 +334,7 @@ def _contact_summary(rows: np.ndarray) -> str:
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:
     """Describe a part in a line, reading no tensors but the modes."""
-    from objectfolder.fem.modal import CERTAIN
+    from objectfolder.fem.modal import MAX_UNWARNED_ERROR
 
     if part not in obj.header:
         return "none"
@@ -354,7 +354,7 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     described = obj.header[part]
     error = described.get("frequency_uncertainty")
     certain = ""
-    if error is not None and error > CERTAIN:
+    if error is not None and error > MAX_UNWARNED_ERROR:
         certain = f", uncertain: the lowest ten may be {error:.0%} wrong"
     elif error is not None:
         certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")

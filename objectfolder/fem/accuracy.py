@@ -11,10 +11,10 @@ from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.levels import MixedCells
 from objectfolder.materials import Material
 
-ESTIMATED = 10  # number of lowest modes whose error is estimated
+ESTIMATED_MODES = 10  # number of lowest modes whose error is estimated
 TOLERANCE = 1e-4  # residual of the compared modes; the error of their frequencies is its square
 ORDER, LOW_ORDER = 1.5, 1.0  # of convergence; the low one where the differences hardly fall
-FALL = 2**0.5  # least ratio of the differences that shows convergence
+MIN_FALL = 2**0.5  # least ratio of the differences that shows convergence
 NODES_PER_WAVE = 6  #: that resolve a wave: three quadratic elements
 
 
@@ -39,11 +39,11 @@ class Discretisation:
     def _on(self, solid: Solid) -> "Discretisation":
         return Discretisation(solid, self.material, self.scale)
 
-    def lowest_frequencies(self, count: int = ESTIMATED) -> np.ndarray:
+    def lowest_frequencies(self, count: int = ESTIMATED_MODES) -> np.ndarray:
         """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""
         return np.sqrt(self.lowest_modes(count)[0]) / (2 * np.pi)
 
-    def lowest_modes(self, count: int = ESTIMATED) -> tuple[np.ndarray, np.ndarray]:
+    def lowest_modes(self, count: int = ESTIMATED_MODES) -> tuple[np.ndarray, np.ndarray]:
         """Compute the lowest elastic modes to `TOLERANCE`, uncertified.
 
         Eigenvalues (count,), rad^2/s^2, and mass-normalised shapes (3N, count).
@@ -75,7 +75,7 @@ def discretisation_error(
     the difference between the last two grids divided by 2^p - 1. Smooth shells converge with p of about 2,
     inner edges and walls thinner than a cell with 1 to 1.5. The order observed on three coarse grids is not
     yet the final one, so the estimate assumes ``ORDER``, which is right within a factor of two for p from 1
-    to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``FALL``.
+    to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``MIN_FALL``.
     """
     count = min(len(frequencies), len(half))
     last = half[:count] / frequencies[:count] - 1
@@ -83,7 +83,7 @@ def discretisation_error(
     if quarter is not None:
         seen = min(count, len(quarter))
         former = quarter[:seen] / half[:seen] - 1
-        order[:seen][former < FALL * last[:seen]] = LOW_ORDER
+        order[:seen][former < MIN_FALL * last[:seen]] = LOW_ORDER
     return np.abs(last / (2**order - 1)).tolist()
 
 

@@ -35,9 +35,9 @@ from objectfolder.fem.occupancy import DEGREE, MARGIN, Occupancy, measure
 from objectfolder.materials import Material
 from objectfolder.mesh.topology import components, signed_volume
 
-FULL = 1 - 1e-5  # fill of a cell that counts as full
+MIN_FULL_FILL = 1 - 1e-5  # fill of a cell that counts as full
 EMPTY_FILL = 1e-3  # parts with a smaller fill are dropped
-FICTITIOUS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material
+VOID_STIFFNESS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material
 CUT_CELLS = "hex20 cut cells"  #: name of the element
 MAX_VOLUME_ERROR = 0.05  #: accepted relative volume error of the cells, before its correction
 
@@ -104,7 +104,7 @@ class CutCells:
     @property
     def is_full(self) -> np.ndarray:
         """(E,) whether each element is full of material."""
-        return self.fill > FULL
+        return self.fill > MIN_FULL_FILL
 
     @property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +196,7 @@ class CutCells:
         """(E, 125) corrected moments of material and void, for cells of a size in metres."""
         moments = self.occupancy.reshape(-1, DEGREE**3).astype(np.float64)
         full = np.eye(1, DEGREE**3) * 8
-        return (moments + FICTITIOUS * (full - moments)) * (self.correction * (size / 2) ** 3)
+        return (moments + VOID_STIFFNESS * (full - moments)) * (self.correction * (size / 2) ** 3)
 
     def _joined(self, blocks: np.ndarray, size: int) -> sp.csr_matrix:
         """Sum element matrices, given by their `upper_blocks`, over the free nodes."""

@@ -15,13 +15,15 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import FiniteElements
 from objectfolder.fem.factorisation import Factorisation, factorise, nested_dissection
-from objectfolder.fem.krylov import CONVERGED, lowest_modes
+from objectfolder.fem.krylov import RESIDUAL_TOLERANCE, lowest_modes
 
 SHIFT = -((2 * np.pi * 300.0) ** 2)  # rad^2/s^2; at most, see `FreeVibration`
 EXPANSION = 30  # shifts are at most this share of the Rayleigh quotient of a uniform expansion
 CLUSTER = 1e-6  # frequencies closer than this (relative) span one subspace
-SPARES = 4  # modes computed beyond the wanted ones, so that the cut splits no repeated eigenvalue
-LOOSE = 1e-12  # share of the energy of moving each unknown alone, below which a mode's is zero up to rounding
+SPARE_MODES = 4  # modes computed beyond the wanted ones, so that the cut splits no repeated eigenvalue
+ZERO_ENERGY = (
+    1e-12  # share of the energy of moving each unknown alone, below which a mode's is zero up to rounding
+)
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class FreeVibration:
         return None if below is None else max(below - 6, 0)
 
     def lowest(
-        self, wanted: Callable[[np.ndarray], int], tolerance: float = CONVERGED
+        self, wanted: Callable[[np.ndarray], int], tolerance: float = RESIDUAL_TOLERANCE
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute the lowest elastic modes to a relative residual, uncertified.
 
@@ -84,7 +86,9 @@ class FreeVibration:
             """Modes counted by inertia or, without a count, those found below the limit."""
             return min(int((found < limit).sum()) if below is None else below, max_modes)
 
-        values, vectors = self.lowest(lambda found: min(wanted(found) + SPARES, fem.stiffness.shape[0] - 6))
+        values, vectors = self.lowest(
+            lambda found: min(wanted(found) + SPARE_MODES, fem.stiffness.shape[0] - 6)
+        )
         if below is not None and int((values < limit).sum()) < wanted(values):
             raise ObjectFolderError(
                 f"{name}: inertia counts at least {wanted(values)} modes below {max_frequency:g} Hz, the "
@@ -92,7 +96,7 @@ class FreeVibration:
                 "report this mesh"
             )
         alone = np.einsum("i,ij,ij->j", fem.stiffness.diagonal(), vectors, vectors)
-        loose = int((values < LOOSE * alone).sum())
+        loose = int((values < ZERO_ENERGY * alone).sum())
         if loose:
             raise ObjectFolderError(
                 f"{name}: the solid has at least {6 + loose} rigid modes, expected 6; it is in several "

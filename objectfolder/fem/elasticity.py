@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 
-GATHERED = 1 << 24  #: nodal values that are in memory at once while points are interpolated
+MAX_GATHERED_VALUES = 1 << 24  #: nodal values that are in memory at once while points are interpolated
 MAX_DROPPED = 0.05  #: accepted volume fraction outside the main piece
 
 
@@ -77,7 +77,7 @@ def mix_nodes(weights: np.ndarray, values: np.ndarray, nodes: np.ndarray) -> np.
     In pieces, since the values at the nodes of all points may not fit into memory.
     """
     out = np.empty((len(nodes), values.shape[1]))
-    step = max(GATHERED // max(nodes.shape[1] * values.shape[1], 1), 1)
+    step = max(MAX_GATHERED_VALUES // max(nodes.shape[1] * values.shape[1], 1), 1)
     for start in range(0, len(nodes), step):
         part = slice(start, start + step)
         out[part] = np.einsum("pi,pic->pc", weights[part], values[nodes[part]])

@@ -10,8 +10,8 @@ from objectfolder.fem.levels import Levels, MixedCells
 from objectfolder.materials import Material
 
 LEVELS = 6  #: grids of an octree
-LARGEST = 8  #: side of the largest element, in cells of the finest grid
-_FIRST = 0.3  # share of the size limit that the uniform grid of the indicator may take
+MAX_WIDTH = 8  #: side of the largest element, in cells of the finest grid
+_INDICATOR_SIZE = 0.3  # share of the size limit that the uniform grid of the indicator may take
 _HALVINGS = 16  # steps of the search for the threshold
 
 
@@ -37,7 +37,8 @@ def locally_refined(
         (
             level
             for level in range(1, len(levels.grids) - 1)
-            if levels.mesh(levels.uniform(level)).degrees_of_freedom <= _FIRST * max_degrees_of_freedom
+            if levels.mesh(levels.uniform(level)).degrees_of_freedom
+            <= _INDICATOR_SIZE * max_degrees_of_freedom
         ),
         None,
     )
@@ -49,7 +50,7 @@ def locally_refined(
         middle = (low + high) / 2
         divided = [own > 2**middle for own in worth]
         for level, mask in enumerate(divided):
-            mask |= 2**level > LARGEST
+            mask |= 2**level > MAX_WIDTH
         mesh = levels.mesh(divided)
         if mesh.degrees_of_freedom > max_degrees_of_freedom:
             low = middle

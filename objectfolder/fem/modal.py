@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.accuracy import ESTIMATED, Discretisation, resolved_frequency
+from objectfolder.fem.accuracy import ESTIMATED_MODES, Discretisation, resolved_frequency
 from objectfolder.fem.adaptive import refined
 from objectfolder.fem.cutcell import CUT_CELLS
 from objectfolder.fem.elasticity import Solid
@@ -19,7 +19,7 @@ from objectfolder.mesh.topology import Mesh
 
 MAX_RESIDUAL = 1e-8
 MAX_RIGID = 1e-3  #: frequency of rigid modes, over the lowest elastic one
-CERTAIN, REFUSED = 0.1, 0.3  #: uncertainty of frequencies that needs no warning; that is refused
+MAX_UNWARNED_ERROR, MAX_ERROR = 0.1, 0.3  #: uncertainty of frequencies that needs no warning; that is refused
 MAX_VERTICES = 20_000  #: of a surface at which shapes are stored; furniture has hundreds of thousands
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
 
@@ -77,7 +77,7 @@ def _modes_at(
     nodal = modes.shapes[:, rings].reshape(len(fem.nodes), -1)
     shapes = cells.interpolate(nodal, points).reshape(len(points), 3, -1)
     frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
-    errors = candidate.errors(np.sqrt(modes.eigenvalues[:ESTIMATED]) / (2 * np.pi))
+    errors = candidate.errors(np.sqrt(modes.eigenvalues[:ESTIMATED_MODES]) / (2 * np.pi))
     report = {
         "element": cells.name,
         "resolution": cells.resolution,
@@ -166,11 +166,12 @@ def solved_band(data: ModalData, material: Material, max_frequency: float, max_m
 
 
 def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object") -> str | None:
-    """Describe an estimated error of the lowest frequencies above `CERTAIN`; None below.
+    """Describe an estimated error of the lowest frequencies above `MAX_UNWARNED_ERROR`; None below.
 
-    Cut cells whose error cannot be estimated, since half of their grid falls apart, count as above `REFUSED`.
-    Other elements have no estimates. The report is the content of ``modal.json``. Raises ObjectFolderError,
-    with the object's name, if the error exceeds `REFUSED`, or is not known, and is not allowed.
+    Cut cells whose error cannot be estimated, since half of their grid falls apart, count as above
+    `MAX_ERROR`. Other elements have no estimates. The report is the content of ``modal.json``. Raises
+    ObjectFolderError, with the object's name, if the error exceeds `MAX_ERROR`, or is not known, and is not
+    allowed.
     """
     error, grid = report["frequency_uncertainty"], f"{report['resolution']}^3"
     if error is None:
@@ -184,9 +185,9 @@ def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object
             f"{name}: frequencies may be {error:.0%} wrong, mode {worst + 1} most: walls or joints are thin "
             f"for the {grid} grid"
         )
-    if error <= CERTAIN:
+    if error <= MAX_UNWARNED_ERROR:
         return None
-    if error > REFUSED and not allow:
+    if error > MAX_ERROR and not allow:
         raise ObjectFolderError(
             f"{text}; thicken them, raise modal.fine.max_degrees_of_freedom in params.yaml, or accept the "
             "error there: `modal.allow_uncertain: true` (docs/modal.md#accuracy)"

@@ -53,4 +53,4 @@ class ModalConfig:
     max_modes: Count
     surface_points: Annotated[int, Ge(0)]  #: random points, besides the surface's vertices
     damping: Literal["rayleigh", "loss_factor"]  #: law of objects whose entry gives none
-    allow_uncertain: bool  #: whether to keep modes whose estimated error exceeds `REFUSED`
+    allow_uncertain: bool  #: whether to keep modes whose estimated error exceeds `MAX_ERROR`

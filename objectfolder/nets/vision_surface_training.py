@@ -18,7 +18,7 @@ from objectfolder.nets.vision_config import SurfaceConfig
 from objectfolder.nets.vision_surface import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.cameras import camera_rays, image_intrinsics
-from objectfolder.vision.color import COVERED
+from objectfolder.vision.color import MIN_FOREGROUND_ALPHA
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
 from objectfolder.vision.vectors import take_rows
@@ -179,7 +179,7 @@ def _gather(
     for rgba, pose, light, intrinsics in zip(
         views["rgba"], views["camera_to_world"], views["light"], image_intrinsics(views)
     ):
-        rows, columns = np.nonzero(rgba[..., 3] >= COVERED)
+        rows, columns = np.nonzero(rgba[..., 3] >= MIN_FOREGROUND_ALPHA)
         samples = trace(surface, *camera_rays(pose, intrinsics, np.stack([columns, rows], 1) + 0.5), light)
         ray = samples.ray.numpy()  # NumPy takes a tensor of one element for a number
         row, column = rows[ray], columns[ray]

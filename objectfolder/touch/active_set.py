@@ -6,8 +6,8 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.gel import Layer, precondition, respond, within_reach
 
 ACCURACY = 1e-10  #: of a displacement, relative to the greatest
-_MOST = 1000  # iterations; typically a hundred
-_ROUNDS = 100  # changes of the active set; typically ten
+_MAX_ITERATIONS = 1000  # iterations; typically a hundred
+_MAX_SET_CHANGES = 100  # changes of the active set; typically ten
 
 
 def supporting_pressure(
@@ -23,7 +23,7 @@ def supporting_pressure(
     pressure, limit = np.zeros_like(residual), accuracy * np.abs(residual).max(initial=0)
     unit = np.abs(residual).max(initial=0) or 1.0  # the preconditioner has single precision
     way, before = np.zeros_like(residual), 1.0
-    for _ in range(_MOST):
+    for _ in range(_MAX_ITERATIONS):
         if np.abs(residual).max(initial=0) <= limit:
             return pressure
         steepest = unit * precondition((residual / unit).astype(np.float32), pitch, layer) * active
@@ -34,7 +34,9 @@ def supporting_pressure(
         pressure += step * way
         residual -= step * moved
         before = now
-    raise ObjectFolderError(f"the pressure on a gel of {layer} did not converge in {_MOST} iterations")
+    raise ObjectFolderError(
+        f"the pressure on a gel of {layer} did not converge in {_MAX_ITERATIONS} iterations"
+    )
 
 
 def settle(
@@ -50,11 +52,11 @@ def settle(
     reachable = within_reach(height, layer.thickness)
     active = pressure > 0
     slack = ACCURACY * max(height.max(), 0)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_SET_CHANGES):
         found = supporting_pressure(height, active, pitch, layer)
         displacement = np.where(active, height, respond(found, pitch, layer))
         changed = (active & (found > 0)) | (reachable & ~active & (height - displacement > 100 * slack))
         if (changed == active).all():
             return displacement, found
         active = changed
-    raise ObjectFolderError(f"the contact on a gel of {layer} did not settle in {_ROUNDS} rounds")
+    raise ObjectFolderError(f"the contact on a gel of {layer} did not settle in {_MAX_SET_CHANGES} rounds")

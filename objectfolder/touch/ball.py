@@ -13,7 +13,9 @@ from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import Vectors
 
-_KEPT = 256  # displacements: a fit asks for those of all pictures, and changes one pose at a time
+_CACHED_DISPLACEMENTS = (
+    256  # displacements: a fit asks for those of all pictures, and changes one pose at a time
+)
 
 
 class BallModel:
@@ -26,7 +28,7 @@ class BallModel:
         self.profile, self.radius = profile, radius
         self.colors = sorted({light.color for light in profile.lights}, reverse=True)
         self._rays, self._gel = ray_directions(profile), gel_depth(profile)
-        self._optics, self._displacements = Recent[Optics](1), Recent[torch.Tensor](_KEPT)
+        self._optics, self._displacements = Recent[Optics](1), Recent[torch.Tensor](_CACHED_DISPLACEMENTS)
 
     @cached_property
     def optics(self) -> Optics:

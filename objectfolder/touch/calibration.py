@@ -45,7 +45,7 @@ _MAX_ROUNDS = 30
 
 _ALTERNATIONS = 4  # of lights and poses
 
-LARGEST_BALL = 0.05  #: m, radius: more is given in millimetres
+MAX_BALL_RADIUS = 0.05  #: m, radius: more is given in millimetres
 
 _MIN_PIXELS = 50  # of an imprint whose lights are fitted; as of the smallest that `find_imprint` accepts
 
@@ -198,10 +198,10 @@ def fit_sensor_lights(
 
 
 def _check_radius(radius: float) -> None:
-    if not (np.isfinite(radius) and 0 < radius <= LARGEST_BALL):
-        hint = f"; did you mean {radius / 1000:g}, in metres?" if LARGEST_BALL < radius < 1000 else ""
+    if not (np.isfinite(radius) and 0 < radius <= MAX_BALL_RADIUS):
+        hint = f"; did you mean {radius / 1000:g}, in metres?" if MAX_BALL_RADIUS < radius < 1000 else ""
         raise ObjectFolderError(
-            f"the ball's radius is {radius:g} m, expected a positive length up to {LARGEST_BALL:g} m{hint}"
+            f"the ball's radius is {radius:g} m, expected a positive length up to {MAX_BALL_RADIUS:g} m{hint}"
         )
 
 

@@ -21,13 +21,13 @@ NORMAL_RADIUS = 0.01
 
 # A contact is free if material past the base reaches less far than this, as a fraction of the thickness; a
 # retreat along the normal turns perspective rays a little.
-_FREED = 0.05
+_FREE_OVERLAP = 0.05
 
 # Directions along which no usual mesh has an edge; three, because one ray can still graze an edge.
 _PROBES = np.array([[0.7561, 0.3217, -0.5700], [-0.4129, 0.8836, 0.2205], [-0.2917, -0.6353, 0.7150]])
 
 
-_PROBED = 256  # points whose surroundings are looked at together, to bound memory
+_POINT_BATCH = 256  # points whose surroundings are looked at together, to bound memory
 
 
 @cache
@@ -69,8 +69,8 @@ def contact_normals(distance: Callable[[Array], Array], points: Array, radius: f
         points = np.asarray(points, np.float64)
     points = points.reshape(-1, 3)
     gradients = []
-    for start in range(0, max(len(points), 1), _PROBED):
-        samples = points[start : start + _PROBED, None] + radius * u
+    for start in range(0, max(len(points), 1), _POINT_BATCH):
+        samples = points[start : start + _POINT_BATCH, None] + radius * u
         d = distance(samples.reshape(-1, 3)).reshape(len(samples), len(u))
         # Sum in a fixed order; that of a matrix product depends on the number of points.
         gradients.append((d[..., None] * u).sum(axis=1))
@@ -196,7 +196,7 @@ def seated_heightmaps(
             camera = camera + (normals[i] * (overlap / scale)).astype(np.float32)
             inside = bool(_enclosed(caster, camera[None])[0])
             distance, _, overlap = _first_surface(caster, camera, directions, base, limit, inside)
-        if overlap > _FREED * profile.elastomer_thickness:
+        if overlap > _FREE_OVERLAP * profile.elastomer_thickness:
             distance = limit
         (gel - distance).clip(-gap, profile.max_indentation, out=height[i].reshape(-1))
     return height, obstructed, retreat

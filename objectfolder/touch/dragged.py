@@ -8,7 +8,7 @@ import torch
 from objectfolder.touch.camera import gel_depth
 from objectfolder.touch.gel import GAP, deform, double, halve, within_reach
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.tangential import FINEST
+from objectfolder.touch.tangential import MAX_GRID_SIDE
 
 _ROUNDS = 4  # of the fixed point below; friction stretches the surface by a few tenths at most
 
@@ -72,7 +72,7 @@ def _carried(shift: np.ndarray) -> np.ndarray:
     Solved on a coarse grid, as the friction is, for a point's place before from that after: a fixed point.
     """
     shapes, coarse = [], shift
-    while min(coarse[0].shape) >= FINEST:
+    while min(coarse[0].shape) >= MAX_GRID_SIDE:
         shapes.append(coarse[0].shape)
         coarse = np.stack([halve(part) for part in coarse])
     step = np.float32(2 ** len(shapes))

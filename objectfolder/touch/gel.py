@@ -21,12 +21,12 @@ SPACING = 2.5
 _TOLERANCE = 8e-3
 
 _MAX_STEPS = 300  # typically tens suffice
-_COARSEST = 40  # pixels along the shorter side of the coarsest grid
+_MIN_GRID_SIDE = 40  # pixels along the shorter side of the coarsest grid
 
-DENSE = 512  #: pixels of a grid up to which a matrix is faster than transforms
+MAX_DENSE_PIXELS = 512  #: pixels of a grid up to which a matrix is faster than transforms
 
 # Least stiffness in the preconditioner, relative to that of the stiffest wave of the grid.
-_SOFTEST = 0.06
+_MIN_STIFFNESS = 0.06
 
 # First step size and bounds of the others; 1 is optimal for a perfect preconditioner.
 _STEP, _STEPS = 0.7, (0.2, 3.0)
@@ -124,7 +124,7 @@ def _solve(
     if start is not None:
         pressure = start * reachable
         displacement = respond(pressure, pitch, layer)
-    elif min(height.shape) >= 2 * _COARSEST:
+    elif min(height.shape) >= 2 * _MIN_GRID_SIDE:
         pressure, _ = _solve(halve(height), halve(reachable) > 0, 2 * pitch, layer)
         pressure = double(pressure, height.shape) * reachable
         displacement = respond(pressure, pitch, layer)
@@ -158,7 +158,7 @@ def respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
 
     The response is symmetric and positive definite; ``pitch`` is metres between pixels.
     """
-    if pressure.size <= DENSE:
+    if pressure.size <= MAX_DENSE_PIXELS:
         # Unlike BLAS, einsum sums in an order independent of the number of threads.
         found: np.ndarray = np.einsum("ij,j->i", _matrix(pressure.shape, pitch, layer), pressure.ravel())
         return found.reshape(pressure.shape)
@@ -232,7 +232,7 @@ def _stencil(pitch: float, layer: Layer) -> tuple[np.float32, np.float32, np.flo
     """
     axis, diagonal = 1 / layer.compliance(np.pi / pitch * np.array([1, np.sqrt(2)]))
     waves = np.geomspace(0.01 / layer.thickness, np.pi / pitch, 200)
-    long = max(1 / layer.compliance(waves).max(), _SOFTEST * diagonal)
+    long = max(1 / layer.compliance(waves).max(), _MIN_STIFFNESS * diagonal)
     # Of centre + 2 side (cos x + cos y) + 4 corner cos x cos y, at (0, 0), (π, 0) and (π, π).
     centre = (long + 2 * axis + diagonal) / 4
     return np.float32(centre), np.float32((long - diagonal) / 8), np.float32((centre - axis) / 4)

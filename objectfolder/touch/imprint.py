@@ -17,7 +17,7 @@ _MIN_FILL = 0.5  # area of an imprint over that of its convex hull
 _MAX_ELONGATION = 1.6  # length over width
 
 # A channel that overflowed is dark inside an area where it is as bright as this, by at least this much.
-_BRIGHT, _DIP = 240.0, 16.0  # grey levels
+_SATURATED_LEVEL, _MIN_HOLE_DEPTH = 240.0, 16.0  # grey levels
 
 # Without a picture of the untouched sensor, this part of each imprint must be free in another picture.
 _MIN_FREE = 0.5
@@ -98,7 +98,7 @@ def overflowed(picture: np.ndarray) -> np.ndarray:
         for border in np.s_[[0, -1], :], np.s_[:, [0, -1]]:
             seed[border] = channel[border]
         filled = reconstruction(seed, channel, method="erosion")  # without its holes
-        found |= (filled >= _BRIGHT) & (filled - channel >= _DIP)
+        found |= (filled >= _SATURATED_LEVEL) & (filled - channel >= _MIN_HOLE_DEPTH)
     return found
 
 

@@ -6,7 +6,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_sag
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.tacto_rays import NEAR, compose, sensor_poses, smooth_normals
+from objectfolder.touch.tacto_rays import NEAR_PLANE, compose, sensor_poses, smooth_normals
 from objectfolder.vision.renderers.registry import NEEDS
 
 #: Grey levels, deviation of the Gaussian noise that TACTO adds to each image.
@@ -17,7 +17,7 @@ _GEL_VERTICES = 100
 # Size of the gel relative to the view at the apex: 20 mm across the DIGIT.
 _GEL_MARGIN = 1.05
 _GAMMA = 2.2  # of pyrender's shader
-_FAR = 1.0  # m
+_FAR_PLANE = 1.0  # m
 
 
 class TactoReference:
@@ -79,7 +79,9 @@ class TactoReference:
         pose = np.eye(4)
         pose[:3, :3] = np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]])
         field = np.radians(profile.vertical_fov_deg)
-        camera = pyrender.PerspectiveCamera(field, NEAR, _FAR, aspectRatio=profile.width / profile.height)
+        camera = pyrender.PerspectiveCamera(
+            field, NEAR_PLANE, _FAR_PLANE, aspectRatio=profile.width / profile.height
+        )
         self._scene.add(camera, pose=pose)
         for light in profile.lights:
             pose = np.eye(4)

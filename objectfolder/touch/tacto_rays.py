@@ -13,7 +13,7 @@ from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import shade, unit_components
 
 #: m from the pinhole; nothing nearer is drawn.
-NEAR = 0.001
+NEAR_PLANE = 0.001
 
 # Samples within a pixel, from its top left corner: the usual rotated grid of OpenGL drivers.
 _SAMPLES = np.array([[0.375, 0.125], [0.875, 0.375], [0.125, 0.625], [0.625, 0.875]])
@@ -28,10 +28,9 @@ _BACK_FACES = 4
 class TactoRays:
     """Ray-cast renderer of TACTO's images (Wang et al. 2022).
 
-    The gel is rigid; wherever the object is nearer to the camera than the gel, down to `NEAR`, the object is
-    drawn. Only faces towards the camera are visible. One ray through the centre
-    of a pixel, shaded with the interpolated normal; at the outline of the contact four, as in OpenGL's
-    multisampling.
+    The gel is rigid; wherever the object is nearer to the camera than the gel, down to `NEAR_PLANE`, the
+    object is drawn. Only faces towards the camera are visible. One ray through the centre of a pixel, shaded
+    with the interpolated normal; at the outline of the contact four, as in OpenGL's multisampling.
 
     Parameters
     ----------
@@ -135,7 +134,7 @@ class TactoRays:
         self, camera: np.ndarray, directions: np.ndarray, gel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the first front faces before the gel: ray, depth, face, barycentric weights."""
-        live, along, start = np.arange(len(directions)), directions, np.float32(NEAR)
+        live, along, start = np.arange(len(directions)), directions, np.float32(NEAR_PLANE)
         camera, found = camera.astype(np.float32), []
         for _ in range(_BACK_FACES):
             origins = camera + np.reshape(start, (-1, 1)) * along

@@ -9,12 +9,12 @@ import scipy
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
-from objectfolder.touch.gel import DENSE, SPACING, Layer, double, halve, layer_of, period
+from objectfolder.touch.gel import MAX_DENSE_PIXELS, SPACING, Layer, double, halve, layer_of, period
 from objectfolder.touch.profiles import SensorProfile
 
 _TOLERANCE = 0.002  # of the motion: error of the surface's displacement where it sticks
 _MAX_STEPS = 400  # typically tens suffice
-FINEST = 80  #: pixels; grids with a longer shorter side are halved
+MAX_GRID_SIDE = 80  #: pixels; grids with a longer shorter side are halved
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def shear_contacts(
         if not image.any():
             continue
         shapes, step = [], pitch
-        while min(image.shape) >= FINEST:
+        while min(image.shape) >= MAX_GRID_SIDE:
             shapes.append(image.shape)
             image, step = halve(image), 2 * step
         right, up = _grid(image.shape, step, (height, width), pitch)
@@ -177,7 +177,7 @@ def _bounded(traction: np.ndarray, bound: np.ndarray) -> np.ndarray:
 
 def _respond(traction: np.ndarray, shape: tuple[int, ...], pitch: float, layer: Layer) -> np.ndarray:
     """Return the tangential displacement under a traction, both (2, h, w), in a part of an image (H, W)."""
-    if math.prod(shape) <= DENSE:
+    if math.prod(shape) <= MAX_DENSE_PIXELS:
         matrix = _part(traction.shape[1:], shape, pitch, layer)
         found: np.ndarray = np.einsum("ij,j->i", matrix, traction.ravel())  # as in `gel.respond`
         return found.reshape(traction.shape)

@@ -15,7 +15,7 @@ from objectfolder.touch.profiles import SensorProfile
 BINS = 120  #: of slope and of its direction, as NVIDIA's Isaac Lab reads them
 
 _SAMPLES = 10  # at least; pixels along the shorter side at which the table's polynomials are fitted
-_STEEPEST = np.radians(85)
+_MAX_SLOPE_ANGLE = np.radians(85)
 
 
 def color_table(profile: SensorProfile, bins: int = BINS, sign: float = 1.0) -> np.ndarray:
@@ -30,7 +30,7 @@ def color_table(profile: SensorProfile, bins: int = BINS, sign: float = 1.0) -> 
     """
     coarse = _coarse(profile)
     optics = Optics(coarse)
-    angle = np.minimum((np.arange(bins) + 0.5) * np.pi / 2 / (bins - 1), _STEEPEST)
+    angle = np.minimum((np.arange(bins) + 0.5) * np.pi / 2 / (bins - 1), _MAX_SLOPE_ANGLE)
     angle[0] = 0
     direction = (np.arange(bins) + 0.5) * 2 * np.pi / (bins - 1) - np.pi
     rows, columns = (

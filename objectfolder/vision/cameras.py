@@ -10,8 +10,10 @@ from objectfolder.errors import ObjectFolderError
 
 CAMERA_RADIUS = 2.5  #: training cameras sit on this sphere (supplementary C)
 LIGHT_RADIUS = 1.0
-FARTHEST = 1e3  #: coordinate of a camera or light: beyond, single precision does not resolve the object
-RIGID = 1e-4  #: largest deviation of a camera's matrix from a rigid motion; single precision leaves 1e-6
+MAX_COORDINATE = 1e3  #: coordinate of a camera or light: beyond, single precision does not resolve the object
+RIGID_TOLERANCE = (
+    1e-4  #: largest deviation of a camera's matrix from a rigid motion; single precision leaves 1e-6
+)
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,7 @@ def require_rigid(poses: np.ndarray) -> None:
             "it mirrors: its determinant must be 1": np.abs(np.linalg.det(rotation) - 1),
         }
     for problem, deviation in problems.items():
-        wrong = np.flatnonzero(~(deviation <= RIGID))
+        wrong = np.flatnonzero(~(deviation <= RIGID_TOLERANCE))
         if len(wrong):
             raise ObjectFolderError(
                 f"camera: matrix {wrong[0]} is {poses[wrong[0]].round(4).tolist()}, must be camera to world: "

@@ -18,7 +18,7 @@ from objectfolder.vision.cameras import (
 from objectfolder.vision.color import lit_foreground, on_white
 from objectfolder.vision.renderers.registry import Renderer
 
-BRIGHTEST = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
+MAX_RADIANCE = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
 TILES_PER_LIGHT = 4  # a new light costs training as much as a few tiles
 
 
@@ -106,7 +106,7 @@ def render_split(
     for i in progress(range(count)):
         shot = shots.camera_to_world[i], shots.light[i], shots.intrinsics[i]
         images = [
-            renderer.render(*shot, samples // parts, int(seed)).clip(max=BRIGHTEST) for seed in seeds[:, i]
+            renderer.render(*shot, samples // parts, int(seed)).clip(max=MAX_RADIANCE) for seed in seeds[:, i]
         ]
         rgba[i] = sum(images) / parts
         if halves:

@@ -13,10 +13,12 @@ import torch
 
 from objectfolder.checks import finite_number, real_array
 from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.vision.cameras import FARTHEST
+from objectfolder.vision.cameras import MAX_COORDINATE
 
-BRIGHTEST = 1e12  #: of a colour: its light near a surface still fits into single precision
-FAR = 30.0  #: distance from which a point light counts as parallel: nets learnt from near and parallel ones
+MAX_COLOR = 1e12  #: of a colour: its light near a surface still fits into single precision
+PARALLEL_DISTANCE = (
+    30.0  #: distance from which a point light counts as parallel: nets learnt from near and parallel ones
+)
 KEY_DISTANCE = 2.4  #: of the lights of the studio, unit frame
 
 #: Three numbers, such as a position or a linear colour.
@@ -37,7 +39,7 @@ class PointLight:
     Raises
     ------
     ObjectFolderError
-        If a number is not finite, the position too far away, or the colour negative or beyond `BRIGHTEST`.
+        If a number is not finite, the position too far away, or the colour negative or beyond `MAX_COLOR`.
     """
 
     position: Triple
@@ -45,10 +47,10 @@ class PointLight:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", _triple("position of a light", self.position))
-        if np.abs(self.position).max() > FARTHEST:
+        if np.abs(self.position).max() > MAX_COORDINATE:
             raise ObjectFolderError(
                 f"position of a light is {quoted(self.position)}, expected coordinates of at most "
-                f"{FARTHEST:g}, in the unit frame (longest side 1); give a DistantLight instead"
+                f"{MAX_COORDINATE:g}, in the unit frame (longest side 1); give a DistantLight instead"
             )
         object.__setattr__(self, "color", _color(self.color))
 
@@ -73,7 +75,7 @@ class DistantLight:
     ------
     ObjectFolderError
         If a number is not finite, the direction has no length, or the colour is negative or beyond
-        `BRIGHTEST`.
+        `MAX_COLOR`.
     """
 
     direction: Triple
@@ -131,7 +133,7 @@ def studio(azimuth: float = 35.0, elevation: float = 50.0) -> list[PointLight]:
 
 
 def chosen_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
-    """Return the lights that a query names: "studio", or lights; point lights beyond `FAR` as distant ones.
+    """Return the lights that a query names, "studio" or lights; far point lights as distant ones.
 
     Raises ObjectFolderError if it is anything else.
     """
@@ -153,7 +155,11 @@ def chosen_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
 
 def _parallel(lamp: PointLight) -> Lamp:
     squared = float(np.square(lamp.place).sum())
-    return lamp if squared <= FAR**2 else DistantLight(lamp.position, np.array(lamp.color) / squared)
+    return (
+        lamp
+        if squared <= PARALLEL_DISTANCE**2
+        else DistantLight(lamp.position, np.array(lamp.color) / squared)
+    )
 
 
 def _triple(name: str, values: Triple) -> tuple[float, ...]:
@@ -167,6 +173,6 @@ def _color(values: Triple) -> tuple[float, ...]:
     color = _triple("colour of a light", values)
     if min(color) < 0:
         raise ObjectFolderError(f"colour of a light is {quoted(color)}, expected no negative number")
-    if max(color) > BRIGHTEST:
-        raise ObjectFolderError(f"colour of a light is {quoted(color)}, expected at most {BRIGHTEST:g}")
+    if max(color) > MAX_COLOR:
+        raise ObjectFolderError(f"colour of a light is {quoted(color)}, expected at most {MAX_COLOR:g}")
     return color

@@ -25,7 +25,7 @@ BOUNCES = 2  # later ones are fainter than the error of the patches
 NEIGHBOURS = 4  # patches from which the light at a vertex is interpolated
 START = 0.3  # voxels along the normal where rays start
 BLOCKS = 16  # along a side of the cube; patches are sorted by block
-SOLVED = 64  # lights whose solution is cached
+CACHED_LIGHTS = 64  # lights whose solution is cached
 TURN = 0.1  # distance in the unit frame equivalent to one radian between normals
 
 
@@ -67,7 +67,7 @@ class Radiosity:
         self._points, self._normals = (
             column_major(torch.from_numpy(v[self._involved])) for v in (points, normals)
         )
-        self._solved: Recent[tuple[torch.Tensor, torch.Tensor]] = Recent(SOLVED)
+        self._solved: Recent[tuple[torch.Tensor, torch.Tensor]] = Recent(CACHED_LIGHTS)
 
     def gathered(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
         """Return the diffuse light of the surface that a white Lambertian one reflects at samples; (S, 3).

@@ -12,10 +12,10 @@ from objectfolder.vision.trace import SurfaceSamples, trace
 
 CREASE = 0.35  # difference of neighbouring unit normals
 SIDE = 3  # edge pixels have SIDE x SIDE samples, one of them at the centre
-OTHERS = SIDE**2 - 1
+EXTRA_SAMPLES = SIDE**2 - 1
 AXIS = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
 AROUND = np.delete(
-    np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), OTHERS // 2, axis=1
+    np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), EXTRA_SAMPLES // 2, axis=1
 )  # x, y off the centre
 HALVINGS = 4  # bisections of the interval between two samples that contains a silhouette
 END = np.float32(1 / 64)  # pixels; a line that is hit this near to its end is covered up to the end
@@ -88,16 +88,20 @@ def _draw(
         edges = order[_varies(np.concatenate([normals, state[None]]), rays.shape, CREASE)[order]]
     pixel = seen
     if len(edges):
-        around = rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges)))
+        around = rays.through(np.repeat(edges, EXTRA_SAMPLES), *np.tile(AROUND, len(edges)))
         fine = trace(surface, rays.origin, around, light)
         ray = fine.ray.numpy()
-        samples, pixel, finer = fine.joined(centre), np.concatenate([edges[ray // OTHERS], seen]), len(ray)
+        samples, pixel, finer = (
+            fine.joined(centre),
+            np.concatenate([edges[ray // EXTRA_SAMPLES], seen]),
+            len(ray),
+        )
     if not len(pixel):
         return _shaped(images, rays.shape)
     radiance = shade(samples, torch.from_numpy(light), rays.by_squares(pixel, SQUARE_SIDE)).numpy().T
     _put(color, seen, radiance[:, finer:])
     if len(edges):
-        found = _images(len(edges) * OTHERS)
+        found = _images(len(edges) * EXTRA_SAMPLES)
         found[1][ray], found[2][ray] = 1, fine.distance.numpy()
         _put(found[0], ray, radiance[:, :finer])
         _put(found[3], ray, fine.normals.numpy().T)
@@ -127,9 +131,9 @@ def _shaped(images: Images, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndar
 def _refine(surface: Isosurface, rays: PixelRays, edges: np.ndarray, images: Images, found: Images) -> None:
     """Update images in place with the additional samples ``found`` of edge pixels (E,)."""
     color, alpha, depth, normals = images
-    hit = np.insert(found[1].reshape(-1, OTHERS), OTHERS // 2, alpha[edges], axis=1) > 0
+    hit = np.insert(found[1].reshape(-1, EXTRA_SAMPLES), EXTRA_SAMPLES // 2, alpha[edges], axis=1) > 0
     hits = hit.sum(1, dtype=np.float32)
-    summed = color[:, edges] + found[0].reshape(3, -1, OTHERS).sum(2)
+    summed = color[:, edges] + found[0].reshape(3, -1, EXTRA_SAMPLES).sum(2)
     color[:, edges] = summed / np.maximum(hits, 1)
     alpha[edges] = hits / SIDE**2
     silhouette = np.flatnonzero(_varies(alpha[None], rays.shape, 0)[edges] & (hits > 0))
@@ -138,7 +142,7 @@ def _refine(surface: Isosurface, rays: PixelRays, edges: np.ndarray, images: Ima
     alpha[pixels] = _coverage(surface, rays, pixels, lines, _slopes(alpha.reshape(rays.shape), pixels))
     # Where the centre misses, take the nearest of the others.
     missed = np.flatnonzero(np.isinf(depth[edges]))
-    nearest = OTHERS * missed + found[2].reshape(-1, OTHERS)[missed].argmin(1)
+    nearest = EXTRA_SAMPLES * missed + found[2].reshape(-1, EXTRA_SAMPLES)[missed].argmin(1)
     depth[edges[missed]], normals[:, edges[missed]] = found[2][nearest], found[3][:, nearest]
     empty = edges[alpha[edges] == 0]
     depth[empty], normals[:, empty] = np.inf, 0

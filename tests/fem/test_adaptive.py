@@ -21,8 +21,8 @@ THICK = box((1, 1, 0.06))
 
 @pytest.fixture(autouse=True)
 def no_grid_is_small_and_none_too_coarse(monkeypatch):
-    monkeypatch.setattr(adaptive, "_CHEAP", 0)
-    monkeypatch.setattr(adaptive, "_REACH", np.inf)
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 0)
+    monkeypatch.setattr(adaptive, "_MAX_COARSENESS", np.inf)
 
 
 def fine(size, max_error):
@@ -99,11 +99,11 @@ def test_a_step_leads_to_the_coarsest_grid_that_should_suffice(monkeypatch):
 
 
 def test_small_grids_are_refined_until_a_third_of_the_error_is_accepted(monkeypatch):
-    monkeypatch.setattr(adaptive, "_CHEAP", 1)
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 1)
     asked = estimating(monkeypatch, {8: 0.01, 12: 0.006})
     assert refine(THICK).resolution == 12
     assert asked == [8, 12]
-    monkeypatch.setattr(adaptive, "_CHEAP", 1e-4)
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 1e-4)
     estimating(monkeypatch, {8: 0.01})
     assert refine(THICK).resolution == 8
 

@@ -74,7 +74,7 @@ def test_interpolation_holds_a_few_nodal_values_at_once(element, rng, monkeypatc
     divided, fem = element
     points, values = rng.uniform(-0.2, 0.2, (2000, 3)), rng.random((len(fem.nodes), 300))
     whole = divided.interpolate(values, points)
-    monkeypatch.setattr("objectfolder.fem.elasticity.GATHERED", 20_000)
+    monkeypatch.setattr("objectfolder.fem.elasticity.MAX_GATHERED_VALUES", 20_000)
     tracemalloc.start()
     pieces = divided.interpolate(values, points)
     peak = tracemalloc.get_traced_memory()[1]

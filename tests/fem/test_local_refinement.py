@@ -58,11 +58,11 @@ def test_a_grid_that_cannot_be_halved_twice_is_left():
 
 
 def test_sizes_are_mixed_where_uniform_grids_do_not_reach(monkeypatch):
-    monkeypatch.setattr(adaptive, "_FINEST", (32,))
+    monkeypatch.setattr(adaptive, "_MIXED_RESOLUTIONS", (32,))
     fine = FineGrids(resolutions=(10, 12), subdivisions=4, max_degrees_of_freedom=LIMIT, max_error=0.02)
 
     def found(bulk):
-        monkeypatch.setattr(adaptive, "_BULK", bulk)
+        monkeypatch.setattr(adaptive, "_MIN_BULK_SHARE", bulk)
         return refined(cut_cells(*DUMBBELL, 8, 4), DUMBBELL, fine, STUFF, 1.0).solid
 
     assert found(1.0).resolution <= 12

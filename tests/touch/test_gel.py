@@ -226,7 +226,7 @@ def test_nothing_in_reach_leaves_the_gel_alone(digit):
 def test_small_grids_answer_as_by_transforms(rng, monkeypatch):
     layer, pressure = Layer(0.004, 1.5e5, 0.48), rng.random((20, 15))
     found = respond(pressure, 4e-4, layer)
-    monkeypatch.setattr("objectfolder.touch.gel.DENSE", 0)
+    monkeypatch.setattr("objectfolder.touch.gel.MAX_DENSE_PIXELS", 0)
     expected = respond(pressure, 4e-4, layer)
     assert found.dtype == expected.dtype == np.float64
     assert abs(found - expected).max() < 1e-6 * expected.max()

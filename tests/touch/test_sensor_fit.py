@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json
-from objectfolder.touch.ball import _KEPT, BallModel
+from objectfolder.touch.ball import _CACHED_DISPLACEMENTS, BallModel
 from objectfolder.touch.calibration import fit_sensor, fit_sensor_lights
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.imprint import find_imprint
@@ -150,7 +150,10 @@ def test_a_radius_in_millimetres_is_refused(rigid, pictures, untouched):
 
 
 def test_a_model_keeps_the_gel_under_the_last_poses_alone(rigid):
-    model, poses = BallModel(rigid, RADIUS), np.linspace([20, 20, 5e-4], [60, 60, 5e-4], _KEPT + 1)
+    model, poses = (
+        BallModel(rigid, RADIUS),
+        np.linspace([20, 20, 5e-4], [60, 60, 5e-4], _CACHED_DISPLACEMENTS + 1),
+    )
     first = model.displacement(poses[0])
     assert model.displacement(poses[0]) is first
     for pose in poses[1:]:

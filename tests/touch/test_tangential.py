@@ -64,9 +64,9 @@ def test_a_part_of_the_image_answers_as_the_whole(size, dense, rng, monkeypatch)
     window = slice(row, row + height), slice(column, column + width)
     image = np.zeros((2, *shape), np.float32)
     image[:, *window] = traction
-    monkeypatch.setattr(tangential, "DENSE", 0)
+    monkeypatch.setattr(tangential, "MAX_DENSE_PIXELS", 0)
     expected = tangential._respond(image, shape, pitch, layer)[:, *window]
-    monkeypatch.setattr(tangential, "DENSE", dense)
+    monkeypatch.setattr(tangential, "MAX_DENSE_PIXELS", dense)
     found = tangential._respond(traction, shape, pitch, layer)
     assert abs(found - expected).max() < 2e-6 * abs(expected).max()
 

@@ -16,14 +16,14 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.vision import lit_picture
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.environment import (
-    BRIGHTEST_PIXEL,
+    MAX_PIXEL,
     environment_lamps,
     pixel_directions,
     read_environment,
 )
 from objectfolder.vision.lighting import (
-    BRIGHTEST,
-    FAR,
+    MAX_COLOR,
+    PARALLEL_DISTANCE,
     DistantLight,
     PointLight,
     chosen_lamps,
@@ -91,8 +91,10 @@ def test_all_lights_that_are_given_shine(brick):
 
 
 def test_far_point_lights_count_as_distant_ones():
-    near, far = chosen_lamps([PointLight([0, 0, FAR], [9.0, 0, 0]), PointLight([0, 0, 100.0], [1e4, 0, 2e4])])
-    assert near == PointLight([0, 0, FAR], [9.0, 0, 0])
+    near, far = chosen_lamps(
+        [PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0]), PointLight([0, 0, 100.0], [1e4, 0, 2e4])]
+    )
+    assert near == PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0])
     assert far == DistantLight([0, 0, 1.0], [1.0, 0, 2.0])
 
 
@@ -261,7 +263,7 @@ def test_a_light_is_checked(make, message):
 
 def test_the_brightest_lights_give_a_finite_picture(brick):
     """Even on the surface, and from surroundings that become a single light."""
-    color, sky = (BRIGHTEST,) * 3, np.full((1, 1, 3), BRIGHTEST_PIXEL)
+    color, sky = (MAX_COLOR,) * 3, np.full((1, 1, 3), MAX_PIXEL)
     lights = [
         *(PointLight(point / brick.scale, color) for point in brick.sample_surface(4)),
         DistantLight(CAMERA, color),

@@ -18,7 +18,7 @@ from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.renderers import blender_scene
 from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
 
-SMALLEST = 4  #: shortest side of an image that Blender renders, pixels
+MIN_SIDE = 4  #: shortest side of an image that Blender renders, pixels
 SHOWN_LINES = 8  # of Blender's output, in an error
 
 
@@ -53,7 +53,7 @@ class CyclesRenderer:
     ) -> np.ndarray:
         """Render one view; see `objectfolder.vision.renderers.registry.Renderer`."""
         # Pad small images to Blender's smallest size.
-        rows, columns = (max(SMALLEST - n + 1, 0) // 2 for n in (intrinsics.height, intrinsics.width))
+        rows, columns = (max(MIN_SIDE - n + 1, 0) // 2 for n in (intrinsics.height, intrinsics.width))
         width, aspect = intrinsics.width + 2 * columns, intrinsics.fx / intrinsics.fy  # aspect: of a pixel
         off_center = intrinsics.width / 2 - intrinsics.cx, aspect * (intrinsics.cy - intrinsics.height / 2)
         view = {

@@ -20,7 +20,7 @@ from OpenGL.error import Error as OpenGLError  # noqa: E402
 
 GAMMA = 2.2  # of pyrender's shader
 MAX_SIDE = 4  #: samples per side of a pixel
-NEAREST = 1e-3  #: of the plane before which nothing is drawn
+MIN_NEAR_PLANE = 1e-3  #: of the plane before which nothing is drawn
 
 
 @cache
@@ -62,7 +62,7 @@ class RasterRenderer:
         fx, fy, cx, cy = (side * x for x in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
         # Of the ball that holds the unit frame: wider planes would leave depths from afar no resolution.
         depth = float(camera_to_world[:3, 3] @ camera_to_world[:3, 2])
-        near, far = max(depth - 1, NEAREST), max(depth + 1, 2 * NEAREST)
+        near, far = max(depth - 1, MIN_NEAR_PLANE), max(depth + 1, 2 * MIN_NEAR_PLANE)
         camera = pyrender.IntrinsicsCamera(fx, fy, cx, cy, near, far)
         node = self._scene.add(camera, pose=np.asarray(camera_to_world, np.float64))
         pose = np.eye(4)
