@@ -41,7 +41,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.vision import view_images
 from objectfolder.seeding import numpy_generator, torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
-from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, lit_foreground, on_white
+from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
 from objectfolder.vision.dataset import Shots, render_split
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
@@ -329,7 +329,7 @@ def compare(truth: np.ndarray, other: np.ndarray) -> dict:
     """
     a, b = (on_white(torch.from_numpy(x)).numpy().astype(np.float64) for x in (truth, other))
     foreground = (truth[..., 3] > 0) | (other[..., 3] > 0)
-    lit = lit_foreground(truth)
+    lit = find_lit_foreground(truth)
     squared = (a - b) ** 2
     return {
         "psnr_foreground": float(psnr(squared[foreground].mean())),

@@ -49,7 +49,7 @@ class FarField:
         """Return the field of some of the modes."""
         return FarField(self.orders[modes], self.coefficients[modes], self.radius)
 
-    def truncated(self, order: int) -> "FarField":
+    def truncate(self, order: int) -> "FarField":
         """Return the field with degrees up to an order, at equal power."""
         kept = self.coefficients[:, : (order + 1) ** 2]
         power, left = ((abs(each) ** 2).sum(1) for each in (self.coefficients, kept))
@@ -64,7 +64,7 @@ def pack_far_field(field: FarField, limit: int) -> dict[str, np.ndarray]:
     the real parts of its harmonics, then the imaginary ones, over the mode's step.
     """
     for codes, order in _STEPS:
-        less = field.truncated(order) if order < field.orders.max(initial=0) else field
+        less = field.truncate(order) if order < field.orders.max(initial=0) else field
         packed = _packed(less, codes)
         if len(packed["coefficients"]) + 5 * len(field.orders) <= limit:
             break

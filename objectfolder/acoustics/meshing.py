@@ -47,7 +47,7 @@ def finer_surface(vertices: np.ndarray, faces: np.ndarray, edge: float) -> Mesh:
     return arrays(manifold((vertices, faces)).refine_to_length(edge))
 
 
-def interpolated(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:
+def interpolate_motion(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Interpolate values (P, K) at points (P, 3) by moving least squares with linear functions; (N, K)."""
     distance, rows = cKDTree(points).query(places, k=min(_NEIGHBOURS, len(points)))
     reach = distance[:, -1:] + 1e-12
@@ -75,7 +75,7 @@ def outward_motion(vertices: np.ndarray, faces: np.ndarray, motion: np.ndarray) 
     return sum(np.einsum("nd,ndm->nm", normal, motion[corner]) for corner in faces.T) / 3
 
 
-def carried(fine: Triangles, flow: np.ndarray, coarse: Triangles) -> np.ndarray:
+def transfer_flow(fine: Triangles, flow: np.ndarray, coarse: Triangles) -> np.ndarray:
     """Sum what flows out of fine triangles, (N, M), over the coarse ones (K, M) that stand for them.
 
     A fine triangle belongs to the coarse one with the nearest place and direction, so that the two sides of a

@@ -8,7 +8,13 @@ import numpy as np
 from objectfolder.acoustics.boundary import Boundary
 from objectfolder.acoustics.farfield import MAX_ORDER, FarField, pack_far_field
 from objectfolder.acoustics.harmonics import Radiator, degrees
-from objectfolder.acoustics.meshing import carried, even_surface, finer_surface, interpolated, outward_motion
+from objectfolder.acoustics.meshing import (
+    even_surface,
+    finer_surface,
+    interpolate_motion,
+    outward_motion,
+    transfer_flow,
+)
 from objectfolder.acoustics.triangles import Triangles
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.mesh.topology import face_areas, outer_shells
@@ -57,8 +63,8 @@ def radiate(
     for level in np.unique(levels):
         modes = np.flatnonzero(levels == level)
         boundary = Boundary(*even_surface(*surface, counts[level]))
-        motion = carried(source, flow[:, modes], boundary.triangles) / boundary.triangles.area[:, None]
-        parts.append((modes, of_motion(boundary, motion, np.asarray(frequencies)[modes], radius)))
+        motion = transfer_flow(source, flow[:, modes], boundary.triangles) / boundary.triangles.area[:, None]
+        parts.append((modes, radiate_motion(boundary, motion, np.asarray(frequencies)[modes], radius)))
     return _joined(parts, len(needed), radius)
 
 
@@ -68,7 +74,7 @@ def _outward_flow(
     """Return fine triangles of a surface, and the outward motion of each mode times their areas."""
     fine, faces = finer_surface(*surface, _MOTION_EDGE * edge)
     faces = faces[face_areas(fine, faces) > 0]
-    motion = interpolated(points, shapes.reshape(len(points), -1), fine).reshape(len(fine), 3, -1)
+    motion = interpolate_motion(points, shapes.reshape(len(points), -1), fine).reshape(len(fine), 3, -1)
     source = Triangles.of(fine, faces)
     return source, outward_motion(fine, faces, motion) * source.area[:, None]
 
@@ -83,7 +89,9 @@ def _joined(parts: list[tuple[np.ndarray, FarField]], count: int, radius: float)
     return FarField(orders, coefficients, radius)
 
 
-def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, radius: float) -> FarField:
+def radiate_motion(
+    boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, radius: float
+) -> FarField:
     """Compute the far field of motions (N, M) of a boundary's triangles in a ball of some radius.
 
     Notes
@@ -130,7 +138,7 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, r
     return FarField(orders, coefficients, radius)
 
 
-def stored_radiation(
+def pack_radiation(
     field: FarField, surface: tuple[np.ndarray, np.ndarray], scale: float, limit: int
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return tensors and header of what an Object File stores of an object's radiation.

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from objectfolder.audio.synthesis import audible, count_samples, responses
+from objectfolder.audio.synthesis import count_samples, is_audible, responses
 from objectfolder.audio.tuning import Tuning
 
 BLOCK = 16  # sounds mixed at once; fixed, so that a row's bits do not depend on its batch
@@ -32,7 +32,7 @@ class Bank:
     ):
         self.sample_rate = sample_rate
         self.samples = count_samples(sample_rate, duration)
-        self.heard = torch.nonzero(audible(tuning.damped_frequency, sample_rate))[:, 0]
+        self.heard = torch.nonzero(is_audible(tuning.damped_frequency, sample_rate))[:, 0]
         self.device = torch.device(device)
         self._modes = tuning.damped_frequency[self.heard], tuning.damping[self.heard]
         self._strike = response, contact_time

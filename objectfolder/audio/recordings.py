@@ -42,7 +42,7 @@ def read_recording(path: Path) -> tuple[np.ndarray, float]:
     Raises ObjectFolderError if it is not an audio file, or is silent, clipped, not finite, too long, of a low
     rate or cut off.
     """
-    with opened_sound(path) as file:
+    with open_sound(path) as file:
         rate, seconds = float(file.samplerate), file.frames / file.samplerate
         if rate < MIN_RATE or seconds > MAX_SECONDS:
             raise ObjectFolderError(
@@ -61,7 +61,7 @@ def read_recording(path: Path) -> tuple[np.ndarray, float]:
 
 
 @contextmanager
-def opened_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
+def open_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
     """Open an audio file; its errors, also of what is done with it, become ObjectFolderError.
 
     A WAV file whose header has no sizes, as of a program that wrote to a pipe, goes on to its end. Raises
@@ -179,7 +179,7 @@ def loudest_channel(channels: np.ndarray, path: Path) -> np.ndarray:
     return channels[:, peaks.argmax()]
 
 
-def at_one_rate(
+def resample_to_lowest(
     recordings: Sequence[tuple[np.ndarray, float]], names: Sequence[object] | None = None
 ) -> tuple[list[np.ndarray], float]:
     """Resample recordings, (samples,) of a rate in Hz each, to the lowest of their rates.
@@ -196,10 +196,10 @@ def at_one_rate(
             f"brought to the lowest rate, and modes above {USABLE_BAND * lowest:.0f} Hz would be lost: leave "
             f"out recordings of {lowest:g} Hz"
         )
-    return [at_rate(sound, own, lowest) for sound, own in recordings], lowest
+    return [resample_sound(sound, own, lowest) for sound, own in recordings], lowest
 
 
-def at_rate(sound: np.ndarray, own: float, rate: float) -> np.ndarray:
+def resample_sound(sound: np.ndarray, own: float, rate: float) -> np.ndarray:
     """Resample a sound, (samples,), from its own sample rate to another, Hz."""
     from scipy.signal import resample_poly
 

@@ -36,7 +36,7 @@ def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
     return torch.stft(sounds, FFT, hop_length=HOP, win_length=WINDOW, window=window, return_complex=True)
 
 
-def sounds_of(spectra: torch.Tensor) -> torch.Tensor:
+def invert_spectrogram(spectra: torch.Tensor) -> torch.Tensor:
     """Return the two-second sounds with the closest spectrograms; (N, 257, 201) -> (N, 32000)."""
     window = torch.hann_window(WINDOW)
     return torch.istft(spectra, FFT, HOP, WINDOW, window, length=round(SAMPLE_RATE * DURATION))

@@ -2,7 +2,7 @@
 
 A mode with the pole s = -c + i w is a phasor z with z' = s z + g f(t), where f is a force and g its gain; it
 is heard as the imaginary part of a complex weight times z. Of modes that are heard by their acceleration, the
-force itself is heard, too (`objectfolder.audio.synthesis.pressing`). Between samples, phasors are advanced
+force itself is heard, too (`force_factors`). Between samples, phasors are advanced
 exactly. A half sine of force is the sum of two sinusoids that begin half a period apart and cancel after the
 second,
 
@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from objectfolder.audio.synthesis import pressing
+from objectfolder.audio.synthesis import force_factors
 
 SILENCE_LEVEL = 2e-9  #: sound below which a body is silent, Pa; 80 dB under the threshold of hearing
 
@@ -197,7 +197,8 @@ class ModalStream:
             heard[:, low:high] += (np.outer(ahead, wave) + np.outer(behind, wave.conj())).imag
             part = slice(self._accelerated[body])
             by_force, by_change = (
-                (ears[:, part] * factor).imag @ size[part] for factor in pressing(s[part], pulse.duration)
+                (ears[:, part] * factor).imag @ size[part]
+                for factor in force_factors(s[part], pulse.duration)
             )
             heard[:, low:high] += np.outer(by_force, wave.imag) + np.outer(by_change, wave.real)
         return added

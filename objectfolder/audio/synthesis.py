@@ -12,7 +12,7 @@ RESPONSES = ("displacement", "velocity", "acceleration")
 _STRIDE = 256  # samples between computed exponentials; the others are products
 _SLOW_CONTACT_PHASE = (
     1.5 * math.pi
-)  # radians of a mode during a contact beyond which its force counts as slow; see `pressing`
+)  # radians of a mode during a contact beyond which its force counts as slow; see `force_factors`
 
 
 def sinusoid_bank(
@@ -35,7 +35,7 @@ def sinusoid_bank(
     time.
     """
     samples = count_samples(sample_rate, duration)
-    heard = audible(damped_frequency, sample_rate)
+    heard = is_audible(damped_frequency, sample_rate)
     bank = torch.zeros(len(heard), samples, dtype=torch.float32, device=heard.device)
     modes = damped_frequency[heard], damping[heard]
     bank[heard] = responses(*modes, sample_rate, range(samples), response, contact_time)
@@ -154,7 +154,7 @@ def half_sine(time: torch.Tensor, contact_time: float) -> tuple[torch.Tensor, to
     return turn / 2 * torch.sin(turn * time) * touching, turn / 2 * torch.cos(turn * time) * touching
 
 
-def pressing(s: Any, contact_time: float) -> tuple[Any, Any]:
+def force_factors(s: Any, contact_time: float) -> tuple[Any, Any]:
     """Return how the force itself is heard while it acts on modes that are heard by their acceleration.
 
     A mode rings as the imaginary part of G z, with z' = s z + f. Its acceleration, times w, is the imaginary
@@ -213,7 +213,7 @@ def _divided_difference(p: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
     return torch.where(near, series, (torch.exp(p) - torch.exp(q)) / torch.where(near, 1, 2 * half))
 
 
-def audible(damped_frequency: torch.Tensor, sample_rate: float) -> torch.Tensor:
+def is_audible(damped_frequency: torch.Tensor, sample_rate: float) -> torch.Tensor:
     """Return a mask of the modes below the Nyquist frequency; (M,) bool."""
     return damped_frequency < math.pi * sample_rate
 

@@ -105,12 +105,12 @@ def vision(
     from objectfolder.io import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.objectfile.vision import poses_and_lights
-    from objectfolder.vision.environment import all_lamps
+    from objectfolder.vision.environment import gather_lamps
 
     given = lights is not None or environment is not None
     hint = ", cameras, beside --lights or --environment" if given else ", or give --lights"
     obj, rows = ObjectFile.load(file), read_rows(queries, 3 if given else 6, hint)
-    lamps = all_lamps(_lamps(lights), environment)
+    lamps = gather_lamps(_lamps(lights), environment)
     # Checked together, so that a bad row leaves no files; drawn one by one, which takes less memory.
     poses, lamps_of = poses_and_lights(rows[:, :3], None if given else rows[:, 3:], lamps)
     for i, (pose, lit_by) in enumerate(zip(poses, lamps_of), 1):

@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-from objectfolder.fem.blocks import halved
+from objectfolder.fem.blocks import halve_cells
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.eigen import FreeVibration
 from objectfolder.fem.elasticity import Solid
@@ -63,7 +63,7 @@ def coarser(solid: Solid) -> CutCells | None:
     """Return a solid in elements twice as large; None for elements other than cut cells."""
     if isinstance(solid, MixedCells):
         return solid.coarser
-    return halved(solid) if isinstance(solid, CutCells) else None
+    return halve_cells(solid) if isinstance(solid, CutCells) else None
 
 
 def discretisation_error(

@@ -9,7 +9,7 @@ from objectfolder.fem.accuracy import ORDER, Discretisation
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.elasticity import Solid
-from objectfolder.fem.local import locally_refined
+from objectfolder.fem.local import refine_locally
 from objectfolder.fem.occupancy import MARGIN
 from objectfolder.fem.settings import FineGrids
 from objectfolder.materials import Material
@@ -55,7 +55,7 @@ def adaptive_cut_cells(
     return cells
 
 
-def refined(
+def refine_grid(
     solid: Solid,
     surface: Mesh,
     fine: FineGrids,
@@ -119,7 +119,7 @@ def _mixed(
         _MIXED_RESOLUTIONS[-1],
     )
     cells = cut_cells(*surface, finest, _SUBDIVISIONS, name)
-    return locally_refined(cells, fine.max_degrees_of_freedom, material, scale)
+    return refine_locally(cells, fine.max_degrees_of_freedom, material, scale)
 
 
 def _bulk(cells: CutCells) -> float:

@@ -32,7 +32,7 @@ class Modes:
 
     eigenvalues: np.ndarray  #: (M,), rad^2/s^2
     shapes: np.ndarray  #: (3N, M), mass-normalised, kg^-1/2
-    residuals: np.ndarray  #: (M,), ||K u - lambda M u|| / ||lambda M u||, before `canonical`
+    residuals: np.ndarray  #: (M,), ||K u - lambda M u|| / ||lambda M u||, before `canonicalise`
     rigid_frequencies: np.ndarray  #: (6,), Hz; exactly zero in exact arithmetic
     count_below: int  #: elastic modes below the frequency limit, by inertia
     truncated: bool  #: whether fewer modes were kept
@@ -104,7 +104,7 @@ class FreeVibration:
                 "larger voxelize.max_degrees_of_freedom"
             )
         keep = np.flatnonzero(values < limit)[: wanted(values)]
-        # Of the solver's own vectors: `canonical` mixes modes whose eigenvalues still differ a little.
+        # Of the solver's own vectors: `canonicalise` mixes modes whose eigenvalues still differ a little.
         inertia = fem.mass @ (vectors[:, keep] * values[keep])
         residual = np.linalg.norm(fem.stiffness @ vectors[:, keep] - inertia, axis=0)
         rigid = np.einsum("ij,ij->j", self._rigid, fem.stiffness @ self._rigid)
@@ -112,7 +112,7 @@ class FreeVibration:
         return Modes(
             eigenvalues=values[keep],
             # Before the cut, which may separate the modes of a repeated eigenvalue.
-            shapes=canonical(values, vectors, fem)[:, keep],
+            shapes=canonicalise(values, vectors, fem)[:, keep],
             residuals=residual / np.linalg.norm(inertia, axis=0),
             rigid_frequencies=np.sqrt(np.abs(rigid)) / (2 * np.pi),
             count_below=count,
@@ -143,7 +143,7 @@ def rigid_motions(nodes: np.ndarray) -> np.ndarray:
     return motion.reshape(-1, 6)
 
 
-def canonical(values: np.ndarray, vectors: np.ndarray, fem: FiniteElements) -> np.ndarray:
+def canonicalise(values: np.ndarray, vectors: np.ndarray, fem: FiniteElements) -> np.ndarray:
     """Fix signs and the bases of repeated eigenvalues.
 
     A solver may return either sign of a mode and any basis of a repeated eigenvalue's subspace. Each

@@ -21,7 +21,7 @@ class _Solved:
     eigenvalues: np.ndarray  # (M,)
 
 
-def locally_refined(
+def refine_locally(
     finest: CutCells, max_degrees_of_freedom: int, material: Material, scale: float
 ) -> Discretisation | None:
     """Choose the sizes of cells within a size limit; None if the solid has no two coarse grids.
@@ -97,7 +97,7 @@ def _with_coarser(levels: Levels, divided: list[np.ndarray]) -> MixedCells:
     mesh = None
     steps = [divided]
     for _ in range(2):
-        steps.append(levels.coarsened(steps[-1]))
+        steps.append(levels.coarsen(steps[-1]))
     for step in reversed(steps):
         mesh = levels.mesh(step, mesh)
     assert mesh is not None

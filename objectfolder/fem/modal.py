@@ -8,7 +8,7 @@ import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.accuracy import ESTIMATED_MODES, Discretisation, resolved_frequency
-from objectfolder.fem.adaptive import refined
+from objectfolder.fem.adaptive import refine_grid
 from objectfolder.fem.cutcell import CUT_CELLS
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.settings import FineGrids
@@ -122,11 +122,11 @@ def refined_analysis(
     max_modes: int,
     name: str = "object",
 ) -> ModalData:
-    """Compute modes as `modal_analysis`, on a finer grid if `objectfolder.fem.adaptive.refined` chooses one.
+    """Compute modes as `modal_analysis`, on a finer grid if `refine_grid` chooses one.
 
     The solid is on the first grid; its surface is (V, 3), unit frame, and (F, 3).
     """
-    candidate = refined(solid, surface, fine, material, scale, name)
+    candidate = refine_grid(solid, surface, fine, material, scale, name)
     return _modes_at(candidate, points, max_frequency, max_modes, name, wall_thickness(*surface))
 
 

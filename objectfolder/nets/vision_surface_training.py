@@ -194,13 +194,13 @@ def _gather(
         direct = net.direct(samples, l, base_color, normals)
         # Bright pixels are more informative. They are told by what is known of them: to choose by the
         # rendered pixel would prefer those with bright noise.
-        expected = direct + base_color * baked.radiosity.gathered(samples, l)
+        expected = direct + base_color * baked.radiosity.gather(samples, l)
         chance = np.where(expected.amax(1).numpy() > DARK, 1, dark_share)
         picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
         kept = torch.from_numpy(picked)
         samples = samples.select(kept)
         base_color, normals, direct = (take_rows(v, kept) for v in (base_color, normals, direct))
-        gathered = baked.radiosity.gathered(samples, l)
+        gathered = baked.radiosity.gather(samples, l)
         mirrored = net.mirrored(baked, samples, l, base_color, normals)
         inputs = net.bounce_inputs(samples, l, normals, direct, gathered, mirrored)
         bounced = inputs.features.half(), inputs.gathered, inputs.mirrored

@@ -18,17 +18,17 @@ from objectfolder.touch.imprint import (
     Imprint,
     check_background_seen,
     check_circles,
+    estimate_untouched,
     find_imprint,
-    overflowed,
-    untouched_estimate,
+    find_overflow,
 )
 from objectfolder.touch.lightfit import (
     Photograph,
-    disc_of,
-    exposed,
+    circle_mask,
     fit_lights,
     fit_pose,
     fit_residual,
+    limit_radiance,
     squared_error,
     starting_lights,
 )
@@ -117,7 +117,7 @@ def fit_sensor(
     if circles is None:
         circles = [
             find_imprint(picture - background, name)
-            for picture, background, name in zip(observed, untouched_estimate(observed, untouched), names)
+            for picture, background, name in zip(observed, estimate_untouched(observed, untouched), names)
         ]
     check_circles(circles, observed.shape[1:3], names)
     if untouched is None:
@@ -169,7 +169,7 @@ def fit_sensor_lights(
     if circles is None:
         circles = [find_imprint(picture - rest, name) for picture, name in zip(observed, names)]
     check_circles(circles, rest.shape, names)
-    discs = [disc_of(circle, rest.shape) & ~overflowed(of) for of, circle in zip(observed, circles)]
+    discs = [circle_mask(circle, rest.shape) & ~find_overflow(of) for of, circle in zip(observed, circles)]
     for disc, name in zip(discs, names):
         if disc.sum() < _MIN_PIXELS:
             raise ObjectFolderError(
@@ -185,7 +185,7 @@ def fit_sensor_lights(
     for _ in range(_ALTERNATIONS):
         fitted = fit_lights(model, rest, photographs, fitted)
         photographs = [fit_pose(model, fitted, rest, photograph) for photograph in photographs]
-    fitted = exposed(fitted, photographs, model)
+    fitted = limit_radiance(fitted, photographs, model)
     if residual:
         fitted = fit_residual(model, fitted, rest, photographs)
     before, after = (

@@ -112,7 +112,7 @@ def sensor_frames(normals: Array, angles: Array) -> Array:
     return library.stack([-n, cos * y - sin * z, cos * z + sin * y], 2)
 
 
-def leaned_normals(normals: Array, angles: Array, tilt: Array, azimuth: Array) -> Array:
+def lean_normals(normals: Array, angles: Array, tilt: Array, azimuth: Array) -> Array:
     """Return the outward axes of sensors that lean from the contact normals; (N, 3).
 
     Unit normals (N, 3) and angles (N,) are those of `sensor_frames`; the lean is by `tilt` (N,), in a

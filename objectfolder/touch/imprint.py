@@ -86,7 +86,7 @@ def check_circles(
             )
 
 
-def overflowed(picture: np.ndarray) -> np.ndarray:
+def find_overflow(picture: np.ndarray) -> np.ndarray:
     """Return where a channel of a picture (H, W, 3) overflowed; (H, W) bool.
 
     Some cameras, or programs behind them, go on from 255 to 0. What is left of that in a picture that was
@@ -102,7 +102,7 @@ def overflowed(picture: np.ndarray) -> np.ndarray:
     return found
 
 
-def untouched_estimate(observed: np.ndarray, untouched: np.ndarray | None) -> np.ndarray:
+def estimate_untouched(observed: np.ndarray, untouched: np.ndarray | None) -> np.ndarray:
     """Return the untouched sensor for each picture, (K, H, W, 3): the median of all, if it is not given."""
     if untouched is not None:
         return np.broadcast_to(np.asarray(untouched, np.float32), observed.shape)

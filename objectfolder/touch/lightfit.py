@@ -45,7 +45,7 @@ class Photograph:
     pose: np.ndarray  #: (3,) row and column of the ball's centre, pixels; press depth, m
 
 
-def disc_of(circle: tuple[float, float, float], shape: tuple[int, ...]) -> np.ndarray:
+def circle_mask(circle: tuple[float, float, float], shape: tuple[int, ...]) -> np.ndarray:
     """Return the pixels within a circle of row, column and radius in pixels; (H, W) bool."""
     row, column, radius = circle
     rows, columns = np.ogrid[: shape[0], : shape[1]]
@@ -155,7 +155,7 @@ def fit_pose(
     return replace(photograph, pose=found.x * scale)
 
 
-def exposed(profile: SensorProfile, photographs: list[Photograph], model: BallModel) -> SensorProfile:
+def limit_radiance(profile: SensorProfile, photographs: list[Photograph], model: BallModel) -> SensorProfile:
     """Return the same change of colours by dimmer lights and a larger gain.
 
     Optics cut radiance off at 1, the fit does not. Here no pixel of the gel, at rest or under the ball, is

@@ -25,10 +25,10 @@ def read_photograph(path: str | Path, profile: SensorProfile) -> np.ndarray:
     where = f"picture {path} of sensor {profile.name!r}"
     if not Path(path).is_file():
         raise ObjectFolderError(f"{where} does not exist; expected a PNG or JPEG file")
-    return scaled(decoded(Path(path), where), profile, where)
+    return scale_picture(decoded(Path(path), where), profile, where)
 
 
-def scaled(picture: Image.Image, profile: SensorProfile, where: str) -> np.ndarray:
+def scale_picture(picture: Image.Image, profile: SensorProfile, where: str) -> np.ndarray:
     """Scale a picture to the profile's image size; (H, W, 3) uint8, RGB. Errors begin with ``where``."""
     wanted = profile.width / profile.height
     if abs(picture.width / picture.height / wanted - 1) > _ASPECT_TOLERANCE:
@@ -91,10 +91,10 @@ def read_pack(path: str | Path, profile: SensorProfile) -> Pack:
             )
     factor = profile.height / untouched.shape[0]
     where = f"calibration pack {path} for sensor {profile.name!r}"
-    resized = [scaled(Image.fromarray(image.astype(np.uint8)), profile, where) for image in pictures]
+    resized = [scale_picture(Image.fromarray(image.astype(np.uint8)), profile, where) for image in pictures]
     circles = [
         (float(y + 0.5) * factor - 0.5, float(x + 0.5) * factor - 0.5, float(radius) * factor)
         for (x, y), radius in zip(centres, radii)
     ]
-    rest = scaled(Image.fromarray(untouched.astype(np.uint8)), profile, where)
+    rest = scale_picture(Image.fromarray(untouched.astype(np.uint8)), profile, where)
     return Pack(np.stack(resized), rest, circles)

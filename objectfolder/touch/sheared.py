@@ -31,7 +31,7 @@ class ShearedTouches(Touches):
     marker_flow: np.ndarray  #: (N, M, 2) float32, their motion, pixels
 
 
-def sheared(
+def shear_touches(
     touches: Touches,
     shear: np.ndarray,
     twist: np.ndarray,

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from objectfolder.vision.vectors import dot, normalized
+from objectfolder.vision.vectors import dot, normalize_rows
 
 REFRACTIVE_INDEX = 1.5  # principled specular 0.5
 MIN_ALPHA = 0.001
@@ -25,7 +25,7 @@ def principled(
     camera to the surface, and directions from there to the light are (S, 3) of unit length; base colours (S,
     3) are linear. 0 where the camera or the light is behind the surface.
     """
-    half = normalized(light - view)
+    half = normalize_rows(light - view)
     seen, received = -dot(normal, view), dot(normal, light)
     facing = (seen > 0) & (received > 0)
     seen, received = seen.clamp(min=1e-4), received.clamp(min=1e-6)

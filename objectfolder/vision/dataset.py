@@ -15,7 +15,7 @@ from objectfolder.vision.cameras import (
     look_at,
     sphere_points,
 )
-from objectfolder.vision.color import lit_foreground, on_white
+from objectfolder.vision.color import find_lit_foreground, on_white
 from objectfolder.vision.renderers.registry import Renderer
 
 MAX_RADIANCE = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
@@ -96,7 +96,7 @@ def render_split(
     dict
         ``rgba`` (N, H, W, 4) float16, linear and premultiplied; ``camera_to_world`` (N, 4, 4);
         ``light`` (N, 3); ``focal``; ``center`` (N, 2), column and row of the principal point in each image;
-        ``renderer``, its version. With halves also ``noise`` (N, 2), see `shown_noise`.
+        ``renderer``, its version. With halves also ``noise`` (N, 2), see `estimate_noise`.
     """
     count, one = len(shots.intrinsics), shots.intrinsics[0]
     parts = 2 if halves else 1
@@ -110,7 +110,7 @@ def render_split(
         ]
         rgba[i] = sum(images) / parts
         if halves:
-            noise[i] = shown_noise(*images)
+            noise[i] = estimate_noise(*images)
     views = {
         "rgba": rgba,
         "camera_to_world": shots.camera_to_world,
@@ -122,14 +122,14 @@ def render_split(
     return views | {"noise": noise} if halves else views
 
 
-def shown_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+def estimate_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     """Estimate the mean squared error, in sRGB on white, of the mean of two independent renders (H, W, 4).
 
     First order in the noise: the variance of the mean is a quarter of the mean squared difference. Rare
     bright paths are underestimated where the image clips them, and missed if neither render sampled them.
-    Returns the error over all pixels, and over those in `lit_foreground`; 0 if there are none.
+    Returns the error over all pixels, and over those in `find_lit_foreground`; 0 if there are none.
     """
     shown = [on_white(torch.from_numpy(image)).numpy().astype(np.float64) for image in (first, second)]
     error = np.square(shown[0] - shown[1]).mean(-1) / 4
-    lit = lit_foreground((first + second) / 2)
+    lit = find_lit_foreground((first + second) / 2)
     return float(error.mean()), float(error[lit].mean()) if lit.any() else 0.0

@@ -10,7 +10,7 @@ import numpy as np
 from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.vision.lighting import MAX_COLOR, DistantLight, Lamp, chosen_lamps
+from objectfolder.vision.lighting import MAX_COLOR, DistantLight, Lamp, choose_lamps
 
 LIGHTS = 64  #: that stand for a picture
 MAX_PIXEL = MAX_COLOR / 10  #: radiance; a light has up to four times that of its pixels
@@ -112,12 +112,14 @@ def environment_lamps(picture: str | Path | np.ndarray, count: int = LIGHTS) -> 
     return lamps
 
 
-def all_lamps(lights: str | Sequence[Any] | None, environment: str | Path | np.ndarray | None) -> list[Lamp]:
+def gather_lamps(
+    lights: str | Sequence[Any] | None, environment: str | Path | np.ndarray | None
+) -> list[Lamp]:
     """Return the lights that a query names and those of its surroundings.
 
-    Parameters and errors are those of `objectfolder.vision.lighting.chosen_lamps` and `environment_lamps`.
+    Parameters and errors are those of `objectfolder.vision.lighting.choose_lamps` and `environment_lamps`.
     """
-    chosen = chosen_lamps(lights)
+    chosen = choose_lamps(lights)
     return chosen if environment is None else [*chosen, *environment_lamps(environment)]
 
 

@@ -132,7 +132,7 @@ def studio(azimuth: float = 35.0, elevation: float = 50.0) -> list[PointLight]:
     ]
 
 
-def chosen_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
+def choose_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
     """Return the lights that a query names, "studio" or lights; far point lights as distant ones.
 
     Raises ObjectFolderError if it is anything else.

@@ -69,7 +69,7 @@ class Radiosity:
         )
         self._solved: Recent[tuple[torch.Tensor, torch.Tensor]] = Recent(CACHED_LIGHTS)
 
-    def gathered(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
+    def gather(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
         """Return the diffuse light of the surface that a white Lambertian one reflects at samples; (S, 3).
 
         Float32 radiance on the device of the light, see `objectfolder.vision.lighting.toward`: a white
@@ -78,7 +78,7 @@ class Radiosity:
         gathered, _ = self._under(light)
         return self._at(gathered, samples.nearest_corner.cpu()).to(light.device)
 
-    def mirrored(
+    def mirror(
         self, samples: SurfaceSamples, normals: torch.Tensor, light: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the diffuse light of the surface that a mirror with normals (S, 3) reflects at samples.

@@ -92,7 +92,7 @@ def _draw(
         fine = trace(surface, rays.origin, around, light)
         ray = fine.ray.numpy()
         samples, pixel, finer = (
-            fine.joined(centre),
+            fine.join(centre),
             np.concatenate([edges[ray // EXTRA_SAMPLES], seen]),
             len(ray),
         )

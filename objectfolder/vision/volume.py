@@ -41,7 +41,7 @@ class Rays:
         return torch.cat([self.near[:, None], middle, self.far[:, None]], 1)
 
 
-def stratified(
+def sample_strata(
     low: torch.Tensor, high: torch.Tensor, count: int, generator: torch.Generator | None = None
 ) -> torch.Tensor:
     """Return a sample in each of ``count`` equal parts of intervals, low to high (N,); ascending (N, count).
@@ -76,7 +76,7 @@ def visibility(density: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
     return transmittance(density, lengths)[:, :-1] * opacity(density, lengths)
 
 
-def resampled(
+def resample(
     intervals: torch.Tensor,
     weights: torch.Tensor,
     count: int,
@@ -93,7 +93,7 @@ def resampled(
     cumulative = torch.cat([torch.zeros_like(share[:, :1]), share.cumsum(1)], 1)
     cumulative = cumulative / cumulative[:, -1:]
     start = torch.zeros_like(cumulative[:, 0])
-    target = stratified(start, start + 1, count, generator)
+    target = sample_strata(start, start + 1, count, generator)
     found = torch.searchsorted(cumulative, target, right=True).clamp(1, weights.shape[1])
     (c0, c1), (t0, t1) = (
         (ends.gather(1, found - 1), ends.gather(1, found)) for ends in (cumulative, intervals)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import signal
 from scipy.integrate import solve_ivp
 
-from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
+from objectfolder.audio.synthesis import gains, is_audible, sinusoid_bank
 from objectfolder.errors import ObjectFolderError
 
 RATE = 16000
@@ -160,8 +160,8 @@ def test_modes_at_or_above_nyquist_are_silent_and_never_alias():
         bank = sinusoid_bank(w, c, RATE, 0.5, response)
         assert bank[0].abs().max() > 0
         assert not bank[1:].any()
-    assert audible(w, RATE).tolist() == [True, False, False, False]
-    assert audible(w, 44100).all()
+    assert is_audible(w, RATE).tolist() == [True, False, False, False]
+    assert is_audible(w, 44100).all()
 
 
 def test_the_same_sound_at_two_rates():

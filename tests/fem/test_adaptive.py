@@ -6,7 +6,7 @@ from solids import box, join, sphere
 
 from objectfolder.fem import adaptive
 from objectfolder.fem.accuracy import Discretisation
-from objectfolder.fem.adaptive import adaptive_cut_cells, refined
+from objectfolder.fem.adaptive import adaptive_cut_cells, refine_grid
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.settings import FineGrids
@@ -39,7 +39,7 @@ def frame():
 
 
 def refine(surface, fine=FINE, resolution=8):
-    return refined(cut_cells(*surface, resolution, 4), surface, fine, STUFF, 1.0).solid
+    return refine_grid(cut_cells(*surface, resolution, 4), surface, fine, STUFF, 1.0).solid
 
 
 def estimating(monkeypatch, errors):
@@ -149,4 +149,4 @@ def test_nothing_finer_is_tried_where_there_is_none(monkeypatch):
     monkeypatch.setattr(Discretisation, "lowest_frequencies", no_solve)
     assert refine(SHEET, resolution=16).resolution == 16
     other = voxels(*box((1, 1, 0.3)), 8, incompatible=False)
-    assert refined(other, THICK, FINE, STUFF, 1.0).solid is other
+    assert refine_grid(other, THICK, FINE, STUFF, 1.0).solid is other

@@ -7,7 +7,7 @@ from solids import box, full_cells, sphere
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.eigen import canonical, rigid_motions, solve_modes
+from objectfolder.fem.eigen import canonicalise, rigid_motions, solve_modes
 from objectfolder.fem.elasticity import FiniteElements
 from objectfolder.materials import Material
 
@@ -183,8 +183,8 @@ def test_repeated_eigenvalues_are_found_and_get_the_same_basis_from_any_other(sq
         angle = rng.uniform(0, 2 * np.pi)
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         mixed[:, i : i + 2] = mixed[:, i : i + 2] @ turn
-    np.testing.assert_allclose(canonical(values, mixed, fem), shapes, atol=1e-8 * np.abs(shapes).max())
-    np.testing.assert_allclose(canonical(values, shapes, fem), shapes, atol=1e-8 * np.abs(shapes).max())
+    np.testing.assert_allclose(canonicalise(values, mixed, fem), shapes, atol=1e-8 * np.abs(shapes).max())
+    np.testing.assert_allclose(canonicalise(values, shapes, fem), shapes, atol=1e-8 * np.abs(shapes).max())
 
 
 def test_nearly_repeated_eigenvalues_are_solved_as_well_as_others(square_bar):

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from solids import box
 
-from objectfolder.acoustics.radiation import radiate, stored_radiation
+from objectfolder.acoustics.radiation import pack_radiation, radiate
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.modal import modal_analysis, solved_band
 from objectfolder.materials import material
@@ -95,7 +95,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
             ),
         },
         {"sdf": "0" * 64},
-        stored_radiation(sound_field, surface, scale, 56000),
+        pack_radiation(sound_field, surface, scale, 56000),
     )
     return ObjectFile(header, tensors, "brick")
 

@@ -11,7 +11,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.touch import lightfit
 from objectfolder.touch.ball import BallModel
 from objectfolder.touch.calibration import fit_sensor_lights
-from objectfolder.touch.imprint import overflowed
+from objectfolder.touch.imprint import find_overflow
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.photographs import read_pack
 from objectfolder.touch.profiles import RESIDUAL_TERMS, Light, load_profile
@@ -58,7 +58,7 @@ def test_derivatives_agree_with_differences(profile, real, pictures):
     untouched = pictures[1].astype(np.float32)
     photographs = [
         lightfit.Photograph(
-            pictures[0][0].astype(np.float32), lightfit.disc_of(circles()[0], (80, 80)), POSES[0]
+            pictures[0][0].astype(np.float32), lightfit.circle_mask(circles()[0], (80, 80)), POSES[0]
         )
     ]
     surface = lightfit._Surface(BallModel(profile, RADIUS), untouched, photographs)
@@ -95,7 +95,7 @@ def test_residual_explains_what_the_lights_cannot(profile, real, pictures):
     untouched = pictures[1].astype(np.float32)
     shown = Optics(odd).render(torch.cat([model.displacement(pose) for pose in POSES])).numpy()
     photographs = [
-        lightfit.Photograph(picture.astype(np.float32), lightfit.disc_of(circle, (80, 80)), pose)
+        lightfit.Photograph(picture.astype(np.float32), lightfit.circle_mask(circle, (80, 80)), pose)
         for picture, circle, pose in zip(shown, circles(), POSES)
     ]
     fitted = lightfit.fit_residual(model, real, untouched, photographs)
@@ -122,7 +122,7 @@ def test_holes_in_white_have_overflowed():
     picture[34:36, 10:14, 1] = 20  # in grey
     expected = np.zeros((40, 40), bool)
     expected[10:14, 12:20] = True
-    assert np.array_equal(overflowed(picture), expected)
+    assert np.array_equal(find_overflow(picture), expected)
 
 
 def test_pixels_that_overflowed_do_not_count(profile, pictures):

@@ -10,7 +10,7 @@ from objectfolder.metrics import psnr
 from objectfolder.objectfile.evaluation import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics, image_intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import TILES_PER_LIGHT, Shots, render_split, shown_noise
+from objectfolder.vision.dataset import TILES_PER_LIGHT, Shots, estimate_noise, render_split
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
 
@@ -98,7 +98,7 @@ def test_views_that_do_not_tell_their_noise_are_scored_without_a_floor():
 
 def test_views_without_light_have_no_lit_noise():
     dark = np.zeros((4, 4, 4), np.float32)
-    assert shown_noise(dark, dark) == (0.0, 0.0)
+    assert estimate_noise(dark, dark) == (0.0, 0.0)
 
 
 def test_the_noise_of_path_traced_views_is_their_error_against_the_converged():

@@ -26,7 +26,7 @@ from objectfolder.vision.lighting import (
     PARALLEL_DISTANCE,
     DistantLight,
     PointLight,
-    chosen_lamps,
+    choose_lamps,
     studio,
     toward,
 )
@@ -91,7 +91,7 @@ def test_all_lights_that_are_given_shine(brick):
 
 
 def test_far_point_lights_count_as_distant_ones():
-    near, far = chosen_lamps(
+    near, far = choose_lamps(
         [PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0]), PointLight([0, 0, 100.0], [1e4, 0, 2e4])]
     )
     assert near == PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0])
@@ -125,9 +125,9 @@ def test_interreflection_of_a_distant_light_is_the_limit_of_a_far_one():
     distant = torch.cat([way, torch.zeros(1)])
     rays = np.float32(np.random.default_rng(0).normal(size=(500, 3)))
     samples = trace(surface, np.float32([0, 0, -0.1]), rays, distant.numpy())
-    exact = radiosity.gathered(samples, distant)
+    exact = radiosity.gather(samples, distant)
     assert exact.mean() > 0.03
-    far = radiosity.gathered(samples, 300 * way) * 300**2
+    far = radiosity.gather(samples, 300 * way) * 300**2
     assert (far - exact).abs().mean() < 0.01 * exact.mean()
 
 

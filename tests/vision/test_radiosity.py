@@ -35,9 +35,9 @@ def samples_in(surface: Isosurface, eye: list[float], light: torch.Tensor) -> Su
 
 
 def around(radiosity: Radiosity, samples: SurfaceSamples, light: torch.Tensor):
-    index, shown = radiosity.mirrored(samples, samples.normals, light)
+    index, shown = radiosity.mirror(samples, samples.normals, light)
     mirrored = torch.zeros(len(samples.points), 3).index_copy_(0, index, shown)
-    return radiosity.gathered(samples, light), mirrored
+    return radiosity.gather(samples, light), mirrored
 
 
 @pytest.mark.parametrize("light", [[0, 0, 0], [0.15, 0.1, -0.1]])

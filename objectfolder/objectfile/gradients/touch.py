@@ -20,7 +20,7 @@ from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
 from objectfolder.touch.contact import (
     NORMAL_RADIUS,
     contact_normals,
-    leaned_normals,
+    lean_normals,
     seated_heightmaps,
     sensor_frames,
 )
@@ -103,7 +103,7 @@ class Touch(AnswerModule):
         )
         places = on_surface(given, feet / scale, net.surface)
         outward = contact_normals(net.surface.grid.smooth_distance, places, NORMAL_RADIUS)
-        axis = leaned_normals(outward, turned, leaning, towards)
+        axis = lean_normals(outward, turned, leaning, towards)
         pressed = (pressed + net.depth_offset).clamp(0, net.profile.max_indentation)
         height = heights_of(places * scale, axis, turned, pressed, net).to(self._dtype)
         if net.profile.gel == "rigid":
