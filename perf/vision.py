@@ -42,7 +42,7 @@ from objectfolder.objectfile.vision import view_images
 from objectfolder.seeding import numpy_generator, torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
 from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
-from objectfolder.vision.dataset import Shots, render_split
+from objectfolder.vision.dataset import Shots, render_shots
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.settings import RenderViewsConfig
@@ -190,7 +190,7 @@ def fit(workspace: str, key: str, images: str, seed: str) -> dict:
     for split, samples in (("train", rendered.train_samples), ("val", rendered.test_samples)):
         rng, count = numpy_generator(int(seed), key, "render_views", split), getattr(rendered, split)
         shots = draw(count, intrinsics=whole, rng=rng)
-        views[split] = render_split(renderer, shots, samples, rng, halves=split == "val")
+        views[split] = render_shots(renderer, shots, samples, rng, halves=split == "val")
         row[f"{split}_images"], row[f"{split}_seconds"] = count, cpu_seconds() - start
         start = cpu_seconds()
     surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))

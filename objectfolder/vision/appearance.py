@@ -33,7 +33,7 @@ def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _texels(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Look up a repeating sRGB texture bilinearly; returns linear colours, uv from the lower left corner."""
+    """Look up a repeating sRGB texture bilinearly; linear colours, uv from the lower left corner."""
     height, width = texture.shape[:2]
     linear = srgb.decode(np.arange(256) / 255)
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5

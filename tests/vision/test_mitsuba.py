@@ -11,7 +11,7 @@ from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.bsdf import principled
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project
-from objectfolder.vision.dataset import Shots, render_split
+from objectfolder.vision.dataset import Shots, render_shots
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
 
@@ -128,7 +128,7 @@ def test_a_split_is_the_same_bytes_twice():
     def split():
         renderer = MitsubaRenderer(Scene(painted(box((0.5, 0.4, 0.3)))))
         rng = np.random.default_rng(3)
-        return render_split(renderer, Shots.views(3, Intrinsics.square(16), rng), 4, rng)
+        return render_shots(renderer, Shots.views(3, Intrinsics.square(16), rng), 4, rng)
 
     first, second = split(), split()
     assert first["rgba"].dtype == np.float16

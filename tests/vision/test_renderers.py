@@ -19,7 +19,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normals import unit_vectors
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, covered_rectangle, look_at, project, sphere_points
-from objectfolder.vision.dataset import Shots, render_split
+from objectfolder.vision.dataset import Shots, render_shots
 from objectfolder.vision.renderers import blender_scene, cycles
 from objectfolder.vision.renderers.registry import NEEDS, RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
@@ -368,7 +368,7 @@ def test_a_blender_that_fails_is_quoted(blender, after):
 
 def test_the_record_of_a_split_names_its_renderer():
     rng = np.random.default_rng(0)
-    views = render_split(make_renderer("mitsuba", Scene(square())), Shots.views(1, SMALL, rng), 1, rng)
+    views = render_shots(make_renderer("mitsuba", Scene(square())), Shots.views(1, SMALL, rng), 1, rng)
     assert str(views["renderer"]) == f"mitsuba {mitsuba.__version__} scalar_rgb"
 
 
@@ -380,7 +380,7 @@ def test_highlights_beyond_half_precision_are_cut_off():
             return np.full((2, 2, 4), 1e6, np.float32)
 
     rng = np.random.default_rng(0)
-    views = render_split(Glaring(), Shots.views(1, Intrinsics.square(2), rng), 1, rng)
+    views = render_shots(Glaring(), Shots.views(1, Intrinsics.square(2), rng), 1, rng)
     assert np.isfinite(views["rgba"]).all()
 
 
