@@ -292,20 +292,22 @@ def test_an_unknown_renderer_is_refused_with_the_known_ones():
         make_renderer("povray", Scene(square()))
 
 
-def test_renderers_that_are_not_installed_say_which_extra(monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "module", "extra"),
+    [
+        ("cycles", "bpy", r"cycles .* or Blender"),
+        ("raster", "pyrender", "raster"),
+        ("mitsuba", "mitsuba", "build"),
+    ],
+)
+def test_renderers_that_are_not_installed_say_which_extra(monkeypatch, name, module, extra):
     monkeypatch.setattr(cycles.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(ObjectFolderError, match=r"install the extra cycles .* or Blender"):
-        make_renderer("cycles", Scene(square()))
-    monkeypatch.setitem(sys.modules, "pyrender", None)
-    monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
-    monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
-    with pytest.raises(ObjectFolderError, match=r"install the extra raster"):
-        make_renderer("raster", Scene(square()))
-    monkeypatch.setitem(sys.modules, "mitsuba", None)
-    monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.mitsuba", raising=False)
-    with pytest.raises(ObjectFolderError, match=r"install the extra build"):
-        make_renderer("mitsuba", Scene(square()))
+    monkeypatch.setitem(sys.modules, module, None)
+    if name != "cycles":
+        monkeypatch.delitem(sys.modules, f"objectfolder.vision.renderers.{name}", raising=False)
+    with pytest.raises(ObjectFolderError, match=rf"install the extra {extra}"):
+        make_renderer(name, Scene(square()))
 
 
 def test_an_old_llvm_is_refused_before_it_aborts(monkeypatch):

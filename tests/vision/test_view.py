@@ -17,10 +17,6 @@ def white(samples, light, pixel):
     return torch.ones(len(samples.points), 3)
 
 
-def lit_only(samples, light, pixel):
-    return samples.lit[:, None].float().expand(-1, 3)
-
-
 def lambert(samples, light, pixel):
     to_light = light - samples.points
     squared = to_light.square().sum(1)
@@ -118,22 +114,6 @@ def test_a_shadow_falls_where_geometry_puts_it():
     assert inner.sum() > 100
     assert not samples.lit[inner].any()
     assert samples.lit[outer].all()
-
-
-def test_nothing_is_lit_from_behind(ball):
-    pose, intrinsics = look_at(np.array([2.5, 0, 0]))[0], Intrinsics.square(64)
-    behind = draw(ball, lit_only, pose, np.array([-1.0, 0, 0]), intrinsics).rgba
-    assert not behind[..., :3].any()
-    assert behind[..., 3].max() == 1
-    front = draw(ball, lit_only, pose, np.array([1.0, 0, 0]), intrinsics).rgba
-    assert front[32, 32].tolist() == [1, 1, 1, 1]
-
-
-def test_a_white_lambertian_at_distance_one_has_radiance_one():
-    surface = isosurface(box((0.2, 0.6, 0.6), (0, 0, 0)))
-    pose, light = look_at(np.array([2.5, 0, 0]))[0], np.array([1.1, 0, 0])
-    image = draw(surface, lambert, pose, light, Intrinsics.square(63)).rgba
-    assert image[31, 31, 0] == pytest.approx(1, abs=2e-3)
 
 
 @pytest.mark.parametrize(
