@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from solids import box, join, sphere
+from solids import STUFF, box, join, sphere
 
 from objectfolder.fem import adaptive
 from objectfolder.fem.accuracy import Discretisation
@@ -11,9 +11,7 @@ from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.settings import FineGrids
 from objectfolder.fem.voxel import voxels
-from objectfolder.materials import Material
 
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 FINE = FineGrids(resolutions=(12, 16), subdivisions=4, max_degrees_of_freedom=10**6, max_error=0.02)
 SHEET = box((1, 1, 0.03))  # 0.24 cells of eight
 THICK = box((1, 1, 0.06))

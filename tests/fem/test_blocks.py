@@ -1,13 +1,10 @@
 import numpy as np
 import pytest
-from solids import box, sphere
+from solids import STUFF, box, sphere
 
 from objectfolder.fem.blocks import halve_cells, merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import rigid_motions, solve_modes
-from objectfolder.materials import Material
-
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +82,3 @@ def test_a_rod_thinner_than_the_coarse_cells_cannot_be_halved():
     while rod is not None:
         size, rod = rod.resolution, halve_cells(rod)
     assert size == 16
-
-
-def test_an_odd_grid_cannot_be_halved():
-    assert halve_cells(cut_cells(*box((1, 1, 0.5)), 5, 4)) is None

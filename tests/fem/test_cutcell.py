@@ -3,16 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import legint, legval
-from solids import TURN, box, full_cells, join, sphere
+from solids import STUFF, TURN, box, full_cells, join, sphere
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells, node_count
 from objectfolder.fem.eigen import rigid_motions, solve_modes
 from objectfolder.fem.elasticity import elasticity
 from objectfolder.fem.occupancy import _columns, facing_axis, measure
-from objectfolder.materials import Material
 
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 SIDES = (0.83, 0.57, 0.41)
 CENTRE = (0.021, -0.013, 0.037)  # off the grid
 

@@ -3,7 +3,7 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 from scipy.optimize import brentq
-from solids import box, full_cells, sphere
+from solids import STUFF, box, full_cells, sphere
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
@@ -12,7 +12,6 @@ from objectfolder.fem.elasticity import FiniteElements
 from objectfolder.materials import Material
 
 BAR = Material("bar", 1000.0, 1e9, 0.0, 0.0, 0.0)  # no Poisson effect: a bar is one-dimensional
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 THICK = 0.1
 
 

@@ -1,15 +1,12 @@
 import numpy as np
 import pytest
-from solids import box, join, sphere
+from solids import STUFF, box, join, sphere
 
 from objectfolder.fem.accuracy import Discretisation, coarser
 from objectfolder.fem.blocks import halve_cells
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import rigid_motions
 from objectfolder.fem.levels import Levels
-from objectfolder.materials import Material
-
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from solids import box, join
+from solids import STUFF, box, join
 
 from objectfolder.fem import adaptive
 from objectfolder.fem.accuracy import Discretisation, coarser
@@ -8,9 +8,7 @@ from objectfolder.fem.adaptive import refine_grid
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.local import refine_locally
 from objectfolder.fem.settings import FineGrids
-from objectfolder.materials import Material
 
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 LIMIT = 6_000
 #: two blocks that a bar of 1.3 cells joins
 DUMBBELL = join(

@@ -194,8 +194,3 @@ def test_a_problem_is_all_that_scaling_leaves(tmp_path):
     code.write_text("other sources, of meshes, too")
     others.append(problem_digest(files, points, 0.2, hexahedra))
     assert len({first, *others}) == 6
-
-
-def test_requests_survive_json():
-    again = Request.from_dict(json.loads(json.dumps(dataclasses.asdict(BASE))))
-    assert again == BASE

@@ -76,13 +76,6 @@ def test_a_convex_object_receives_nothing_from_itself(monkeypatch):
     assert mirrored.abs().max() == 0
 
 
-def test_the_same_surface_gives_the_same_light(cavity):
-    light = torch.tensor([0.1, 0.1, 0.1])
-    samples = samples_in(cavity, [0.05, 0, 0], light)
-    a, b = (torch.stack(around(Radiosity(cavity, gray), samples, light)) for _ in range(2))
-    assert torch.equal(a, b)
-
-
 def test_what_is_kept_of_lights_answers_as_if_it_were_new(cavity):
     radiosity, lights = Radiosity(cavity, gray), [torch.tensor([0.1, 0.1, z / 40]) for z in range(10)]
     samples = samples_in(cavity, [0.05, 0, 0], lights[0])

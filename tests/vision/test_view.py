@@ -34,6 +34,16 @@ def solid_angle_pixels(distance, focal):
     return np.pi * (focal * np.tan(np.arcsin(RADIUS / distance))) ** 2
 
 
+def exact_coverage(caster, pose, intrinsics, fine):
+    """Share of each pixel's ``fine`` x ``fine`` rays that hit."""
+    height, width = intrinsics.height, intrinsics.width
+    rows, columns = (np.mgrid[: height * fine, : width * fine] + 0.5) / fine
+    hit = (
+        caster.first_hit(*camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1)))[1] >= 0
+    )
+    return hit.reshape(height, fine, width, fine).mean((1, 3))
+
+
 @pytest.mark.parametrize("position", [(2.5, 0, 0), (0.4, -1.6, 1.9), (0, 0, 2.5)])
 def test_coverage_of_a_sphere_is_its_projected_area(ball, position):
     intrinsics = Intrinsics.square(128)
@@ -50,11 +60,7 @@ def test_coverage_is_that_of_many_rays(sides, mean, worst):
     surface = isosurface(box(sides, turn=TURN), 96)
     pose, intrinsics = look_at(np.array([1.5, -1.6, 1.2]))[0], Intrinsics.square(64)
     alpha = draw(surface, white, pose, LIGHT, intrinsics).rgba[..., 3]
-    fine = 24
-    rows, columns = (np.mgrid[: 64 * fine, : 64 * fine] + 0.5) / fine
-    rays = camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1))
-    met = surface.caster.first_hit(*rays)[1] >= 0
-    exact = met.reshape(64, fine, 64, fine).mean((1, 3))
+    exact = exact_coverage(surface.caster, pose, intrinsics, 24)
     partly = (exact > 0) & (exact < 1) & (alpha > 0)  # what no sample meets is left out
     assert partly.sum() > 50
     error = np.abs(alpha - exact)[partly]
@@ -265,12 +271,6 @@ def test_same_bytes_twice_and_rays_are_independent(ball):
         assert torch.equal(getattr(part, name), getattr(whole, name)[kept])
 
 
-def rays_of(pose, intrinsics, fine):
-    """Rays through ``fine`` x ``fine`` points of each pixel."""
-    rows, columns = (np.mgrid[: intrinsics.height * fine, : intrinsics.width * fine] + 0.5) / fine
-    return camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1))
-
-
 @pytest.mark.parametrize("turn", [None, TURN])
 def test_a_lit_panel_has_no_shadow_of_its_own_where_light_grazes(turn):
     """Light one degree above a panel, camera above: its pixels are lit, up to its edges."""
@@ -297,9 +297,7 @@ def test_silhouettes_of_a_sharp_box_are_its_own(sides):
     solid = box(sides, turn=TURN)
     intrinsics = Intrinsics.square(96)
     pose = look_at(np.array([1.5, -1.6, 1.2]))[0]
-    fine = 8
-    met = RayCaster(*solid).first_hit(*rays_of(pose, intrinsics, fine))[1] >= 0
-    exact = met.reshape(96, fine, 96, fine).mean((1, 3))
+    exact = exact_coverage(RayCaster(*solid), pose, intrinsics, 8)
     apart = [
         np.abs(draw(made(solid, 96), white, pose, LIGHT, intrinsics).rgba[..., 3] - exact)
         for made in (sharp_isosurface, isosurface)
