@@ -73,8 +73,6 @@ class Boundary:
     def system(self, wavenumber: float, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return matrix (V, V) and right-hand sides (V, M) for the pressures of the vertices, complex64.
 
-        Notes
-        -----
         With single layer S, double layer D, its adjoint D' and hypersingular H, and the coupling i / k,
 
             (1/2 - D - i/k H) p = -(S + i/k (1/2 + D')) dp/dn

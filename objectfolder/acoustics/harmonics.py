@@ -86,8 +86,6 @@ class Radiator:
     def coefficients(self, wavenumber: float, pressure: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Return coefficients (M, (order + 1)^2) of fields of pressure and slope (N, M) on the triangles.
 
-        Notes
-        -----
         The integral of Kirchhoff and Helmholtz in the far field, expanded by the theorem of Gegenbauer. The
         derivative along the normal is the difference of two poles.
         """

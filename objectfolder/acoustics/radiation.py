@@ -94,10 +94,8 @@ def radiate_motion(
 ) -> FarField:
     """Compute the far field of motions (N, M) of a boundary's triangles in a ball of some radius.
 
-    Notes
-    -----
-    Where modes are dense, a mode's field is interpolated between fields at equally spaced wavenumbers.
-    Waves shorter than two edges are not solved for: the pressure is then that of a plane wave, the specific
+    Where modes are dense, a mode's field is interpolated between fields at equally spaced wavenumbers. Waves
+    shorter than two edges are not solved for: the pressure is then that of a plane wave, the specific
     impedance of air times the velocity. Fields with more detail than `MAX_ORDER` keep their power.
     """
     slopes, k = -AIR_DENSITY * motion, np.asarray(frequencies) / SOUND_SPEED

@@ -11,22 +11,9 @@ PEAK_LEVEL = 0.9  #: of full scale
 
 
 def players(sounds: np.ndarray, sample_rate: float) -> list[Any]:
-    """Return a player of each sound; their levels stay relative to each other.
+    """Return a player of each sound, (N, samples) or (samples,); their levels stay relative to each other.
 
-    Parameters
-    ----------
-    sounds : (N, samples) or (samples,) array
-    sample_rate : float
-        Hz.
-
-    Returns
-    -------
-    list of IPython.display.Audio
-
-    Raises
-    ------
-    ObjectFolderError
-        If IPython is missing, which every notebook has.
+    Raises ObjectFolderError if IPython is missing, which every notebook has.
     """
     try:
         audio = import_module("IPython.display").Audio

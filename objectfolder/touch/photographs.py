@@ -17,10 +17,8 @@ _ASPECT_TOLERANCE = 0.01  # relative, of width / height
 def read_photograph(path: str | Path, profile: SensorProfile) -> np.ndarray:
     """Read a picture of a sensor and scale it to the profile's image size; (H, W, 3) uint8, RGB.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, is not a picture, or has another aspect ratio than the sensor's images.
+    Raises ObjectFolderError if the file is missing, is not a picture, or has another aspect ratio than the
+    sensor's images.
     """
     where = f"picture {path} of sensor {profile.name!r}"
     if not Path(path).is_file():
@@ -53,12 +51,8 @@ def read_pack(path: str | Path, profile: SensorProfile) -> Pack:
 
     Its arrays are ``f0`` (H, W, 3), the untouched sensor; ``imgs`` (K, H, W, 3); ``touch_center`` (K, 2),
     column and row; ``touch_radius`` (K,). Channels are taken as red, green and blue, in which order
-    ObjectFolder 2.0 and Isaac Lab use Taxim's tables.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is not such a pack, or its pictures have another aspect ratio than the sensor's.
+    ObjectFolder 2.0 and Isaac Lab use Taxim's tables. Raises ObjectFolderError if the file is not such a
+    pack, or its pictures have another aspect ratio than the sensor's.
     """
     if not Path(path).is_file():
         raise ObjectFolderError(f"calibration pack {path} does not exist; expected Taxim's dataPack.npz")

@@ -102,20 +102,10 @@ class TactoReference:
         depths: np.ndarray,
         noise: np.random.Generator | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Press the sensor on the object.
+        """Press the sensor on the object; images (N, H, W, 3) uint8, RGB, and contacts (N, H, W) bool.
 
-        Parameters
-        ----------
-        points, normals, angles, depths
-            See `objectfolder.touch.tacto_rays.TactoRays.render`.
-        noise : numpy.random.Generator, optional
-            Generator of TACTO's pixel noise, of deviation `NOISE_STD`; no noise by default.
-
-        Returns
-        -------
-        images : (N, H, W, 3) uint8, RGB
-        contact : (N, H, W) bool
-            Where the object is in front of the gel.
+        Contacts are those of `objectfolder.touch.tacto_rays.TactoRays.render`; they touch where the object is
+        in front of the gel. A generator adds TACTO's pixel noise, of deviation `NOISE_STD`.
         """
         cameras, frames = sensor_poses(points, normals, angles, depths, self.profile)
         images = np.empty((len(frames), *self.background.shape), np.uint8)

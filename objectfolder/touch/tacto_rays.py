@@ -74,20 +74,11 @@ class TactoRays:
     def render(
         self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Press the sensor on the object, without noise.
+        """Press the sensor on the object, without noise; images (N, H, W, 3) uint8, contacts (N, H, W) bool.
 
-        Parameters
-        ----------
-        points, normals : (N, 3) arrays
-            Contact points (metres) and unit outward normals, object frame.
-        angles, depths : (N,) arrays
-            Radians and metres; see `objectfolder.touch.contact.heightmaps`.
-
-        Returns
-        -------
-        images : (N, H, W, 3) uint8, RGB
-        contact : (N, H, W) bool
-            Where the centre of the pixel shows the object.
+        Points (N, 3), metres, unit outward normals (N, 3), object frame, angles (N,), radians, and depths
+        (N,), metres, are those of `objectfolder.touch.contact.heightmaps`; they touch where the centre of a
+        pixel shows the object.
         """
         height, width = self.profile.height, self.profile.width
         cameras, frames = sensor_poses(points, normals, angles, depths, self.profile)

@@ -83,10 +83,7 @@ class Intrinsics:
     def given(cls, intrinsics: "Intrinsics | None", resolution: int | None) -> "Intrinsics":
         """Return intrinsics, or `square` of a resolution, by default 256.
 
-        Raises
-        ------
-        ObjectFolderError
-            If they are of another type, or both are given.
+        Raises ObjectFolderError if they are of another type, or both are given.
         """
         if intrinsics is None:
             return cls.square(256 if resolution is None else resolution)
@@ -215,17 +212,9 @@ def require_rigid(poses: np.ndarray) -> None:
 def camera_rays(
     camera_to_world: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rays through image positions.
+    """Return the rays through image positions: origins and unit directions, (P, 3) float32 each.
 
-    Parameters
-    ----------
-    camera_to_world : (4, 4) array
-    pixels : (P, 2) array
-        Column and row; the centre of the upper left pixel is (0.5, 0.5).
-
-    Returns
-    -------
-    origins, directions : (P, 3) float32, directions of unit length
+    Positions (P, 2) are column and row; the centre of the upper left pixel is (0.5, 0.5).
     """
     x = (pixels[:, 0] - intrinsics.cx) / intrinsics.fx
     y = (intrinsics.cy - pixels[:, 1]) / intrinsics.fy

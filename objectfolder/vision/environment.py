@@ -21,12 +21,8 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709
 def read_environment(path: str | Path) -> np.ndarray:
     """Read an equirectangular picture; (H, W, 3) linear radiance.
 
-    Radiance, OpenEXR and PFM files are read by mitsuba, others are taken for sRGB.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the picture cannot be read, or mitsuba is missing.
+    Radiance, OpenEXR and PFM files are read by mitsuba, others are taken for sRGB. Raises ObjectFolderError
+    if the picture cannot be read, or mitsuba is missing.
     """
     path = Path(path)
     if path.suffix.lower() not in HDR_SUFFIXES:

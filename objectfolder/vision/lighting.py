@@ -29,20 +29,14 @@ Triple = Sequence[float] | np.ndarray
 class PointLight:
     """A point light.
 
-    Parameters
-    ----------
-    position : three numbers
-        Unit frame.
-    color : three numbers
-        Linear: the radiance of a white Lambertian surface that faces the light at distance 1.
-
     Raises
     ------
     ObjectFolderError
         If a number is not finite, the position too far away, or the colour negative or beyond `MAX_COLOR`.
     """
 
-    position: Triple
+    position: Triple  #: three numbers, unit frame
+    #: Three numbers, linear: the radiance of a white Lambertian surface that faces the light at distance 1
     color: Triple = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
@@ -64,13 +58,6 @@ class PointLight:
 class DistantLight:
     """Parallel light, as of the sun.
 
-    Parameters
-    ----------
-    direction : three numbers
-        Towards the light; any length but 0.
-    color : three numbers
-        Linear: the radiance of a white Lambertian surface that faces the light, its irradiance over pi.
-
     Raises
     ------
     ObjectFolderError
@@ -78,7 +65,8 @@ class DistantLight:
         `MAX_COLOR`.
     """
 
-    direction: Triple
+    direction: Triple  #: three numbers towards the light; any length but 0
+    #: Three numbers, linear: the radiance of a white Lambertian surface that faces it, its irradiance over pi
     color: Triple = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:

@@ -77,10 +77,12 @@ def test_a_convex_object_receives_nothing_from_itself(monkeypatch):
 
 
 def test_what_is_kept_of_lights_answers_as_if_it_were_new(cavity):
-    radiosity, lights = Radiosity(cavity, gray), [torch.tensor([0.1, 0.1, z / 40]) for z in range(10)]
+    """Of the same surface, built twice."""
+    radiosity, again = (Radiosity(cavity, gray) for _ in range(2))
+    lights = [torch.tensor([0.1, 0.1, z / 40]) for z in range(10)]
     samples = samples_in(cavity, [0.05, 0, 0], lights[0])
     first = [around(radiosity, samples, light) for light in lights]  # more than are kept
     for light, known in reversed(list(zip(lights, first))):
-        for a, b in zip(around(radiosity, samples, light), known):
-            assert torch.equal(a, b)
+        for found in (around(radiosity, samples, light), around(again, samples, light)):
+            assert all(torch.equal(a, b) for a, b in zip(found, known))
     assert not torch.equal(first[0][0], first[1][0])
