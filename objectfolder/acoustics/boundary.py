@@ -191,12 +191,7 @@ class Boundary:
         wave = np.exp(1j * z)
         slope = ((1j * z - 1) * wave + 1) / r
         bend = ((3 - 3j * z - z * z) * wave - 3) * near.towards * near.outward
-        rest = (
-            wave - 1,
-            slope * near.outward,
-            -slope * near.towards,
-            -(bend / r + slope * near.aligned) / r,
-        )
+        rest = (wave - 1, slope * near.outward, -slope * near.towards, -(bend / r + slope * near.aligned) / r)
         return near.static + np.stack([(share * each).sum(0) for each in rest])
 
     def _own_integrals(self, k: float) -> tuple[np.ndarray, np.ndarray]:

@@ -56,12 +56,7 @@ def adaptive_cut_cells(
 
 
 def refine_grid(
-    solid: Solid,
-    surface: Mesh,
-    fine: FineGrids,
-    material: Material,
-    scale: float,
-    name: str = "object",
+    solid: Solid, surface: Mesh, fine: FineGrids, material: Material, scale: float, name: str = "object"
 ) -> Discretisation:
     """Cut a solid on finer grids until the estimated error of its lowest frequencies is accepted.
 

@@ -121,9 +121,7 @@ def voxels(
     index = index[main]
     solid = Voxels(index, lattice_connectivity(index, CORNERS), resolution, incompatible)
     return replace(
-        solid,
-        dropped_volume=dropped,
-        volume_error=solid.volume / signed_volume(vertices, faces) - 1,
+        solid, dropped_volume=dropped, volume_error=solid.volume / signed_volume(vertices, faces) - 1
     )
 
 

@@ -34,12 +34,7 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
     """
     certificates = [check_winding(*mesh, name) for mesh in (solid, surface)]
     cells = discretize(
-        *solid,
-        config.element,
-        config.resolutions,
-        config.subdivisions,
-        config.max_degrees_of_freedom,
-        name,
+        *solid, config.element, config.resolutions, config.subdivisions, config.max_degrees_of_freedom, name
     )
     grid = fitting_grid(*surface, config.sdf_resolution, name)
     report = {

@@ -63,11 +63,7 @@ def spreading(layer: Layer, wavenumber: np.ndarray) -> np.ndarray:
 
 
 def shear_contacts(
-    pressure: np.ndarray,
-    shear: np.ndarray,
-    twist: np.ndarray,
-    friction: np.ndarray,
-    profile: SensorProfile,
+    pressure: np.ndarray, shear: np.ndarray, twist: np.ndarray, friction: np.ndarray, profile: SensorProfile
 ) -> Shears:
     """Move a pressed object sideways and turn it, from a press without friction, in one step.
 

@@ -332,8 +332,7 @@ def test_commands_fit_a_pack_and_export_it(tmp_path, pictures, profile):
 
 
 @pytest.mark.parametrize(
-    ("options", "reason"),
-    [(["--residual"], "give --lights"), (["--lights", "3"], "give --untouched")],
+    ("options", "reason"), [(["--residual"], "give --lights"), (["--lights", "3"], "give --untouched")]
 )
 def test_options_that_lack_another_are_refused(tmp_path, pictures, options, reason):
     picture = tmp_path / "a.png"

@@ -15,12 +15,7 @@ from objectfolder.mesh.gridcodec import BOUND, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.vision import lit_picture
 from objectfolder.vision.cameras import Intrinsics, look_at
-from objectfolder.vision.environment import (
-    MAX_PIXEL,
-    environment_lamps,
-    pixel_directions,
-    read_environment,
-)
+from objectfolder.vision.environment import MAX_PIXEL, environment_lamps, pixel_directions, read_environment
 from objectfolder.vision.lighting import (
     MAX_COLOR,
     PARALLEL_DISTANCE,
