@@ -137,8 +137,8 @@ def heightmaps(
     depths: np.ndarray,
     profile: SensorProfile,
     scale: float = 1.0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far the object is past the undeformed gel along the camera's rays, and how it obstructs it.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how far an object is past the undeformed gel along the camera's rays, and what it obstructs.
 
     The gel's apex is pressed ``depth`` beyond the contact point, along -n. Heights are those of the first
     surface beyond the elastomer's rigid base, `elastomer_thickness` behind the gel's surface. A real sensor
@@ -152,24 +152,8 @@ def heightmaps(
     the caster, a closed surface with triangles anticlockwise from outside. Heights (N, H, W) float32, metres,
     go from -`objectfolder.touch.gel.GAP` times `elastomer_thickness`, also for any wider gap, to
     `max_indentation`. Obstructed (N,) is the fraction of the pixels with material nearer to the camera than
-    the base, in the pose asked for. Raises ObjectFolderError if a value is not finite, or a depth out of its
-    range.
-    """
-    return seated_heightmaps(caster, points, normals, angles, depths, profile, scale)[:2]
-
-
-def seated_heightmaps(
-    caster: RayCaster,
-    points: np.ndarray,
-    normals: np.ndarray,
-    angles: np.ndarray,
-    depths: np.ndarray,
-    profile: SensorProfile,
-    scale: float = 1.0,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return `heightmaps`, and how far each sensor stops short of the pose asked for; (N,) float64, metres.
-
-    Parameters and errors are those of `heightmaps`.
+    the base, in the pose asked for. The last, (N,), is how far each sensor stops short of that pose, metres.
+    Raises ObjectFolderError if a value is not finite, or a depth out of its range.
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     normals = np.asarray(normals, np.float64).reshape(-1, 3)

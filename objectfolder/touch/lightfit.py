@@ -61,7 +61,8 @@ class _Surface:
         for photograph in photographs:
             disc = photograph.disc
             moved = model.optics.surface(model.displacement(photograph.pose))
-            columns = [_inside(axis, disc) for vectors in (*moved[:2], *rest) for axis in vectors]
+            axes = [np.asarray(axis) for vectors in (*moved[:2], *rest) for axis in vectors]
+            columns = [axis.reshape(disc.shape)[disc] for axis in axes]
             columns += [moved[2][i][0][disc] for i in (0, 1)] + [axis[disc] for axis in place]
             parts.append(np.stack(columns).astype(np.float32))
         values = np.concatenate(parts, axis=1)
@@ -112,8 +113,8 @@ def fit_lights(
         (model.profile.camera_to_gel - _GEL_CLEARANCE, _MAX_OFFSET, _MAX_OFFSET),
     )
     bounds = [
-        np.concatenate([np.tile(np.r_[place[i], [_INTENSITY[i]] * 3], count), _coating_bounds()[i]])
-        for i in (0, 1)
+        np.concatenate([np.tile(np.r_[at, [strength] * 3], count), coating])
+        for at, strength, coating in zip(place, _INTENSITY, zip(_AMBIENT, _GAMMA, _ROUGHNESS))
     ]
     scale = np.concatenate([np.tile(np.r_[[1e-3] * 3, [0.1] * 3], count), [0.1, 0.1, 0.05]])
 
@@ -228,10 +229,6 @@ def starting_lights(profile: SensorProfile, count: int) -> SensorProfile:
     )
 
 
-def _inside(values: np.ndarray, disc: np.ndarray) -> np.ndarray:
-    return np.asarray(values).reshape(disc.shape)[disc]
-
-
 def _vector(values: np.ndarray) -> Vector:
     x, y, z = map(float, values)
     return x, y, z
@@ -239,10 +236,6 @@ def _vector(values: np.ndarray) -> Vector:
 
 def _display(light: np.ndarray, gamma: float) -> np.ndarray:
     return light.astype(float).clip(1e-30) ** (1 / gamma)
-
-
-def _coating_bounds() -> np.ndarray:
-    return np.array([_AMBIENT, _GAMMA, _ROUGHNESS]).T
 
 
 def _parameters(profile: SensorProfile) -> np.ndarray:

@@ -54,7 +54,8 @@ def press(
     scale: float = 1.0,
 ) -> Contacts:
     """Press the sensor on an object. Parameters are those of `heightmaps`."""
-    return contacts_of(*heightmaps(caster, points, normals, angles, depths, profile, scale), profile)
+    height, obstructed, _ = heightmaps(caster, points, normals, angles, depths, profile, scale)
+    return contacts_of(height, obstructed, profile)
 
 
 def contacts_of(height: np.ndarray, obstructed: np.ndarray, profile: SensorProfile) -> Contacts:

@@ -1,9 +1,7 @@
 """Tables of colours for the simulator Taxim (Si and Yuan 2022) and what reads its files."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from PIL import Image
@@ -61,11 +59,12 @@ def export_taxim(profile: SensorProfile, folder: str | Path, isaac: bool = False
     background = Optics(profile).background.numpy()
     red, green, blue = color_table(profile, sign=-1.0 if isaac else 1.0)
     table, picture, rest = (folder / name for name in ("polycalib.npz", "bg.jpg", "real_bg.npy"))
-    _write(table, lambda stream: np.savez(stream, bins=BINS, grad_r=red, grad_g=green, grad_b=blue))
-    _write(
-        picture, lambda stream: Image.fromarray(background).save(stream, "JPEG", quality=95, subsampling=0)
-    )
-    _write(rest, lambda stream: np.save(stream, background.astype(np.float64)))
+    with atomic_stream(table) as stream:
+        np.savez(stream, bins=BINS, grad_r=red, grad_g=green, grad_b=blue)
+    with atomic_stream(picture) as stream:
+        Image.fromarray(background).save(stream, "JPEG", quality=95, subsampling=0)
+    with atomic_stream(rest) as stream:
+        np.save(stream, background.astype(np.float64))
     return [table, picture, rest]
 
 
@@ -88,8 +87,3 @@ def _coarse(profile: SensorProfile) -> SensorProfile:
         background_image="",  # of another aspect ratio than these few pixels
         background_sha256="",
     )
-
-
-def _write(path: Path, save: Callable[[BinaryIO], object]) -> None:
-    with atomic_stream(path) as stream:
-        save(stream)

@@ -20,8 +20,8 @@ from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
 from objectfolder.touch.contact import (
     NORMAL_RADIUS,
     contact_normals,
+    heightmaps,
     lean_normals,
-    seated_heightmaps,
     sensor_frames,
 )
 from objectfolder.touch.gel import GAP
@@ -138,7 +138,7 @@ def heights_of(
     """
     profile, surface = net.profile, net.surface
     where, axis, turned, pressed = (v.detach().numpy() for v in (points, axes, angles, depths))
-    height, _, retreat = seated_heightmaps(surface.caster, where, axis, turned, pressed, profile, net.scale)
+    height, _, retreat = heightmaps(surface.caster, where, axis, turned, pressed, profile, net.scale)
     frames, gel = sensor_frames(axes, angles), torch.from_numpy(gel_depth(profile)).ravel()
     rays = torch.from_numpy(ray_directions(profile)).reshape(-1, 3)
     cameras = points + axes * (profile.camera_to_gel - depths + torch.from_numpy(retreat))[:, None]
