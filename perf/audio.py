@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
-from objectfolder.audio.synthesis import audible, sinusoid_bank
+from objectfolder.audio.synthesis import is_audible, sinusoid_bank
 from objectfolder.io import read_npz, read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors, gain_errors
 from objectfolder.nets.audio_config import AudioConfig
@@ -83,7 +83,7 @@ def measure(workspace: str, key: str) -> dict:
 
 def loudness(predicted: np.ndarray, truth: np.ndarray, damped: np.ndarray, damping: np.ndarray) -> dict:
     """Return the PSNR of random unit impulses in the paper's convention, and its margin above silence."""
-    heard = audible(torch.from_numpy(damped), SAMPLE_RATE)
+    heard = is_audible(torch.from_numpy(damped), SAMPLE_RATE)
     if not heard.any():
         return {}
     bank = spectrogram(sinusoid_bank(torch.from_numpy(damped), torch.from_numpy(damping)))

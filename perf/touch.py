@@ -201,7 +201,7 @@ def accuracy(source: str, scale: str, count: str, picture: str) -> dict:
         return row
     truth, contact = reference.render(*touched.contacts)
     drawn, _ = TactoRays(touched.vertices, touched.faces, profile, touched.scale).render(*touched.contacts)
-    heights, obstructed = heightmaps(touched.caster, *touched.contacts, profile, touched.scale)
+    heights, obstructed, _ = heightmaps(touched.caster, *touched.contacts, profile, touched.scale)
     flat = Optics(profile).render(torch.from_numpy(deform(heights, profile)[0])).numpy()
     free = obstructed == 0
     row |= {"unobstructed": int(free.sum()), "contact_pixels": float(contact.mean())}

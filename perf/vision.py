@@ -41,8 +41,8 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.vision import view_images
 from objectfolder.seeding import numpy_generator, torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
-from objectfolder.vision.color import COVERED, lit_foreground, on_white
-from objectfolder.vision.dataset import Shots, render_split
+from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
+from objectfolder.vision.dataset import Shots, render_shots
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.settings import RenderViewsConfig
@@ -137,7 +137,7 @@ def train(workspace: str, key: str) -> dict:
     config = params.settings(VisionConfig, values)
     views = {split: read_npz(build.views(split)) for split in SPLITS}
     # The loss is a mean over pixels that are covered fully; the background of whole views has no error.
-    covered = float((views["test"]["rgba"][..., 3] >= COVERED).mean())
+    covered = float((views["test"]["rgba"][..., 3] >= MIN_FOREGROUND_ALPHA).mean())
     distances = read_npz(build.sdf, "values", "band")
     surface, scene = (
         Isosurface(DistanceGrid.from_arrays(distances)),
@@ -190,7 +190,7 @@ def fit(workspace: str, key: str, images: str, seed: str) -> dict:
     for split, samples in (("train", rendered.train_samples), ("val", rendered.test_samples)):
         rng, count = numpy_generator(int(seed), key, "render_views", split), getattr(rendered, split)
         shots = draw(count, intrinsics=whole, rng=rng)
-        views[split] = render_split(renderer, shots, samples, rng, halves=split == "val")
+        views[split] = render_shots(renderer, shots, samples, rng, halves=split == "val")
         row[f"{split}_images"], row[f"{split}_seconds"] = count, cpu_seconds() - start
         start = cpu_seconds()
     surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
@@ -329,7 +329,7 @@ def compare(truth: np.ndarray, other: np.ndarray) -> dict:
     """
     a, b = (on_white(torch.from_numpy(x)).numpy().astype(np.float64) for x in (truth, other))
     foreground = (truth[..., 3] > 0) | (other[..., 3] > 0)
-    lit = lit_foreground(truth)
+    lit = find_lit_foreground(truth)
     squared = (a - b) ** 2
     return {
         "psnr_foreground": float(psnr(squared[foreground].mean())),

@@ -107,7 +107,6 @@ EXCEPTIONS = {
     "objectfolder/fetch/run.py:_fetch": "temporary folders; those that were left, under a lock",
     "objectfolder/workspace/creation.py:_create": "removes what it has made under the lock of the folder",
     "objectfolder/workspace/objects.py:add_mesh": "removes the folder that it has placed",
-    "objectfolder/touch/taxim.py:export_taxim": "to the stream that its _write gives",
     "objectfolder/cli/__init__.py:main": "opens the null device",
     "objectfolder/engine/warm.py:serve": "opens the null device",
 }

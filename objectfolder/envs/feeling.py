@@ -17,7 +17,7 @@ from objectfolder.touch.camera import gel_sag
 from objectfolder.touch.markers import Markers
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
-from objectfolder.touch.sheared import sheared
+from objectfolder.touch.sheared import shear_touches
 from objectfolder.touch.simulate import Touches, press
 from objectfolder.touch.tangential import shear_contacts
 
@@ -216,9 +216,9 @@ class Feeling:
         shear = self._shears(file, poses, depth, force[:, 1:], friction)
         still = np.flatnonzero(~shear.any(1))
         images = np.zeros((len(rows), *felt["images"].shape[1:]), np.uint8)
-        images[still] = self._rendered(pressed.displacement[still])  # `sheared` renders the others
+        images[still] = self._rendered(pressed.displacement[still])  # `shear_touches` renders the others
         found = Touches(**vars(pressed), images=images, profile=self.profile)
-        moved = sheared(found, shear, np.zeros(len(rows)), friction, None, self._rendered)
+        moved = shear_touches(found, shear, np.zeros(len(rows)), friction, None, self._rendered)
         felt["images"][rows], felt["depth"][rows], felt["shear"][rows] = moved.images, depth, shear
         felt["borne"][rows] = np.c_[pressed.force, moved.shear_force]
         felt["area"][rows], felt["marker_flow"][rows] = pressed.area, moved.marker_flow

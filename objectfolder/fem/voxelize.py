@@ -28,27 +28,13 @@ class Voxelization:
 def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "mesh") -> Voxelization:
     """Certify solid and surface, divide the solid into elements, and sample the distance to the surface.
 
-    Parameters
-    ----------
-    surface, solid : (V, 3) and (F, 3) arrays each, unit frame
-        Surface to see and touch, and solid that vibrates; they differ where gaps are bridged for sound only.
-    config : VoxelizeConfig
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a surface is open, crosses itself, or is too thin for its grid.
+    Meshes (V, 3) and (F, 3) of the unit frame: the surface to see and touch, and the solid that vibrates;
+    they differ where gaps are bridged for sound only. Raises ObjectFolderError if a surface is open, crosses
+    itself, or is too thin for its grid.
     """
     certificates = [check_winding(*mesh, name) for mesh in (solid, surface)]
     cells = discretize(
-        *solid,
-        config.element,
-        config.resolutions,
-        config.subdivisions,
-        config.max_degrees_of_freedom,
-        name,
+        *solid, config.element, config.resolutions, config.subdivisions, config.max_degrees_of_freedom, name
     )
     grid = fitting_grid(*surface, config.sdf_resolution, name)
     report = {

@@ -17,7 +17,7 @@ from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.nets.positional import HiddenLinear, SkipNetwork, encoded, with_half_weights
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture
-from objectfolder.vision.volume import Rays, resampled, stratified, visibility
+from objectfolder.vision.volume import Rays, resample, sample_strata, visibility
 
 _CHUNK = 32  # rays rendered at once: their activations stay in the cache
 _NORMAL_STEP = 0.01  # unit frame; finite-difference step of the density gradient
@@ -137,13 +137,13 @@ class OsfNet(nn.Module):
         self, rays: Rays, generator: torch.Generator | None, light: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return distances for the fine net (N, S), ascending, and the coarse radiance if light is given."""
-        distance = stratified(rays.near, rays.far, self.samples[0], generator)
+        distance = sample_strata(rays.near, rays.far, self.samples[0], generator)
         weights, computed, hidden = self._visibility(self.coarse, rays, distance)
         seen = distance.new_zeros(0, 3)
         if light is not None:
             alpha = weights.sum(1, keepdim=True)
             seen = _radiance(self.coarse, rays, distance, weights, computed, hidden, light) + 1 - alpha
-        more = resampled(rays.intervals(distance), weights.detach(), self.samples[1], generator)
+        more = resample(rays.intervals(distance), weights.detach(), self.samples[1], generator)
         return torch.cat([distance, more], 1).sort(1).values, seen
 
     def _look(

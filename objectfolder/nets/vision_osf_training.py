@@ -15,7 +15,7 @@ from objectfolder.nets.positional import train_in
 from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres
 from objectfolder.vision.cameras import Intrinsics, camera_rays
-from objectfolder.vision.color import on_white, shown_error
+from objectfolder.vision.color import display_error, on_white
 from objectfolder.vision.visual_hull import visual_hull
 from objectfolder.vision.volume import Rays
 
@@ -41,7 +41,7 @@ class _Pixels:
         view = self.view[index]
         rays = Rays.through_cube(self.origins[view], self.directions[index], BOUND)
         seen = torch.stack(net(rays, self.lights[view], generator))
-        return shown_error(seen, self.target[index]).square().mean((1, 2))
+        return display_error(seen, self.target[index]).square().mean((1, 2))
 
 
 def train_osf(

@@ -25,7 +25,7 @@ from objectfolder.vision.bsdf import fresnel, principled
 from objectfolder.vision.lighting import toward
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples
-from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
+from objectfolder.vision.vectors import column_major, concatenate, dot, normalize_rows, take_rows
 from objectfolder.vision.view import SQUARE, Shader
 
 #: Hash grid for indirect light.
@@ -101,7 +101,7 @@ class SurfaceNet(nn.Module):
         reflected = principled(
             take_rows(normals, lit),
             take_rows(samples.directions, lit),
-            normalized(to_light),
+            normalize_rows(to_light),
             take_rows(base_color, lit),
             self.config["roughness"],
             self.config["metallic"],
@@ -118,7 +118,7 @@ class SurfaceNet(nn.Module):
         normals: torch.Tensor,
     ) -> torch.Tensor:
         """Return the radiance ``mirrored`` of `BounceInputs`; parameters as there."""
-        index, shown = baked.radiosity.mirrored(samples, normals, light)
+        index, shown = baked.radiosity.mirror(samples, normals, light)
         color, mirror, view = (take_rows(v, index) for v in (base_color, normals, samples.directions))
         reflected = shown * fresnel(-dot(mirror, view), color, self.config["metallic"])
         return normals.new_zeros(normals.shape[::-1]).index_copy_(1, index, reflected.mT).mT
@@ -148,10 +148,10 @@ class SurfaceNet(nn.Module):
         to_light = toward(light, p)
         # Training views have no closer lights.
         squared = dot(to_light, to_light).clamp(min=FAMILIAR**2)
-        l = normalized(to_light)
+        l = normalize_rows(to_light)
         nl, nv = dot(n, l), -dot(n, view)
         away = view + 2 * nv * n
-        nh = dot(n, normalized(l - view)).clamp(0, 1)
+        nh = dot(n, normalize_rows(l - view)).clamp(0, 1)
         nh8 = nh.square().square().square()
         sine, cosine = torch.sin(4 * p), torch.cos(4 * p)
         lit, received = samples.lit[:, None].float(), nl.clamp(min=0) / squared
@@ -258,14 +258,14 @@ class SurfaceNet(nn.Module):
         several = len(one) < len(pixel)  # samples in some pixels
         if several:
             each, looks = samples.select(one), [take_rows(v, one) for v in looks]
-        gathered = baked.radiosity.gathered(each, light)
+        gathered = baked.radiosity.gather(each, light)
         radiances = gathered, self.mirrored(baked, each, light, *looks[:2])
         corrections = []
         for part in few.split(CHUNK):
             some = each.select(part)
             values = (take_rows(v, part) for v in (*looks[1:], *radiances))
             inputs = self.bounce_inputs(some, light, *values)
-            corrections.append(self.corrections(inputs, column_major(some.interpolated(baked.transport))))
+            corrections.append(self.corrections(inputs, column_major(some.interpolate(baked.transport))))
         shared = take_rows(light_terms(concatenate(corrections)), share)
         diffuse, glossy = (v if not several else take_rows(v, group) for v in gained(shared, *radiances))
         return direct + base_color * diffuse + glossy
@@ -321,8 +321,8 @@ class Baked:
 
     def look_of(self, samples: SurfaceSamples) -> tuple[torch.Tensor, torch.Tensor]:
         """Interpolate base colours (linear) and unit shading normals; (S, 3) each."""
-        values = column_major(samples.interpolated(self.look))
-        return values[:, :3], normalized(values[:, 3:])
+        values = column_major(samples.interpolate(self.look))
+        return values[:, :3], normalize_rows(values[:, 3:])
 
 
 @dataclass(frozen=True)

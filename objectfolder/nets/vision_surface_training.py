@@ -18,7 +18,7 @@ from objectfolder.nets.vision_config import SurfaceConfig
 from objectfolder.nets.vision_surface import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.cameras import camera_rays, image_intrinsics
-from objectfolder.vision.color import COVERED
+from objectfolder.vision.color import MIN_FOREGROUND_ALPHA
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
 from objectfolder.vision.vectors import take_rows
@@ -179,7 +179,7 @@ def _gather(
     for rgba, pose, light, intrinsics in zip(
         views["rgba"], views["camera_to_world"], views["light"], image_intrinsics(views)
     ):
-        rows, columns = np.nonzero(rgba[..., 3] >= COVERED)
+        rows, columns = np.nonzero(rgba[..., 3] >= MIN_FOREGROUND_ALPHA)
         samples = trace(surface, *camera_rays(pose, intrinsics, np.stack([columns, rows], 1) + 0.5), light)
         ray = samples.ray.numpy()  # NumPy takes a tensor of one element for a number
         row, column = rows[ray], columns[ray]
@@ -194,13 +194,13 @@ def _gather(
         direct = net.direct(samples, l, base_color, normals)
         # Bright pixels are more informative. They are told by what is known of them: to choose by the
         # rendered pixel would prefer those with bright noise.
-        expected = direct + base_color * baked.radiosity.gathered(samples, l)
+        expected = direct + base_color * baked.radiosity.gather(samples, l)
         chance = np.where(expected.amax(1).numpy() > DARK, 1, dark_share)
         picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
         kept = torch.from_numpy(picked)
         samples = samples.select(kept)
         base_color, normals, direct = (take_rows(v, kept) for v in (base_color, normals, direct))
-        gathered = baked.radiosity.gathered(samples, l)
+        gathered = baked.radiosity.gather(samples, l)
         mirrored = net.mirrored(baked, samples, l, base_color, normals)
         inputs = net.bounce_inputs(samples, l, normals, direct, gathered, mirrored)
         bounced = inputs.features.half(), inputs.gathered, inputs.mirrored

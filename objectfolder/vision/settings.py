@@ -8,7 +8,7 @@ from annotated_types import Ge, MultipleOf
 from objectfolder.settings import Count, NonNegative
 
 RendererName = Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]
-SMALLEST = 11  #: pixels along a side of a whole view: the window of the SSIM that ``evaluate`` takes
+MIN_RESOLUTION = 11  #: pixels along a side of a whole view: the window of the SSIM that ``evaluate`` takes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +28,8 @@ class RenderViewsConfig:
 
     def __post_init__(self) -> None:
         """Refuse views that could be built but not evaluated."""
-        if self.resolution < SMALLEST:
+        if self.resolution < MIN_RESOLUTION:
             raise ValueError(
-                f"resolution is {self.resolution}, expected at least {SMALLEST}: the SSIM that evaluates the "
-                f"views looks through a window of {SMALLEST} x {SMALLEST} pixels"
+                f"resolution is {self.resolution}, expected at least {MIN_RESOLUTION}: the SSIM that "
+                f"evaluates the views looks through a window of {MIN_RESOLUTION} x {MIN_RESOLUTION} pixels"
             )

@@ -17,7 +17,7 @@ from matplotlib.legend import Legend
 from PIL import Image
 from rich.console import Console
 
-from objectfolder.acoustics.radiation import radiate, stored_radiation
+from objectfolder.acoustics.radiation import pack_radiation, radiate
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.elements import solid_arrays, solid_from_arrays
@@ -114,7 +114,7 @@ def _solid_and_modes(build, vertices, faces, rng):
     write_json(build.modal, data.report)
     surface = vertices * SCALE, faces
     field = radiate(surface, points * SCALE, data.shapes, data.damped_frequency, 200)
-    write_safetensors(build.radiation, *stored_radiation(field, surface, SCALE, 50_000))
+    write_safetensors(build.radiation, *pack_radiation(field, surface, SCALE, 50_000))
 
 
 def _datasets(build, vertices, faces, rng):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.audio.spectrogram import SHAPE, sounds_of, spectrogram
+from objectfolder.audio.spectrogram import SHAPE, invert_spectrogram, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors
@@ -144,4 +144,4 @@ def test_the_papers_branch():
 
 def test_sounds_of_spectrograms_are_the_sounds():
     sounds = torch.randn(2, 32000, generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(sounds_of(spectrogram(sounds)), sounds, atol=1e-4, rtol=0)
+    torch.testing.assert_close(invert_spectrogram(spectrogram(sounds)), sounds, atol=1e-4, rtol=0)

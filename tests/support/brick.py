@@ -4,10 +4,9 @@ import numpy as np
 import torch
 from solids import box
 
-from objectfolder.acoustics.radiation import radiate, stored_radiation
-from objectfolder.fem.band import solved_band
+from objectfolder.acoustics.radiation import pack_radiation, radiate
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import modal_analysis, solved_band
 from objectfolder.materials import material
 from objectfolder.mesh.normalize import mass_properties
 from objectfolder.mesh.sampling import sample_surface
@@ -89,7 +88,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
             "touch": ({}, {"kind": "geometric", "net": feel_config}),
         },
         {"sdf": "0" * 64},
-        stored_radiation(sound_field, surface, scale, 56000),
+        pack_radiation(sound_field, surface, scale, 56000),
     )
     return ObjectFile(header, tensors, "brick")
 

@@ -18,7 +18,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.metrics import ssim
-from objectfolder.vision.settings import SMALLEST
+from objectfolder.vision.settings import MIN_RESOLUTION
 from objectfolder.workspace.check import Selection, check_all, check_entries, check_object
 from objectfolder.workspace.params import (
     FIRST_STAGES,
@@ -83,14 +83,14 @@ def test_test_views_need_samples_for_two_halves(write, values, samples):
 
 
 def test_views_too_small_to_evaluate_are_refused_before_they_are_built(write, values):
-    view = np.random.default_rng(0).random((SMALLEST, SMALLEST, 3))
+    view = np.random.default_rng(0).random((MIN_RESOLUTION, MIN_RESOLUTION, 3))
     assert ssim(view, view) == pytest.approx(1)
     config, section = section_config("render_views"), values["render_views"]
-    assert stage_params(config, "mug", write(render_views=section | {"resolution": SMALLEST}))
+    assert stage_params(config, "mug", write(render_views=section | {"resolution": MIN_RESOLUTION}))
     with pytest.raises(
         ObjectFolderError, match="render_views: resolution is 10, expected at least 11: the SSIM"
     ):
-        stage_params(config, "mug", write(render_views=section | {"resolution": SMALLEST - 1}))
+        stage_params(config, "mug", write(render_views=section | {"resolution": MIN_RESOLUTION - 1}))
 
 
 @pytest.mark.parametrize(

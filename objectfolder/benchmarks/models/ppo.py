@@ -18,7 +18,7 @@ from objectfolder.benchmarks.models.actor import CLIP, Actor
 from objectfolder.benchmarks.models.ppo_config import ReachConfig
 from objectfolder.benchmarks.models.training import read_checkpoint
 from objectfolder.io import atomic
-from objectfolder.seeding import drawn_seed
+from objectfolder.seeding import draw_seed
 
 ROUNDS = 10  #: rollouts and updates of a part, after which the policy is validated and kept
 SOLVED = 2  #: parts in a row without a failure in validation, after which training stops
@@ -96,7 +96,7 @@ def train_ppo(
         learning_rate=learning_rate,
         gamma=params.discount,
         policy_kwargs={"net_arch": [params.width] * 2, "log_std_init": params.log_deviation},
-        seed=drawn_seed(seed, *purpose, "0"),
+        seed=draw_seed(seed, *purpose, "0"),
         device="cpu",  # two small layers: a GPU is slower
     )
     model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder in /tmp per training
@@ -112,7 +112,7 @@ def train_ppo(
     start = time.perf_counter()
     while not _finished(curve, params.steps):
         model.set_env(envs, force_reset=True)
-        model.set_random_seed(drawn_seed(seed, *purpose, str(len(curve) + 1)))
+        model.set_random_seed(draw_seed(seed, *purpose, str(len(curve) + 1)))
         model.num_timesteps = int(curve[-1][0]) if curve else 0
         model.learn(ROUNDS * params.rollout * params.environments, reset_num_timesteps=False)
         actor = _actor(model, envs)

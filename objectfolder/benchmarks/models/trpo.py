@@ -18,7 +18,7 @@ from objectfolder.benchmarks.models.training import read_checkpoint
 from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
 from objectfolder.envs.grasp_task import STEPS
 from objectfolder.io import atomic
-from objectfolder.seeding import drawn_seed
+from objectfolder.seeding import draw_seed
 
 FORMAT = "objectfolder TRPO 1"  #: of a checkpoint
 
@@ -133,7 +133,7 @@ def train_trpo(
         target_kl=params.divergence,
         learning_rate=params.learning_rate,
         policy_kwargs={"net_arch": [params.width] * 2, "log_std_init": params.log_deviation},
-        seed=drawn_seed(seed, *purpose, "0"),
+        seed=draw_seed(seed, *purpose, "0"),
         device="cpu",  # two small layers: a GPU is slower
     )
     model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder in /tmp per training
@@ -148,7 +148,7 @@ def train_trpo(
     start, steps = time.perf_counter(), params.rollout * env.num_envs
     while not _finished(curve, params):
         model.set_env(envs, force_reset=True)
-        model.set_random_seed(drawn_seed(seed, *purpose, str(len(curve) + 1)))
+        model.set_random_seed(draw_seed(seed, *purpose, str(len(curve) + 1)))
         model.num_timesteps = 0
         model.ep_info_buffer = None
         model.learn(params.updates * steps, reset_num_timesteps=False)
