@@ -12,8 +12,8 @@ import torch
 from torch import nn
 
 from objectfolder.audio.spectrogram import SHAPE
-from objectfolder.nets.loading import UNFILLED, filled
-from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
+from objectfolder.nets.positional import PointwiseNetwork
+from objectfolder.nets.storage import UNFILLED, fill, halve_weights
 
 
 class SpectrogramNet(nn.Module):
@@ -88,7 +88,7 @@ class SpectrogramNet(nn.Module):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return tensors, with weights but not biases as float16 (biases set silence), and configuration."""
-        return with_half_weights(self), dict(self.config)
+        return halve_weights(self), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SpectrogramNet":
@@ -96,7 +96,7 @@ class SpectrogramNet(nn.Module):
         state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
         with UNFILLED:
             net = cls(state["damped_frequency"], state["range"], **config)
-        return filled(net, state)
+        return fill(net, state)
 
 
 def _coordinates(device: torch.device) -> torch.Tensor:

@@ -1,9 +1,8 @@
-"""Parts shared by the paper's nets: positional encoding, ReLU network with a skip connection, storage."""
+"""Parts shared by the paper's nets: positional encoding, ReLU network with a skip connection."""
 
 import math
 from contextlib import nullcontext
 
-import numpy as np
 import torch
 from torch import nn
 
@@ -18,7 +17,7 @@ def octave_angles(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> tor
     return (x[:, :, None] * (lowest * powers)).flatten(1)
 
 
-def encoded(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> torch.Tensor:
+def append_octaves(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> torch.Tensor:
     """Append the sines and cosines of `octave_angles` to coordinates; (N, D) to (N, D (1 + 2 octaves))."""
     angle = octave_angles(x, octaves, lowest)
     return torch.cat([x, angle.sin(), angle.cos()], 1)
@@ -100,11 +99,3 @@ class PointwiseNetwork(SkipNetwork):
         """Evaluate at (N, 5) points and places, -1 to 1; (N, outputs)."""
         angle = torch.cat([octave_angles(part, n) for part, n in zip(x.split([3, 2], 1), self.octaves)], 1)
         return self.output(super().forward(torch.cat([x, angle.sin(), angle.cos()], 1)))
-
-
-def with_half_weights(net: nn.Module) -> dict[str, np.ndarray]:
-    """Return a net's tensors for storing: weights as float16, others unchanged."""
-    return {
-        name: (value.half() if name.endswith("weight") else value).cpu().numpy()
-        for name, value in net.state_dict().items()
-    }

@@ -17,7 +17,7 @@ class SplineGrid(nn.Module):
     channels : int
         Features per node.
     used : ((resolution + 2)^3,) bool tensor
-        Mask of nodes with features; other nodes have zeros. See `touched`.
+        Mask of nodes with features; other nodes have zeros. See `mark_touched`.
     """
 
     used: torch.Tensor
@@ -49,7 +49,7 @@ class SplineGrid(nn.Module):
         return torch.cat([self.table, torch.zeros_like(self.table[:1])])
 
 
-def touched(x: torch.Tensor, resolution: int) -> torch.Tensor:
+def mark_touched(x: torch.Tensor, resolution: int) -> torch.Tensor:
     """Return a mask of the nodes that affect (N, 3) points; ((resolution + 2)^3,) bool."""
     used = torch.zeros((resolution + 2) ** 3, dtype=torch.bool)
     used[_nodes(x, resolution)[0]] = True

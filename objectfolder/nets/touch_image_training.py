@@ -6,9 +6,8 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.adam import papers_adam
-from objectfolder.nets.checkpoint import Checkpoint
-from objectfolder.nets.fit import CurvePoint, fit, in_parts, part_size
+from objectfolder.nets.fit import CurvePoint, FitSettings, Session, choose_part_size, fit, sum_in_parts
+from objectfolder.nets.optimizers import make_papers_adam
 from objectfolder.nets.positional import train_in
 from objectfolder.nets.touch_config import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
@@ -25,12 +24,11 @@ def train_image(
     scale: float,
     sensor: str,
     config: ImageConfig,
-    generator: torch.Generator,
-    report: Callable[[CurvePoint], None] = lambda point: None,
-    device: str | torch.device = "cpu",
-    checkpoint: Checkpoint | None = None,
+    session: Session,
 ) -> tuple[ImageTouch, list[CurvePoint]]:
     """Fit an `ImageTouch` to contacts.
+
+    Losses of the curve are mean squared errors of images in [0, 1].
 
     Parameters
     ----------
@@ -41,33 +39,20 @@ def train_image(
     sensor : str
         Name of the sensor profile.
     config : ImageConfig
-    generator : torch.Generator
-        On the CPU.
-    report : callable
-        Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
-    device : str or torch.device
-        Training device; the net is returned on the CPU. The paper's size needs a GPU.
-    checkpoint : Checkpoint, optional
-        With the same generator.
+    session : Session
 
     Raises
     ------
     ObjectFolderError
         If contacts differ in depth or angle.
     """
-    press_depth, angle = (_one_value(name, train, val) for name in ("depths", "angles"))
+    device, generator = session.device, session.generator
+    depth, angle = (_one_value(name, train, val) for name in ("depths", "angles"))
     images = torch.from_numpy(train["images"])
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+    with session.initialisation():
         net = ImageTouch(
-            sensor,
-            (images.shape[1], images.shape[2]),
-            press_depth,
-            angle,
-            config.width,
-            config.depth,
-            config.point_octaves,
-            config.pixel_octaves,
+            *(sensor, (images.shape[1], images.shape[2]), (depth, angle)),
+            *(config.width, config.depth, config.point_octaves, config.pixel_octaves),
         )
         # Start from the mean colour, which is closer than grey.
         mean = train["images"].mean((0, 1, 2), dtype=np.float64) / 127.5 - 1
@@ -93,17 +78,14 @@ def train_image(
     known, held_out = gather(train), gather(val)
     loss, val_loss = loss_of(*known), loss_of(*held_out)
     checked = draw(held_out[1].shape, VAL_SAMPLES)
-    part = part_size(_PART, config.batch, device)
+    part = choose_part_size(_PART, config.batch, device)
     curve = fit(
         net,
-        batch_loss=lambda: in_parts(loss, part, *draw(known[1].shape, config.batch)),
+        batch_loss=lambda: sum_in_parts(loss, part, *draw(known[1].shape, config.batch)),
         val_loss=lambda: val_loss(*checked).item(),
-        steps=config.steps,
-        learning_rate=config.learning_rate,
-        final_rate=config.final_rate,
-        optimizer=papers_adam(net),
-        report=report,
-        checkpoint=checkpoint,
+        settings=FitSettings(config.steps, config.learning_rate, config.final_rate),
+        session=session,
+        optimizer=make_papers_adam(net),
     )
     return net.cpu().eval(), curve
 

@@ -13,8 +13,8 @@ from torch import nn
 
 from objectfolder.mesh.grid import ascent
 from objectfolder.mesh.gridcodec import BOUND
-from objectfolder.nets.loading import UNFILLED, filled
-from objectfolder.nets.positional import HiddenLinear, SkipNetwork, encoded, with_half_weights
+from objectfolder.nets.positional import HiddenLinear, SkipNetwork, append_octaves
+from objectfolder.nets.storage import UNFILLED, fill, halve_weights
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.volume import Rays, resampled, stratified, visibility
@@ -58,7 +58,7 @@ class ScatteringFunction(nn.Module):
 
     def forward(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Evaluate the density (N,), and the hidden layer (N, width) for `scattered`, at (N, 3) points."""
-        hidden = self.trunk(encoded(points, self.octaves[0], 1.0))
+        hidden = self.trunk(append_octaves(points, self.octaves[0], 1.0))
         return torch.relu(self.density(hidden))[:, 0], hidden
 
     def scattered(self, hidden: torch.Tensor, incoming: torch.Tensor, outgoing: torch.Tensor) -> torch.Tensor:
@@ -66,7 +66,7 @@ class ScatteringFunction(nn.Module):
 
         The sigmoid is scaled so that it can reach black and white.
         """
-        directions = [encoded(d, self.octaves[1], 1.0) for d in (outgoing, incoming)]
+        directions = [append_octaves(d, self.octaves[1], 1.0) for d in (outgoing, incoming)]
         x = self.branch(torch.cat([self.bottleneck(hidden), *directions], 1))
         return 1.2 * torch.sigmoid(self.fraction(x)) - 0.1
 
@@ -220,7 +220,7 @@ class OsfNet(nn.Module):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return tensors (weights as float16) and configuration."""
-        tensors = with_half_weights(self)
+        tensors = halve_weights(self)
         if self.hull is not None:
             tensors["hull"] = np.packbits(tensors["hull"])
         return tensors, dict(self.config)
@@ -237,7 +237,7 @@ class OsfNet(nn.Module):
                 raise ValueError(f"hull has shape {tensors['hull'].shape}, expected bits of {cells} cells")
             bits = np.unpackbits(tensors["hull"], count=cells).astype(bool)
             state["hull"] = torch.from_numpy(bits).view_as(net.hull)
-        return filled(net, state)
+        return fill(net, state)
 
 
 def _radiance(

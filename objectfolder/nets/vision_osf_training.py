@@ -1,6 +1,5 @@
 """Training of VisionNet ``osf``."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,9 +7,8 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.gridcodec import BOUND
-from objectfolder.nets.adam import papers_adam
-from objectfolder.nets.checkpoint import Checkpoint
-from objectfolder.nets.fit import CurvePoint, fit, in_parts, part_size
+from objectfolder.nets.fit import CurvePoint, FitSettings, Session, choose_part_size, fit, sum_in_parts
+from objectfolder.nets.optimizers import make_papers_adam
 from objectfolder.nets.positional import train_in
 from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres
@@ -48,12 +46,12 @@ def train_osf(
     train: dict[str, np.ndarray],
     val: dict[str, np.ndarray],
     config: OsfConfig,
-    generator: torch.Generator,
-    report: Callable[[CurvePoint], None] = lambda point: None,
-    device: str | torch.device = "cpu",
-    checkpoint: Checkpoint | None = None,
+    session: Session,
 ) -> tuple[OsfNet, list[CurvePoint]]:
     """Fit an `OsfNet` to views.
+
+    Losses of the curve are mean squared errors in sRGB over rays that intersect the cube: the sum for both
+    nets in training; in validation the fine net's, on `VAL_RAYS` rays.
 
     Parameters
     ----------
@@ -61,15 +59,7 @@ def train_osf(
         Whole views: ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``,
         ``center`` (N, 2).
     config : OsfConfig
-    generator : torch.Generator
-        On the CPU.
-    report : callable
-        Called with each `CurvePoint`. Losses are mean squared errors in sRGB over rays that intersect the
-        cube: the sum for both nets in training; in validation the fine net's, on `VAL_RAYS` rays.
-    device : str or torch.device
-        Training device; the net is returned on the CPU. The paper's size needs a GPU.
-    checkpoint : Checkpoint, optional
-        With the same generator.
+    session : Session
 
     Raises
     ------
@@ -80,9 +70,9 @@ def train_osf(
     -----
     Rays of a batch are drawn with replacement.
     """
+    device, generator = session.device, session.generator
     pixels, held_out = _gather(train, device), _gather(val, device)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+    with session.initialisation():
         net = OsfNet(
             config.coarse_samples,
             config.fine_samples,
@@ -100,11 +90,11 @@ def train_osf(
     train_in(net, config.precision)
     checked = torch.randperm(len(held_out.target), generator=generator)[:VAL_RAYS]
 
-    part = part_size(_PART, config.batch, device)
+    part = choose_part_size(_PART, config.batch, device)
 
     def batch_loss() -> torch.Tensor:
         drawn = torch.randint(len(pixels.target), (config.batch,), generator=generator)
-        return in_parts(lambda rows: pixels.loss(net, rows, generator).sum(), part, drawn)
+        return sum_in_parts(lambda rows: pixels.loss(net, rows, generator).sum(), part, drawn)
 
     def val_loss() -> float:
         sums = [held_out.loss(net, rows)[1].item() * len(rows) for rows in checked.split(part)]
@@ -114,12 +104,9 @@ def train_osf(
         net,
         batch_loss=batch_loss,
         val_loss=val_loss,
-        steps=config.steps,
-        learning_rate=config.learning_rate,
-        final_rate=config.final_rate,
-        optimizer=papers_adam(net),
-        report=report,
-        checkpoint=checkpoint,
+        settings=FitSettings(config.steps, config.learning_rate, config.final_rate),
+        session=session,
+        optimizer=make_papers_adam(net),
     )
     return net.cpu().eval(), curve
 

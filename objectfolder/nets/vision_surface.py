@@ -20,7 +20,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.loading import UNFILLED, filled
+from objectfolder.nets.storage import UNFILLED, fill
 from objectfolder.vision.bsdf import fresnel, principled
 from objectfolder.vision.lighting import toward
 from objectfolder.vision.radiosity import Radiosity
@@ -31,6 +31,7 @@ from objectfolder.vision.view import SQUARE, Shader
 #: Hash grid for indirect light.
 TRANSPORT = {"levels": 2, "features": 4, "table_bits": 13, "coarsest": 8, "finest": 14}
 GRIDS = ("grid", "transport")
+_APART = ("width", "roughness", "metallic")  # settings of a net beside those of its first grid
 NEAREST = 1e-3  # lower limit of the distance to a light, unit frame: avoids infinite radiance
 FAMILIAR = 0.1  # lower limit for indirect light, unit frame: training lights are farther away
 CHUNK = 50_000  # points shaded at once
@@ -45,27 +46,17 @@ class SurfaceNet(nn.Module):
 
     Parameters
     ----------
-    levels, features, table_bits, coarsest, finest
-        See `HashGrid`.
+    grid : HashGrid
+        Features of base colour and normal.
     width : int
         Hidden width of the MLPs.
     roughness, metallic : float
         Parameters of the principled BSDF.
     """
 
-    def __init__(
-        self,
-        levels: int,
-        features: int,
-        table_bits: int,
-        coarsest: int,
-        finest: int,
-        width: int,
-        roughness: float,
-        metallic: float,
-    ):
+    def __init__(self, grid: HashGrid, width: int, roughness: float, metallic: float):
         super().__init__()
-        self.grid = HashGrid(levels, features, table_bits, coarsest, finest)
+        self.grid = grid
         self.appearance = _mlp(self.grid.width + 3, width, 6, depth=1)
         self.transport = HashGrid(**TRANSPORT)
         self.bounced = _mlp(self.transport.width + 52, width, 12, depth=2)
@@ -297,14 +288,15 @@ class SurfaceNet(nn.Module):
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SurfaceNet":
         """Invert `to_tensors`, up to quantisation."""
+        of_grid = {name: value for name, value in config.items() if name not in _APART}
         with UNFILLED:
-            net = cls(**config)
+            net = cls(HashGrid(**of_grid), **{name: config[name] for name in _APART})
         packed = {f"{grid}.{name}" for grid in GRIDS for name in ("table", "factors")}
         state = {k: torch.from_numpy(np.array(v)).float() for k, v in tensors.items() if k not in packed}
         for grid in GRIDS:
             stored = tensors[f"{grid}.table"], tensors[f"{grid}.factors"]
             state[f"{grid}.table"] = getattr(net, grid).unpacked(*stored)
-        return filled(net, state)
+        return fill(net, state)
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ SECTIONS = {
     "train_touch": "objectfolder.nets.touch_config:TouchConfig",
     "evaluate": "objectfolder.objectfile.settings:EvaluateConfig",
     "observe": "objectfolder.benchmarks.datasets.observe_config:ObserveConfig",
-    "encode": "objectfolder.benchmarks.models.encode_config:EncodeConfig",
+    "encode": "objectfolder.benchmarks.models.settings:EncodeConfig",
     "recognize": "objectfolder.benchmarks.tasks.recognition_config:RecognizeConfig",
     "retrieve": "objectfolder.benchmarks.tasks.retrieval_config:RetrieveConfig",
     "reconstruct": "objectfolder.benchmarks.tasks.reconstruction_config:ReconstructConfig",
@@ -64,8 +64,8 @@ SECTIONS = {
     "decompose": "objectfolder.benchmarks.datasets.decompose_config:DecomposeConfig",
     "grasp_data": "objectfolder.benchmarks.datasets.grasp_config:GraspDataConfig",
     "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability_config:GraspStabilityConfig",
-    "grasp_policy": "objectfolder.benchmarks.models.trpo_config:GraspPolicyConfig",
-    "reach": "objectfolder.benchmarks.models.ppo_config:ReachConfig",
+    "grasp_policy": "objectfolder.benchmarks.models.settings:GraspPolicyConfig",
+    "reach": "objectfolder.benchmarks.models.settings:ReachConfig",
 }
 #: Stages of single objects that every build runs.
 OBJECT_STAGES = (

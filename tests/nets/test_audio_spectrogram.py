@@ -9,8 +9,10 @@ from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors
 from objectfolder.nets.audio_config import SpectrogramConfig
+from objectfolder.nets.audio_gains_training import ModeSamples
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
+from objectfolder.nets.fit import Session
 from objectfolder.nets.positional import PointwiseNetwork
 
 CONFIG = SpectrogramConfig(
@@ -40,8 +42,8 @@ def bar():
 
 
 def train(bar, config=CONFIG, frequency=FREQUENCY):
-    generator = torch.Generator().manual_seed(0)
-    return train_spectrogram(*bar, frequency, DAMPING, np.arange(500), np.arange(500, 550), config, generator)
+    samples = ModeSamples(*bar, frequency, DAMPING, np.arange(500), np.arange(500, 550))
+    return train_spectrogram(samples, config, Session(torch.Generator().manual_seed(0)))
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +129,7 @@ def test_an_object_that_the_sample_rate_cannot_carry_is_silent(bar):
 def test_an_object_without_modes_is_silent(tmp_path):
     still = np.zeros((8, 3)), np.zeros((8, 3, 0)), np.zeros(0), np.zeros(0)
     rows = np.arange(6), np.arange(6, 8)
-    net, curve = train_spectrogram(*still, *rows, CONFIG, torch.Generator().manual_seed(0))
+    net, curve = train_spectrogram(ModeSamples(*still, *rows), CONFIG, Session())
     assert curve == []
     write_safetensors(tmp_path / "n.safetensors", *net.to_tensors())
     back = SpectrogramNet.from_tensors(*read_safetensors(tmp_path / "n.safetensors"))

@@ -11,8 +11,10 @@ from pretend_device import pretend_device
 
 from objectfolder import ObjectFile
 from objectfolder.nets.audio_config import SpectrogramConfig
+from objectfolder.nets.audio_gains_training import ModeSamples
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
+from objectfolder.nets.fit import Session
 from objectfolder.nets.released.network import Frame
 from objectfolder.nets.touch_config import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
@@ -61,7 +63,7 @@ def _read(values, part, tmp_path):
 NETS = {
     "osf": (lambda tmp: _osf(), see),
     "image": (
-        lambda tmp: _vivid(ImageTouch("digit", (6, 8), 0.001, 0.0, 16, 2, 3, 3)),
+        lambda tmp: _vivid(ImageTouch("digit", (6, 8), (0.001, 0.0), 16, 2, 3, 3)),
         lambda net: net.images(POINTS),
     ),
     "spectrogram": (
@@ -154,13 +156,17 @@ def small_views():
     }
 
 
+def session(device):
+    return Session(torch.Generator().manual_seed(0), device)
+
+
 def train_a_view(device):
     config = OsfConfig(
         **{"width": 16, "depth": 2, "branch_width": 16, "branch_depth": 2, "point_octaves": 2},
         **{"direction_octaves": 1, "coarse_samples": 8, "fine_samples": 8, "hull_cells": 4},
         **TRAINING,
     )
-    return train_osf(small_views(), small_views(), config, torch.Generator().manual_seed(0), device=device)
+    return train_osf(small_views(), small_views(), config, session(device))
 
 
 def train_a_sound(device):
@@ -168,9 +174,8 @@ def train_a_sound(device):
     config = SpectrogramConfig(width=16, depth=2, point_octaves=1, bin_octaves=3, loud=0.5, **TRAINING)
     rows = np.arange(2), np.arange(2, 3)
     frequency, damping = 2 * np.pi * np.array([400.0, 900.0]), np.array([3.0, 4.0])
-    return train_spectrogram(
-        points, shapes, frequency, damping, *rows, config, torch.Generator().manual_seed(0), device=device
-    )
+    samples = ModeSamples(points, shapes, frequency, damping, *rows)
+    return train_spectrogram(samples, config, session(device))
 
 
 def train_a_touch(device):
@@ -181,9 +186,7 @@ def train_a_touch(device):
         "angles": np.zeros(3),
     }
     config = ImageConfig(width=16, depth=2, point_octaves=3, pixel_octaves=3, **TRAINING)
-    return train_image(
-        contacts, contacts, 0.2, "digit", config, torch.Generator().manual_seed(0), device=device
-    )
+    return train_image(contacts, contacts, 0.2, "digit", config, session(device))
 
 
 @pytest.mark.parametrize("train", [train_a_view, train_a_sound, train_a_touch])

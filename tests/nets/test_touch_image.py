@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.nets.fit import Session
 from objectfolder.nets.touch_config import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.touch_image_training import train_image
@@ -40,8 +41,8 @@ def dots(count, seed):
 
 
 def train(contacts, config=CONFIG):
-    generator = torch.Generator().manual_seed(3)
-    return train_image(contacts, contacts, SCALE, "digit", config, generator)
+    session = Session(torch.Generator().manual_seed(3))
+    return train_image(contacts, contacts, SCALE, "digit", config, session)
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +67,13 @@ def test_it_memorises_contacts_far_better_than_their_mean_image(learnt):
 
 def test_the_papers_network():
     """Eight layers of 256 channels, 105 inputs from (x, y, z, w, h) with ten octaves each, RGB out."""
-    net = ImageTouch("digit", (160, 120), 0.001, 0.0, 256, 8, 10, 10).network
+    net = ImageTouch("digit", (160, 120), (0.001, 0.0), 256, 8, 10, 10).network
     sizes = [tuple(layer.weight.shape) for layer in (*net.hidden, net.output)]
     assert sizes == [(256, 105), *[(256, 256)] * 4, (256, 361), *[(256, 256)] * 2, (3, 256)]
 
 
 def test_pixels_are_columns_and_rows_from_left_and_top():
-    net = ImageTouch("digit", (4, 3), 0.001, 0.0, 8, 2, 0, 0)
+    net = ImageTouch("digit", (4, 3), (0.001, 0.0), 8, 2, 0, 0)
     seen = []
     net.network.register_forward_hook(lambda module, inputs, output: seen.append(inputs[0]))
     net.images(np.array([[0.1, 0.2, 0.3]]))

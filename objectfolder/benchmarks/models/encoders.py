@@ -12,9 +12,9 @@ from runpy import run_path
 import torch
 from torch import nn
 
-from objectfolder.benchmarks.models.encode_config import EncodeConfig
 from objectfolder.benchmarks.models.inputs import CHANNELS
 from objectfolder.benchmarks.models.resnet import ResNet18
+from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, torch_problem
 

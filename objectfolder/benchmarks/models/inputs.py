@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from objectfolder.audio.spectrogram import spectrogram
-from objectfolder.benchmarks.models.encode_config import InputSizes
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.errors import ObjectFolderError
 
 CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of `encoder_inputs`

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 
 from objectfolder.benchmarks.datasets.occupancy import extract_mesh, grid_points
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder
 from objectfolder.benchmarks.models.framing import framed_views
 from objectfolder.benchmarks.models.inputs import encoder_inputs
 from objectfolder.benchmarks.models.occupancy_net import Reconstructor, occupancy_logits
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.several_touches import SeveralTouches
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors

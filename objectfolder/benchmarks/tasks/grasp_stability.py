@@ -16,7 +16,7 @@ from torch import nn
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.models.grasp_baselines import baselines
 from objectfolder.benchmarks.models.inputs import encoder_inputs
-from objectfolder.benchmarks.models.training import EpochPoint, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, shuffle
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
 from objectfolder.benchmarks.tasks.grasp_stability_config import GraspStabilityConfig
 from objectfolder.benchmarks.tasks.job import Job
@@ -277,7 +277,7 @@ def _trained(
 
     def epoch_batches(epoch: int) -> Iterator[tuple[Inputs, torch.Tensor]]:
         rng = numpy_generator(job.seed, *purpose, str(epoch))
-        for rows in shuffled(repeated, params.batch, rng):
+        for rows in shuffle(repeated, params.batch, rng):
             yield _inputs(job, arrays, rows, rng), torch.from_numpy(success[rows]).float().to(job.device)
 
     def batch_loss(batch: tuple[Inputs, torch.Tensor]) -> torch.Tensor:
@@ -286,11 +286,13 @@ def _trained(
 
     curve = job.train(
         f"grasp stability {split.name}, {name} of {len(train)}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        lambda: accuracy(_logits(job, net, arrays, split.val) > 0, success[split.val]),
-        "accuracy",
+        Objective(
+            net,
+            epoch_batches,
+            batch_loss,
+            lambda: accuracy(_logits(job, net, arrays, split.val) > 0, success[split.val]),
+            "accuracy",
+        ),
         _checkpoint(job, train, run, name),
         epochs,
         rate,

@@ -20,7 +20,7 @@ from objectfolder.benchmarks.datasets.samples import object_digest
 from objectfolder.benchmarks.models.encoders import own_code, registered
 from objectfolder.benchmarks.models.inputs import shifted
 from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, belief_together, likeliest
-from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
@@ -225,7 +225,7 @@ def _trained(
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
-        for rows in shuffled(train, params.batch, rng):
+        for rows in shuffle(train, params.batch, rng):
             inputs = setting.inputs[letter][rows]
             if letter == "T" and job.shift:
                 inputs = shifted(inputs, job.shift, rng)
@@ -237,14 +237,16 @@ def _trained(
         return F.kl_div(net(inputs), targets, reduction="batchmean")
 
     truth = job.observations.read("point", job.split.val)
-    steps = params.epochs * batch_count(len(train), params.batch)
+    steps = params.epochs * count_batches(len(train), params.batch)
     curve = job.train(
         f"localize {letter}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        lambda: -float(setting.errors(_belief(setting, net, letter, job.split.val), truth).mean()),
-        "minus error",
+        Objective(
+            net,
+            epoch_batches,
+            batch_loss,
+            lambda: -float(setting.errors(_belief(setting, net, letter, job.split.val), truth).mean()),
+            "minus error",
+        ),
         checkpoint,
         cycle=steps,
     )

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.settings import Count
 
 

@@ -24,7 +24,7 @@ from objectfolder.benchmarks.models.inputs import encoder_inputs, flipped
 from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
 from objectfolder.benchmarks.models.several_touches import SeveralTouches
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, shape_inputs
-from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import THRESHOLDS, best_level
 from objectfolder.benchmarks.tasks.job import Job
@@ -169,7 +169,7 @@ class ShapeTraining:
             known = encoded(epoch)
             rng = numpy_generator(job.seed, *self._purpose, f"epoch {epoch}")
             for _ in range(POINT_SETS):
-                for some in shuffled(rows, params.batch, rng):
+                for some in shuffle(rows, params.batch, rng):
                     together = (
                         {"touch": companions.draw(some, params.touches, rng)} if "touch" in known else {}
                     )
@@ -184,16 +184,13 @@ class ShapeTraining:
             logits = net.decoder(points, net.fusion(features))
             return F.binary_cross_entropy_with_logits(logits, inside.float())
 
+        parts = nn.ModuleDict({"fusion": net.fusion, "decoder": net.decoder})
         return job.train(
             self.title,
-            nn.ModuleDict({"fusion": net.fusion, "decoder": net.decoder}),
-            epoch_batches,
-            batch_loss,
-            lambda: self._validated(model)[1],
-            "IoU",
+            Objective(parts, epoch_batches, batch_loss, lambda: self._validated(model)[1], "IoU"),
             self.checkpoint,
             epochs,
-            cycle=epochs * POINT_SETS * batch_count(len(rows), params.batch),
+            cycle=epochs * POINT_SETS * count_batches(len(rows), params.batch),
         )
 
     def _features(self, encoder: nn.Module, modality: str, rng: np.random.Generator) -> torch.Tensor:
@@ -229,7 +226,7 @@ class ShapeTraining:
 
         def epoch_batches(epoch: int) -> Iterator[InputBatch]:
             rng = numpy_generator(job.seed, *self._purpose, f"epoch {epoch}")
-            batches = shuffled(job.split.train, params.batch, rng)
+            batches = shuffle(job.split.train, params.batch, rng)
             for rows in islice(batches, None, None, sets // POINT_SETS):
                 inputs = {
                     modality: self._inputs(
@@ -256,13 +253,10 @@ class ShapeTraining:
             loss = F.binary_cross_entropy_with_logits(logits, inside.float())
             return loss if inputs is None else loss + params.naming * F.cross_entropy(naming(features), names)
 
+        parts = nn.ModuleDict({"net": net, "naming": naming})
         return job.train(
             self.title,
-            nn.ModuleDict({"net": net, "naming": naming}),
-            epoch_batches,
-            batch_loss,
-            lambda: self._validated(model)[1],
-            "IoU",
+            Objective(parts, epoch_batches, batch_loss, lambda: self._validated(model)[1], "IoU"),
             self.checkpoint,
             epochs,
             statistics=STATISTICS * sets,  # of which one in so many is encoded

@@ -5,8 +5,8 @@ from torch import nn
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.benchmarks.models import inputs
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.inputs import DEVIATION, MEAN, encoder_inputs
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.errors import ObjectFolderError
 
 SIZES = InputSizes(image=56, spectrogram=(64, 50), touch=(64, 48))

@@ -7,9 +7,9 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import object_split, per_object, per_sample
 from objectfolder.benchmarks.models import encoders
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.grasp_baselines import BASELINES, baselines
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks.grasp_stability import (
     COMPARED,
     CURVE_COLUMNS,

@@ -9,9 +9,9 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.contacts import contact_split, sample_contacts
 from objectfolder.benchmarks.datasets.samples import Samples
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.localizer import SOFTNESS, belief_together, likeliest
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import localization
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.localization import CURVE_COLUMNS, localize

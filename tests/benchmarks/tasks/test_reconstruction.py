@@ -13,8 +13,8 @@ from torch import nn
 from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
 from objectfolder.benchmarks.models import encoders
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.shape_model import (
     Setup,
     ShapeModel,
