@@ -39,15 +39,9 @@ class GainsShape:
 class GainsNet(nn.Module):
     """Net from surface points to mode shapes.
 
-    Parameters
-    ----------
-    damped_frequency : (M,) tensor, rad/s
-    damping : (M,) tensor, 1/s
-    amplitude : (M,) tensor
-        Root mean square of each mode shape, kg^-1/2; the net predicts shapes relative to it.
-    used : bool tensor
-        Nodes of the grid; see `SplineGrid`.
-    shape : GainsShape
+    Of M modes it takes damped frequency (rad/s), damping (1/s) and amplitude: the root mean square of each
+    mode shape, kg^-1/2; the net predicts shapes relative to it. ``used`` marks nodes of the grid, see
+    `SplineGrid`.
     """
 
     damped_frequency: torch.Tensor
@@ -112,13 +106,7 @@ class GainsNet(nn.Module):
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "GainsNet":
-        """Invert `to_tensors`.
-
-        Raises
-        ------
-        LookupError, RuntimeError, TypeError, ValueError
-            If the tensors or the configuration are invalid.
-        """
+        """Invert `to_tensors`; LookupError, RuntimeError, TypeError or ValueError if anything is invalid."""
         nodes = (config["resolution"] + 2) ** 3
         used = torch.from_numpy(np.unpackbits(tensors["grid.used"], count=nodes).astype(bool))
         state = {}

@@ -6,9 +6,7 @@ from typing import Any
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.sparse import csc_array
 from torch import nn
-from torch.autograd.function import once_differentiable
 
 from objectfolder.nets.audio_config import GainsConfig
 from objectfolder.nets.audio_gains import GainsNet, GainsShape, energy_weights
@@ -22,30 +20,6 @@ ENERGY_SHARE = 0.8  # share of the energy-weighted error in the loss; the rest i
 DROPPED = 0.012  #: share (root mean square) of the weighted shapes dropped in training, for speed
 SPANNED = 0.02  #: share (root mean square) that features may leave, as too few to span the shapes
 RIDGE = 1e-6  # regularisation of the output layer's least squares, relative to the mean feature power
-
-
-class WeightedRows(torch.autograd.Function):
-    """Weighted sums of rows of a table; differentiable in the table.
-
-    The sums are a sparse matrix times the table. PyTorch's own derivative of ``embedding_bag`` takes 25 times
-    as long as SciPy's product with the transposed matrix.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, table: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Sum (N, K) rows of a (T, C) table with (N, K) weights; (N, C)."""
-        ctx.save_for_backward(rows, weights)
-        ctx.count = len(table)
-        return F.embedding_bag(rows, table, per_sample_weights=weights, mode="sum")
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None]:
-        """Return the gradient of the table, (T, C)."""
-        rows, weights = ctx.saved_tensors
-        entries = weights.numpy().ravel(), rows.numpy().ravel(), np.arange(0, rows.numel() + 1, rows.shape[1])
-        transposed = csc_array(entries, shape=(ctx.count, len(rows)))
-        return torch.from_numpy(transposed @ gradients[0].numpy()), None, None
 
 
 @dataclass(frozen=True)
@@ -103,7 +77,7 @@ def train_gains(
     def loss(index: torch.Tensor) -> torch.Tensor:
         taken = (values.index_select(0, index) for values in (x, nodes, weights, components))
         points, of_points, with_weights, true = taken
-        found = head(net.features(points, WeightedRows.apply(net.grid.padded(), of_points, with_weights)))
+        found = head(net.features(points, net.grid.lookup(of_points, with_weights)))
         return F.mse_loss(found, true, reduction="sum") / (len(index) * 3 * len(damping))
 
     groups: list[dict[str, Any]] = [
@@ -131,10 +105,7 @@ def count_features(power: torch.Tensor, config: GainsConfig) -> int:
 def _principal_components(weighted: torch.Tensor, rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Project (P, 3M) columns on their principal components in some rows, but the weakest.
 
-    Returns
-    -------
-    components : (P, K) tensor, scaled to a mean power of 1
-    power : (3M,) tensor of all components, ascending
+    Returns the (P, K) components, scaled to a mean power of 1, and the power of all (3M,), ascending.
     """
     if weighted.shape[1] == 0:
         return weighted, weighted.new_zeros(0)

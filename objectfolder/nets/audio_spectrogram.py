@@ -19,14 +19,9 @@ from objectfolder.nets.storage import UNFILLED, fill, halve_weights
 class SpectrogramNet(nn.Module):
     """Net from surface points to spectrograms of unit impulses along x, y and z; silent until trained.
 
-    Parameters
-    ----------
-    damped_frequency : (M,) tensor, rad/s
-        Modes of the training sounds, for information.
-    value_range : (2,) or (3, 2) tensor
-        Values represented by outputs 0 and 1, m kg^1/2 per N s: of all axes, or of each.
-    width, depth, point_octaves, bin_octaves
-        See `PointwiseNetwork`; the paper's branches have eight layers of 256 channels.
+    The damped frequencies (M,), rad/s, are for information. ``value_range``, (2,) or (3, 2): values
+    represented by outputs 0 and 1, m kg^1/2 per N s, of all axes or of each. For the sizes see
+    `PointwiseNetwork`; the paper's branches have eight layers of 256 channels.
     """
 
     damped_frequency: torch.Tensor

@@ -21,32 +21,18 @@ Point = TypeVar("Point")
 
 @dataclass
 class Checkpoint:
-    """A file that holds the state of an unfinished training; nothing in it is executed.
-
-    Parameters
-    ----------
-    path : Path
-    identity
-        Of the training: text, or a dictionary of plain values. A file of another one is not continued.
-    interval : float
-        Wall seconds between two writes.
-    replaces : bool
-        Start anew where the file is damaged or of another training, and replace it; default: refuse it.
-    """
+    """A file that holds the state of an unfinished training; nothing in it is executed."""
 
     path: Path
-    identity: Any
-    interval: float = 0.0
-    replaces: bool = False
+    identity: Any  #: of the training: text, or a dictionary; a file of another one is not continued
+    interval: float = 0.0  #: wall seconds between two writes
+    replaces: bool = False  #: a file that is damaged or of another training, instead of refusing it
     _written: float = field(default_factory=time.monotonic, init=False)
 
     def load(self) -> dict[str, Any] | None:
         """Return the stored state, with its tensors on the CPU; None if there is none to continue.
 
-        Raises
-        ------
-        ObjectFolderError
-            If the file is damaged, or of another training, unless it is replaced.
+        Raises ObjectFolderError if the file is damaged or of another training, unless it is replaced.
         """
         if not self.path.is_file():
             return None

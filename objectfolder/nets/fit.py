@@ -45,23 +45,13 @@ class FitSettings:
 
 @dataclass(frozen=True)
 class Session:
-    """Where a training runs, apart from what it learns.
+    """Where a training runs, apart from what it learns."""
 
-    Parameters
-    ----------
-    generator : torch.Generator
-        On the CPU. Seeds initialisation and batches; all randomness comes from it.
-    device : str or torch.device
-        Training device; the net is returned on the CPU. The sizes of the paper's nets need a GPU.
-    checkpoint : Checkpoint, optional
-        Where the state is written from time to time, and from which an earlier run is continued.
-    report : callable
-        Called with each point of the training curve, those of an interrupted run included.
-    """
-
+    #: On the CPU. Seeds initialisation and batches; all randomness comes from it.
     generator: torch.Generator = field(default_factory=torch.Generator)
-    device: str | torch.device = "cpu"
-    checkpoint: Checkpoint | None = None
+    device: str | torch.device = "cpu"  #: of the training; the net is returned on the CPU
+    checkpoint: Checkpoint | None = None  #: where the state is written, and an earlier run is continued
+    #: Called with each point of the training curve, those of an interrupted run included.
     report: Callable[[CurvePoint], None] = lambda point: None
 
     @contextmanager
@@ -82,24 +72,9 @@ def fit(
 ) -> list[CurvePoint]:
     """Minimise a loss; keep the weights of the lowest validation loss, and return the training curve.
 
-    Parameters
-    ----------
-    net : nn.Module
-        Trained in place.
-    batch_loss : callable
-        Draws a batch from the session's generator and returns its loss.
-    val_loss : callable
-        Returns the validation loss; called without gradients.
-    settings : FitSettings
-    session : Session
-    optimizer : Optimizer, optional
-        Of the net's parameters; default: Adam. The learning rate is multiplied by each group's
-        ``relative_rate``.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a loss is not finite.
+    ``batch_loss`` draws a batch from the session's generator; ``val_loss`` is called without gradients. The
+    default optimizer is Adam; the learning rate is multiplied by each group's ``relative_rate``. Raises
+    ObjectFolderError if a loss is not finite.
     """
     optimizer = optimizer or make_default_adam(net)
     steps, evaluations = settings.steps, settings.evaluations
@@ -153,19 +128,9 @@ def sum_in_parts(
 ) -> torch.Tensor:
     """Return the mean loss of a batch, a part at a time: activations of a part stay in the cache.
 
-    Gradients of all parts but the last are added to the parameters at once; those of the last follow from
-    the result.
-
-    Parameters
-    ----------
-    loss : callable
-        Mean loss of rows.
-    size : int
-        Rows of a part.
-    first : (N, ...) tensor
-        Rows of the batch, the first argument of ``loss``.
-    *others : (N, ...) tensors
-        Its other arguments.
+    ``loss`` is the mean loss of rows, ``size`` the rows of a part; all other arguments have the rows of the
+    batch along their first dimension. Gradients of all parts but the last are added to the parameters at
+    once; those of the last follow from the result.
     """
     total = torch.zeros(())
     parts = list(zip(first.split(size), *(other.split(size) for other in others)))

@@ -16,10 +16,7 @@ _PLAIN: dict[str, Any] = {"fused": True, "amsgrad": False, "weight_decay": 0, "m
 class Optimizer:
     """Groups of parameters, and what is kept of each between steps.
 
-    Parameters
-    ----------
-    groups : list of dict
-        ``params``: parameters; ``lr``: their learning rate, which may be set before each step.
+    A group holds ``params`` and their learning rate ``lr``, which may be set before each step.
     """
 
     def __init__(self, groups: list[dict[str, Any]]):
@@ -54,14 +51,6 @@ class Adam(Optimizer):
 
     The constructor of ``torch.optim.Adam`` imports PyTorch's compiler. The training of a default VisionNet,
     13.3 s and 785 MB, would take another 1.3 s and 70 MB with it.
-
-    Parameters
-    ----------
-    groups : list of dict
-        See `Optimizer`.
-    betas : (float, float)
-        Decay rates of the running means of gradients and of their squares.
-    eps : float
     """
 
     def __init__(self, groups: list[dict[str, Any]], betas: tuple[float, float], eps: float):
@@ -102,12 +91,7 @@ def make_papers_adam(net: nn.Module) -> Adam:
 class Soap(Optimizer):
     """SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al. 2024, arXiv:2409.11321).
 
-    For small dense nets: Adam's loss in about half the steps, each a third slower.
-
-    Parameters
-    ----------
-    groups : list of dict
-        See `Optimizer`; of vectors and matrices.
+    For vectors and matrices of small dense nets: Adam's loss in about half the steps, each a third slower.
     """
 
     @torch.no_grad()

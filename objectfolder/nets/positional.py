@@ -24,13 +24,7 @@ def append_octaves(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> to
 
 
 class SkipNetwork(nn.Module):
-    """ReLU layers; the input is concatenated again after the fifth.
-
-    Parameters
-    ----------
-    inputs, width, depth : int
-        The paper's networks have eight layers of 256 channels.
-    """
+    """ReLU layers, in the paper eight of 256 channels; the input is concatenated again after the fifth."""
 
     precision: torch.dtype = torch.float32  #: of the hidden layers in training (`train_in`), not in answers
 
@@ -81,13 +75,7 @@ def train_in(net: nn.Module, precision: Precision) -> None:
 class PointwiseNetwork(SkipNetwork):
     """ReLU network from a point and a place (frequency and time, or pixel), positionally encoded, to values.
 
-    Parameters
-    ----------
-    width, depth : int
-        Hidden layers.
-    point_octaves, place_octaves : int
-        Each input x is encoded as x and sin and cos of 2^k pi x, for k below this.
-    outputs : int
+    Each input x is encoded as x and sin and cos of 2^k pi x, for k below the number of octaves.
     """
 
     def __init__(self, width: int, depth: int, point_octaves: int, place_octaves: int, outputs: int):

@@ -18,21 +18,11 @@ UNFILLED = torch.device("meta")
 
 
 def fill(net: _Net, state: dict[str, torch.Tensor]) -> _Net:
-    """Give a net made on device `UNFILLED` its tensors, and return it for evaluation.
+    """Give a net made on device `UNFILLED` its state dictionary, and return it for evaluation.
 
-    Parameters become single precision on the CPU, whatever the default type and device of torch are.
-
-    Parameters
-    ----------
-    net : Module
-        Its buffers have explicit types; those outside its state dictionary are on the CPU.
-    state : dict
-        Its state dictionary.
-
-    Raises
-    ------
-    RuntimeError
-        If the tensors are not those of the net, or of other shapes.
+    Parameters become single precision on the CPU, whatever the default type and device of torch are. Buffers
+    have explicit types; those outside the state dictionary are on the CPU. Raises RuntimeError if the tensors
+    are not those of the net, or of other shapes.
     """
     types = {name: buffer.dtype for name, buffer in net.named_buffers()}
     typed = {name: value.to(types.get(name, torch.float32)) for name, value in state.items()}
@@ -74,17 +64,9 @@ def round_with(matrix: torch.Tensor, gram: torch.Tensor) -> torch.Tensor:
     """Round a linear layer with little change of its outputs: later weights compensate for earlier errors.
 
     Frantar et al. 2023 (GPTQ, arXiv:2210.17323). For correlated inputs, such as a net's features, the error
-    is several times smaller than with every weight rounded to the nearest.
-
-    Parameters
-    ----------
-    matrix : (outputs, inputs) tensor
-    gram : (inputs, inputs) tensor
-        Gram matrix of the inputs over the data, positive definite.
-
-    Returns
-    -------
-    (outputs, inputs) tensor, represented exactly by int8 codes
+    is several times smaller than with every weight rounded to the nearest. Takes an (outputs, inputs) matrix
+    and the positive definite Gram matrix of the inputs over the data; int8 codes represent the result
+    exactly.
     """
     size = torch.ldexp(torch.ones(len(matrix)), find_exponents(matrix).int()).double()
     left, out = matrix.double().clone(), torch.empty_like(matrix, dtype=torch.float64)

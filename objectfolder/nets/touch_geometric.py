@@ -29,25 +29,12 @@ _BATCH = 16  # contacts simulated at once, to bound memory
 
 
 class GeometricTouch:
-    """Simulator of tactile images of a stored surface.
+    """Simulator of tactile images of a stored surface, of an object with a longest side of ``scale`` metres.
 
-    Parameters
-    ----------
-    surface : Isosurface
-    scale : float
-        Longest side, metres.
-    profile : SensorProfile
-    depth_offset : float
-        Added to every press depth, metres.
-    renderer : {"gel", "tacto"}
-        Renderer of the images; see `objectfolder.touch.dataset.render_contacts`.
-    background : (H, W, 3) uint8 array, optional
-        Image of the untouched sensor; default: that of the profile.
-    smoothing : int
-        Rounds of averaging the surface normals, for renderer tacto. TACTO interpolates the vertex normals of
-        a mesh, which smooths them across each triangle.
-    device : str or torch.device
-        Device of renderer gel. Ray casting and gel deformation stay on the CPU.
+    Fitted are the ``depth_offset`` (metres), which is added to every press depth, and, for renderer tacto
+    (`objectfolder.touch.dataset.render_contacts`), the rounds of averaging the normals (`smooth`). The
+    ``background`` (H, W, 3) uint8 is the image of the untouched sensor; default: that of the profile. The
+    device is that of renderer gel: ray casting and gel deformation stay on the CPU.
     """
 
     _rays: "TactoRays | None"

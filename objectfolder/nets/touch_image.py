@@ -15,18 +15,11 @@ from objectfolder.nets.storage import UNFILLED, fill, halve_weights
 
 
 class ImageTouch(nn.Module):
-    """Net from surface points to tactile images; mid-grey until trained.
+    """Net from surface points to tactile images (rows, columns); mid-grey until trained.
 
-    Parameters
-    ----------
-    sensor : str
-        Name of the sensor profile it was trained on, for information.
-    image_size : (int, int)
-        Rows and columns.
-    contact : (float, float)
-        Press depth and angle of all training contacts, metres and radians.
-    width, depth, point_octaves, pixel_octaves
-        See `PointwiseNetwork`; the paper's net has eight layers of 256 channels.
+    The name of the sensor profile it was trained on is for information; ``contact`` holds press depth and
+    angle of all training contacts, metres and radians. For the sizes see `PointwiseNetwork`; the paper's net
+    has eight layers of 256 channels.
     """
 
     def __init__(

@@ -26,25 +26,10 @@ def train_image(
     config: ImageConfig,
     session: Session,
 ) -> tuple[ImageTouch, list[CurvePoint]]:
-    """Fit an `ImageTouch` to contacts.
+    """Fit an `ImageTouch` to contacts, as returned by `objectfolder.touch.dataset.render_contacts`.
 
-    Losses of the curve are mean squared errors of images in [0, 1].
-
-    Parameters
-    ----------
-    train, val : dict
-        Contacts as returned by `objectfolder.touch.dataset.render_contacts`, all of one depth and angle.
-    scale : float
-        Longest side, metres.
-    sensor : str
-        Name of the sensor profile.
-    config : ImageConfig
-    session : Session
-
-    Raises
-    ------
-    ObjectFolderError
-        If contacts differ in depth or angle.
+    ``scale`` is the longest side in metres, ``sensor`` the name of its profile. Losses of the curve are mean
+    squared errors of images in [0, 1]. Raises ObjectFolderError if contacts differ in depth or angle.
     """
     device, generator = session.device, session.generator
     depth, angle = (_one_value(name, train, val) for name in ("depths", "angles"))

@@ -48,27 +48,12 @@ def train_osf(
     config: OsfConfig,
     session: Session,
 ) -> tuple[OsfNet, list[CurvePoint]]:
-    """Fit an `OsfNet` to views.
+    """Fit an `OsfNet` to whole views; rays of a batch are drawn with replacement.
 
-    Losses of the curve are mean squared errors in sRGB over rays that intersect the cube: the sum for both
-    nets in training; in validation the fine net's, on `VAL_RAYS` rays.
-
-    Parameters
-    ----------
-    train, val : dict
-        Whole views: ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``,
-        ``center`` (N, 2).
-    config : OsfConfig
-    session : Session
-
-    Raises
-    ------
-    ObjectFolderError
-        If the images are tiles: what lies beside the object would stay unknown.
-
-    Notes
-    -----
-    Rays of a batch are drawn with replacement.
+    Views: ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``, ``center`` (N,
+    2). Losses of the curve are mean squared errors in sRGB over rays that intersect the cube: the sum for
+    both nets in training; in validation the fine net's, on `VAL_RAYS` rays. Raises ObjectFolderError if the
+    images are tiles: what lies beside the object would stay unknown.
     """
     device, generator = session.device, session.generator
     pixels, held_out = _gather(train, device), _gather(val, device)

@@ -44,14 +44,8 @@ GAIN_BIAS, GAIN_SCALE = (-4.0, -5.0, 0.5, 0.0), (0.5, 0.1, 1.0, 1.0)
 class SurfaceNet(nn.Module):
     """Linear radiance of surface points under a point light.
 
-    Parameters
-    ----------
-    grid : HashGrid
-        Features of base colour and normal.
-    width : int
-        Hidden width of the MLPs.
-    roughness, metallic : float
-        Parameters of the principled BSDF.
+    The grid holds features of base colour and normal; ``width`` is that of the MLPs' hidden layers. Roughness
+    and metallic are parameters of the principled BSDF.
     """
 
     def __init__(self, grid: HashGrid, width: int, roughness: float, metallic: float):
@@ -67,12 +61,8 @@ class SurfaceNet(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Evaluate base colours, sRGB and unclipped, and shading normals, not normalised; both (S, 3).
 
-        Parameters
-        ----------
-        points, normals : (S, 3) tensors
-            Points and normals of the stored surface, unit frame.
-        features : (S, F) tensor
-            Features of ``grid`` at the points.
+        Points and normals (S, 3) are those of the stored surface, unit frame; features (S, F) those of
+        ``grid``.
         """
         a = self.appearance(torch.cat([features, points], 1))
         return a[:, :3] + 0.5, normals + a[:, 3:]
@@ -125,15 +115,9 @@ class SurfaceNet(nn.Module):
     ) -> "BounceInputs":
         """Compute the inputs of `indirect`.
 
-        Parameters
-        ----------
-        samples : SurfaceSamples
-        light : (3,) or (4,) tensor
-            A point light, unit frame, or a distant one, see `objectfolder.vision.lighting.toward`.
-        normals, direct : (S, 3) tensors
-            Unit shading normals, and the radiance that `direct` returns.
-        gathered, mirrored : (S, 3) tensors
-            See `BounceInputs`.
+        The light is a point light (3,), unit frame, or a distant one (4,), see
+        `objectfolder.vision.lighting.toward`. Unit shading normals and the radiance that `direct` returns are
+        (S, 3); for ``gathered`` and ``mirrored`` see `BounceInputs`.
         """
         p, n, view = samples.points, normals, samples.directions
         to_light = toward(light, p)
@@ -177,11 +161,7 @@ class SurfaceNet(nn.Module):
     def indirect(self, inputs: "BounceInputs", transport: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Evaluate indirect light: diffuse, for a white surface, and glossy radiance; (S, 3) each.
 
-        Parameters
-        ----------
-        inputs : BounceInputs
-        transport : (S, T) tensor
-            Features of the grid ``transport``.
+        ``transport`` (S, T) are features of the grid of that name.
         """
         return gained(light_terms(self.corrections(inputs, transport)), inputs.gathered, inputs.mirrored)
 
@@ -195,15 +175,8 @@ class SurfaceNet(nn.Module):
         """Return a function that shades samples of one surface.
 
         Indirect light is smooth: samples of one pixel share it, and those of a square of pixels share the
-        net's correction, if they face nearly the same way and are all lit or all in shadow.
-
-        Parameters
-        ----------
-        surface : Isosurface
-        device : torch.device or str
-            Device for shading. Rays are cast and the surface is baked on the CPU.
-        baked : Baked, optional
-            What `bake` has returned, if it is there already.
+        net's correction, if they face nearly the same way and are all lit or all in shadow. Shading is on the
+        device; rays are cast and the surface is baked on the CPU, unless it is already ``baked``.
         """
         net = copy.deepcopy(self).cpu()
         baked = (net.bake(surface) if baked is None else baked).to(device)
@@ -225,18 +198,9 @@ class SurfaceNet(nn.Module):
     ) -> torch.Tensor:
         """Return the linear radiance of samples, (S, 3), on a device; see `shader`.
 
-        Gradients flow from points, weights, normals and directions of the samples, and from the light. What
-        mirrored rays see, and which patch is nearest, is constant.
-
-        Parameters
-        ----------
-        baked : Baked
-            Of the surface, on the device, as the net.
-        samples : SurfaceSamples
-        light : (3,) or (4,) tensor
-        pixel : (S,) int array
-            See `objectfolder.vision.view.Shader`.
-        device : torch.device or str
+        Gradients flow from points, weights, normals and directions of the samples, and from the light (3,) or
+        (4,). What mirrored rays see, and which patch is nearest, is constant. The baked surface is on the
+        device, as the net. For ``pixel`` (S,) see `objectfolder.vision.view.Shader`.
         """
         one, group, few, share = (
             torch.from_numpy(index).to(device)
@@ -350,17 +314,10 @@ def _shared(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Choose the samples whose indirect light serves others.
 
-    Returns
-    -------
-    one : (O,) int array
-        First of the samples of each pixel that are all lit or all in shadow.
-    group : (S,) int array
-        Index into ``one`` of each sample.
-    few : (P,) int array
-        First of ``one`` in each square of pixels that are all lit or all in shadow, and those that face
-        another way than it.
-    share : (O,) int array
-        Index into ``few`` of each of ``one``.
+    Returns index arrays: ``one`` (O,), the first of the samples of each pixel that are all lit or all in
+    shadow; ``group`` (S,), the place in ``one`` of each sample; ``few`` (P,), the first of ``one`` in each
+    square of pixels that are all lit or all in shadow, and those that face another way than it; ``share``
+    (O,), the place in ``few`` of each of ``one``.
     """
     state, facing = lit.numpy(), normals.numpy().T
     one, group = _firsts(2 * pixel + state)

@@ -84,21 +84,10 @@ def train_surface(
 ) -> tuple[SurfaceNet, list[CurvePoint]]:
     """Fit a `SurfaceNet` to a mesh's appearance, then to views of it, on the CPU.
 
-    The curve is that of the training on views; losses are mean squared errors in sRGB over pixels inside the
-    object.
-
-    Parameters
-    ----------
-    surface : Isosurface
-        Stored surface; training points lie on it because queries do.
-    scene : Scene
-        Mesh shown in the views.
-    train, val : dict
-        ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``, ``center`` (N, 2):
-        whole views or tiles; see `objectfolder.vision.dataset`.
-    config : SurfaceConfig
-    session : Session
-        Without a checkpoint: it takes seconds.
+    Training points lie on the stored surface because queries do. Views are whole or tiles, see
+    `objectfolder.vision.dataset`: ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3),
+    ``focal``, ``center`` (N, 2). The curve is that of the training on views; losses are mean squared errors
+    in sRGB over pixels inside the object.
     """
     generator = session.generator
     with session.initialisation():

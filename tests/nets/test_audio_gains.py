@@ -9,7 +9,7 @@ from objectfolder.metrics import gain_errors
 from objectfolder.nets import audio_gains_training
 from objectfolder.nets.audio_config import GainsConfig
 from objectfolder.nets.audio_gains import INT8, GainsNet, energy_weights
-from objectfolder.nets.audio_gains_training import ModeSamples, WeightedRows, count_features, train_gains
+from objectfolder.nets.audio_gains_training import ModeSamples, count_features, train_gains
 from objectfolder.nets.fit import Session
 
 CONFIG = GainsConfig(
@@ -164,17 +164,3 @@ def test_energy_weight_is_the_energy_of_the_displacement(c):
     t = np.linspace(0, 20 / c, 2_000_001)
     energy = np.trapezoid((np.exp(-c * t) * np.sin(w * t) / w) ** 2, t)
     assert energy_weights(np.array([w]), np.array([c]))[0] == pytest.approx(energy, rel=1e-6)
-
-
-def test_sums_of_rows_have_the_derivative_of_their_formula():
-    generator = torch.Generator().manual_seed(0)
-    table = torch.randn(40, 3, generator=generator, requires_grad=True)
-    rows = torch.randint(
-        0, 30, (200, 27), generator=generator
-    )  # some repeat within a sum, some are never taken
-    weights, ahead = torch.randn(200, 27, generator=generator), torch.randn(200, 3, generator=generator)
-    sums = WeightedRows.apply(table, rows, weights)
-    expected = torch.einsum("pk,pkc->pc", weights, table[rows])
-    torch.testing.assert_close(sums, expected)
-    (found,), (true,) = (torch.autograd.grad(value, table, ahead) for value in (sums, expected))
-    torch.testing.assert_close(found, true, atol=1e-4, rtol=1e-4)

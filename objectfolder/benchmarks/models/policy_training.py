@@ -68,35 +68,15 @@ def train_policy(
     checkpoint: Path,
     report: Callable[[PolicyPoint], None],
 ) -> tuple[Actor, list[list[Any]], float]:
-    """Train a policy.
+    """Train a policy; the checkpoint keeps the state after each part; remove it afterwards.
 
     Every part starts with fresh episodes and generators that follow from its number. So the same arguments
     give the same policy, whether or not the call was interrupted in between. One thread is assumed; the
     global generators of torch, numpy and random are reseeded, since Stable-Baselines3 draws from them.
 
-    Parameters
-    ----------
-    training : PolicyTraining
-    identity : dict
-        See `identify`.
-    checkpoint : Path
-        Keeps the state after each part, from which the same call goes on; remove it afterwards.
-    report : callable
-        Called after each part.
-
-    Returns
-    -------
-    Actor
-        Best of all parts in validation.
-    list
-        A row per part: what is done so far, and the figures.
-    float
-        Seconds of training and validation, those of interrupted calls included.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the checkpoint is damaged, or of another training.
+    Returns the best of all parts in validation, a row per part (what is done so far, and the figures), and
+    seconds of training and validation, those of interrupted calls included. Raises ObjectFolderError if the
+    checkpoint is damaged, or of another training (`identify`).
     """
     model = training.model
     model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder in /tmp per training

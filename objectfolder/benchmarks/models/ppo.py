@@ -55,25 +55,11 @@ def train_ppo(
 ) -> tuple[Actor, list[list[Any]], float]:
     """Train a policy until it makes no mistake in validation, `SOLVED` times in a row.
 
-    Of equally good parts the last one is kept. A row of the curve holds control steps and figures.
-
-    Parameters
-    ----------
-    make : callable
-        Gives a new environment.
-    params : ReachConfig
-    seed : int
-    purpose : tuple of str
-        What is trained, for `objectfolder.seeding`.
-    validate : callable
-        Figures of a policy: the first is its success, 1 without a failure; a larger tuple is better.
-    checkpoint : Path
-    report : callable
-        Called after each part with the steps so far, the figures, and seconds since the start.
-
-    Returns
-    -------
-    See `objectfolder.benchmarks.models.policy_training.train_policy`.
+    ``make`` gives a new environment; ``purpose`` names what is trained, for `objectfolder.seeding`.
+    ``validate`` returns figures of a policy: the first is its success, 1 without a failure; a larger tuple is
+    better. Of equally good parts the last one is kept. ``report`` is called after each part with the control
+    steps so far, the figures, and seconds since the start. For the rest, and the result, see
+    `objectfolder.benchmarks.models.policy_training.train_policy`; its rows hold control steps and figures.
     """
     scaling: dict[str, Any] = {"clip_obs": CLIP, "gamma": params.discount, "epsilon": VARIANCE_FLOOR}
     envs = VecNormalize(DummyVecEnv([make] * params.environments), **scaling)

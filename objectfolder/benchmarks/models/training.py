@@ -90,19 +90,10 @@ def train(
 ) -> list[EpochPoint]:
     """Train a net with AdamW; restore its best epoch, in evaluation mode, and return the training curve.
 
-    The same arguments give the same net, whether or not the call was interrupted.
-
-    Parameters
-    ----------
-    checkpoint : Path, optional
-        File that stores the state after each epoch, from which the same call resumes; delete it afterwards.
-    report : callable
-        Called with each new point of the curve.
-
-    Raises
-    ------
-    ObjectFolderError
-        If training diverges, or the checkpoint is damaged or of another training.
+    The same arguments give the same net, whether or not the call was interrupted: the checkpoint stores the
+    state after each epoch, from which the same call resumes; delete it afterwards. ``report`` is called with
+    each new point of the curve. Raises ObjectFolderError if training diverges, or the checkpoint is damaged
+    or of another training.
     """
     net, epoch_batches, batch_loss = objective.net, objective.epoch_batches, objective.batch_loss
     device = torch.device(device)

@@ -86,26 +86,10 @@ def train_trpo(
 ) -> tuple[Actor, list[list[Any]], float]:
     """Train a policy in parts of ``params.updates`` updates.
 
-    Of equally good parts the last one is kept. A row of the curve holds episodes, success in training, and
-    success in validation.
-
-    Parameters
-    ----------
-    env : VectorEnv
-    params : GraspPolicyConfig
-    seed : int
-    purpose : tuple of str
-        What is trained, for `objectfolder.seeding`.
-    validate : callable
-        Success of a policy.
-    checkpoint : Path
-    report : callable
-        Called after each part with the episodes so far, success in training and in validation, and seconds
-        since the start.
-
-    Returns
-    -------
-    See `objectfolder.benchmarks.models.policy_training.train_policy`.
+    ``purpose`` names what is trained, for `objectfolder.seeding`; ``validate`` returns the success of a
+    policy. Of equally good parts the last one is kept. ``report`` is called after each part with the episodes
+    so far, success in training and in validation, and seconds since the start. For the rest, and the result,
+    see `objectfolder.benchmarks.models.policy_training.train_policy`; its rows hold the same first three.
     """
     envs = StableVector(env)
     model = TRPO(

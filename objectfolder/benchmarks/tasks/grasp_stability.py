@@ -14,7 +14,7 @@ from sklearn.metrics import balanced_accuracy_score, roc_auc_score
 from torch import nn
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
-from objectfolder.benchmarks.models.grasp_baselines import baselines
+from objectfolder.benchmarks.models.baselines import predict_outcomes
 from objectfolder.benchmarks.models.inputs import encoder_inputs
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, shuffle
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
@@ -182,7 +182,7 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
 
 
 def _baselines(grasps: Grasps, train: np.ndarray, test: np.ndarray) -> dict[str, list[float]]:
-    return {name: answer.tolist() for name, answer in baselines(grasps, train, test).items()}
+    return {name: answer.tolist() for name, answer in predict_outcomes(grasps, train, test).items()}
 
 
 def _check_outcomes(success: np.ndarray, split: str) -> None:

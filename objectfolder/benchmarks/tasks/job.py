@@ -13,7 +13,7 @@ from torch import nn
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, without_rows
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder
-from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flipped, shifted
+from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flip_some, shift_each
 from objectfolder.benchmarks.models.settings import InputSizes, TrainingConfig
 from objectfolder.benchmarks.models.training import (
     STATISTICS,
@@ -161,11 +161,11 @@ class Job(Generic[_Params]):
         raw = self.observations.read(modality, rows)
         inputs = encoder_inputs(modality, raw, self.sizes, rng, self.device)
         if modality == "vision" and self.flip and rng is not None:
-            inputs = flipped(inputs, rng)
+            inputs = flip_some(inputs, rng)
         if modality == "touch" and self.subtract:
             inputs = self.ground.subtracted(inputs)
         if modality == "touch" and self.shift and rng is not None:
-            inputs = shifted(inputs, self.shift, rng)
+            inputs = shift_each(inputs, self.shift, rng)
         return inputs
 
     def _spectra(self, rows: np.ndarray) -> torch.Tensor:

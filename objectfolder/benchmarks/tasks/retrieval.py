@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.splits import Split
-from objectfolder.benchmarks.models import cca
+from objectfolder.benchmarks.models.baselines import find_directions, fit_whitening
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
@@ -288,7 +288,7 @@ def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
         return torch.cat([F.adaptive_avg_pool2d(x, shape).flatten(1) for x in inputs]).cpu().numpy()
 
     train = pixels(job.split.train)
-    whiten = cca.whitening(train, max(DIMENSIONS))
+    whiten = fit_whitening(train, max(DIMENSIONS))
     return {
         "train": whiten(train),
         "validation": whiten(pixels(validation_gallery(job, "retrieve"))),
@@ -309,7 +309,7 @@ def _correlated(
     """Score CCA by direction, with the dimensions that are best on the validation rows."""
     first, second = (features[modality] for modality in pair)
     labels = job.observations.labels[job.split.train]
-    found = {d: cca.directions(first["train"][:, :d], second["train"][:, :d], labels) for d in DIMENSIONS}
+    found = {d: find_directions(first["train"][:, :d], second["train"][:, :d], labels) for d in DIMENSIONS}
 
     def variates(name: str, dimensions: int, components: int) -> list[np.ndarray]:
         return [

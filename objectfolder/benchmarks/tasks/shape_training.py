@@ -19,10 +19,9 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.companions import Companions
 from objectfolder.benchmarks.datasets.occupancy import OccupancySamples
-from objectfolder.benchmarks.models.framing import framed_views
-from objectfolder.benchmarks.models.inputs import encoder_inputs, flipped
-from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
-from objectfolder.benchmarks.models.several_touches import SeveralTouches
+from objectfolder.benchmarks.models.framing import frame_views
+from objectfolder.benchmarks.models.inputs import encoder_inputs, flip_some
+from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor, SeveralTouches
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, shape_inputs
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
@@ -140,7 +139,7 @@ class ShapeTraining:
             if modality != "vision":
                 return job.inputs(modality, rows, rng)
             views = self._views(rows, rng)
-            return flipped(views, rng) if job.flip and rng is not None else views
+            return flip_some(views, rng) if job.flip and rng is not None else views
 
         rate = params.pretrain_rate / params.learning_rate
         namer, curve = train_namer(
@@ -276,7 +275,7 @@ class ShapeTraining:
         job = self.job
 
         def make(some: np.ndarray) -> torch.Tensor:
-            return torch.from_numpy(framed_views(job.observations.read("vision", some)))
+            return torch.from_numpy(frame_views(job.observations.read("vision", some)))
 
         views = job.once("framed views", rows, job.observations.shape("vision"), make, torch.uint8)
         return encoder_inputs("vision", views.numpy(), job.sizes, rng, job.device)
