@@ -12,7 +12,7 @@ OBJECT = 0.5  #: alpha above which a pixel belongs to the object
 WHITE = 250  #: level, of 255, above which all channels are background
 
 
-def framed_views(views: np.ndarray) -> np.ndarray:
+def frame_views(views: np.ndarray) -> np.ndarray:
     """Centre the objects in views, (B, S, S, 3) uint8 sRGB, on white, and scale them to `SHARE`, bilinearly.
 
     Empty views stay white.

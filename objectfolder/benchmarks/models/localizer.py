@@ -38,7 +38,7 @@ class Localizer(nn.Module):
         return (found / WIDTH**0.5).float().log_softmax(1)
 
 
-def likeliest(belief: np.ndarray, distances: np.ndarray) -> np.ndarray:
+def choose_likeliest(belief: np.ndarray, distances: np.ndarray) -> np.ndarray:
     """Return the places (N,) with the least expected distance.
 
     A belief (N, P) holds logarithms of probabilities, up to a constant in each row; distances (P, P) are
@@ -48,7 +48,7 @@ def likeliest(belief: np.ndarray, distances: np.ndarray) -> np.ndarray:
     return np.argmin(share / share.sum(1, keepdims=True) @ distances, axis=1)
 
 
-def belief_together(
+def add_beliefs(
     beliefs: np.ndarray, moves: np.ndarray, places: np.ndarray, softness: float = SOFTNESS
 ) -> np.ndarray:
     """Add up the beliefs (n, P), logarithms, of contacts between which the moves (n, 3) are known.
