@@ -37,7 +37,7 @@ FAMILIAR = 0.1  # lower limit for indirect light, unit frame: training lights ar
 CHUNK = 50_000  # points shaded at once
 ALIKE = 0.97  # least cosine between the normals of samples that share the net's correction
 BAKED = 2**14  # vertices evaluated at once
-#: Of `light_terms`: light that the radiances lack, diffuse and glossy, and their factors; all by colour.
+#: Of `find_gains`: light that the radiances lack, diffuse and glossy, and their factors; all by colour.
 GAIN_BIAS, GAIN_SCALE = (-4.0, -5.0, 0.5, 0.0), (0.5, 0.1, 1.0, 1.0)
 
 
@@ -163,7 +163,7 @@ class SurfaceNet(nn.Module):
 
         ``transport`` (S, T) are features of the grid of that name.
         """
-        return gained(light_terms(self.corrections(inputs, transport)), inputs.gathered, inputs.mirrored)
+        return apply_gains(find_gains(self.corrections(inputs, transport)), inputs.gathered, inputs.mirrored)
 
     def corrections(self, inputs: "BounceInputs", transport: torch.Tensor) -> torch.Tensor:
         """Evaluate the net of indirect light, (S, 12); parameters are those of `indirect`."""
@@ -221,8 +221,8 @@ class SurfaceNet(nn.Module):
             values = (take_rows(v, part) for v in (*looks[1:], *radiances))
             inputs = self.bounce_inputs(some, light, *values)
             corrections.append(self.corrections(inputs, column_major(some.interpolated(baked.transport))))
-        shared = take_rows(light_terms(concatenate(corrections)), share)
-        diffuse, glossy = (v if not several else take_rows(v, group) for v in gained(shared, *radiances))
+        shared = take_rows(find_gains(concatenate(corrections)), share)
+        diffuse, glossy = (v if not several else take_rows(v, group) for v in apply_gains(shared, *radiances))
         return direct + base_color * diffuse + glossy
 
     @torch.no_grad()
@@ -295,16 +295,16 @@ class BounceInputs:
         return BounceInputs(features.float(), *radiances)
 
 
-def light_terms(corrections: torch.Tensor) -> torch.Tensor:
-    """Return what `gained` applies to the radiances, (S, 12), from the net's output (S, 12)."""
+def find_gains(corrections: torch.Tensor) -> torch.Tensor:
+    """Return what `apply_gains` applies to the radiances, (S, 12), from the net's output (S, 12)."""
     bias, scale = (corrections.new_tensor(v).repeat_interleave(3) for v in (GAIN_BIAS, GAIN_SCALE))
     return F.softplus(corrections + bias) * scale
 
 
-def gained(
+def apply_gains(
     factors: torch.Tensor, gathered: torch.Tensor, mirrored: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return indirect light, as `SurfaceNet.indirect`, from `light_terms` (S, 12) and radiances (S, 3)."""
+    """Return indirect light, as `SurfaceNet.indirect`, from `find_gains` (S, 12) and radiances (S, 3)."""
     more_diffuse, more_glossy, diffuse, glossy = factors.split(3, 1)
     return gathered * diffuse + more_diffuse, mirrored * glossy + more_glossy
 
