@@ -20,10 +20,10 @@ from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
 from objectfolder.audio.synthesis import audible, sinusoid_bank
 from objectfolder.io import read_npz, read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors, gain_errors
-from objectfolder.nets.audio_config import AudioConfig
 from objectfolder.nets.audio_gains import GainsNet, energy_weights
 from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
 from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import AudioConfig
 from objectfolder.seeding import torch_generator
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build

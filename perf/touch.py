@@ -40,7 +40,7 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
 from objectfolder.nets.fit import Session
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image_training import train_image

@@ -33,7 +33,7 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.metrics import psnr
 from objectfolder.nets.fit import Session
-from objectfolder.nets.vision_config import VisionConfig
+from objectfolder.nets.settings import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface

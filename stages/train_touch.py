@@ -7,7 +7,7 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
 from objectfolder.nets.fit import Session
-from objectfolder.nets.touch_config import TouchConfig
+from objectfolder.nets.settings import TouchConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image import ImageTouch

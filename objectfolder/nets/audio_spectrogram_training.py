@@ -5,12 +5,10 @@ import torch
 
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
-from objectfolder.nets.audio_config import SpectrogramConfig
 from objectfolder.nets.audio_gains_training import ModeSamples
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
-from objectfolder.nets.fit import CurvePoint, FitSettings, Session, choose_part_size, fit, sum_in_parts
-from objectfolder.nets.optimizers import make_papers_adam
-from objectfolder.nets.positional import train_in
+from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
+from objectfolder.nets.settings import SpectrogramConfig
 
 RANGE_POINTS = 256  # training points that define the range of values
 VAL_SAMPLES = 1 << 14
@@ -55,8 +53,6 @@ def train_spectrogram(
     chance = ((1 - config.loud) / len(power) + config.loud * loudness / loudness.sum()).double()
     weight = (1 / (len(power) * chance)).float() / power.mean()
     x = torch.from_numpy(np.asarray(samples.points, np.float32))
-    net = net.to(device)
-    train_in(net, config.precision)
     x, shape, spectra, weight = (tensor.to(device) for tensor in (x, shape, spectra, weight))
 
     def draw(choice: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -74,12 +70,11 @@ def train_spectrogram(
     cumulative = chance.cumsum(0)
     held_out = draw(torch.from_numpy(samples.val), VAL_SAMPLES)
     part = choose_part_size(_PART, config.batch, device)
-    curve = fit(
+    curve = fit_papers_net(
         net,
-        batch_loss=lambda: sum_in_parts(loss, part, *draw(rows, config.batch)),
-        val_loss=lambda: loss(*held_out).item(),
-        settings=FitSettings(config.steps, config.learning_rate, config.final_rate),
-        session=session,
-        optimizer=make_papers_adam(net),
+        lambda: sum_in_parts(loss, part, *draw(rows, config.batch)),
+        lambda: loss(*held_out).item(),
+        config,
+        session,
     )
-    return net.cpu().eval(), curve
+    return net, curve

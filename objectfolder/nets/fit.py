@@ -12,7 +12,9 @@ from torch import nn
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.checkpoint import Checkpoint, Training, TrainingState, copy_state, run_training
-from objectfolder.nets.optimizers import Optimizer, make_default_adam
+from objectfolder.nets.optimizers import Optimizer, make_default_adam, make_papers_adam
+from objectfolder.nets.positional import train_in
+from objectfolder.nets.settings import PapersNetConfig
 
 WARM_UP = 50  #: steps over which the learning rate rises, unless it is constant
 
@@ -116,6 +118,22 @@ def fit(
     )
     net.load_state_dict(state.best)
     return state.curve
+
+
+def fit_papers_net(
+    net: nn.Module,
+    batch_loss: Callable[[], torch.Tensor],
+    val_loss: Callable[[], float],
+    config: PapersNetConfig,
+    session: Session,
+) -> list[CurvePoint]:
+    """Fit a net of the paper on the session's device, and return it to the CPU for evaluation."""
+    net.to(session.device)
+    train_in(net, config.precision)
+    settings = FitSettings(config.steps, config.learning_rate, config.final_rate)
+    curve = fit(net, batch_loss, val_loss, settings, session, make_papers_adam(net))
+    net.cpu().eval()
+    return curve
 
 
 def choose_part_size(size: int, batch: int, device: str | torch.device) -> int:

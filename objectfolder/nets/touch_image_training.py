@@ -6,10 +6,8 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.fit import CurvePoint, FitSettings, Session, choose_part_size, fit, sum_in_parts
-from objectfolder.nets.optimizers import make_papers_adam
-from objectfolder.nets.positional import train_in
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
+from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
 
 VAL_SAMPLES = 1 << 14
@@ -42,8 +40,6 @@ def train_image(
         # Start from the mean colour, which is closer than grey.
         mean = train["images"].mean((0, 1, 2), dtype=np.float64) / 127.5 - 1
         net.network.output.bias.data = torch.from_numpy(mean).float()
-    net = net.to(device)
-    train_in(net, config.precision)
 
     def gather(contacts: dict[str, np.ndarray]) -> tuple[torch.Tensor, torch.Tensor]:
         points = torch.from_numpy((contacts["points"] / scale).astype(np.float32))
@@ -64,15 +60,14 @@ def train_image(
     loss, val_loss = loss_of(*known), loss_of(*held_out)
     checked = draw(held_out[1].shape, VAL_SAMPLES)
     part = choose_part_size(_PART, config.batch, device)
-    curve = fit(
+    curve = fit_papers_net(
         net,
-        batch_loss=lambda: sum_in_parts(loss, part, *draw(known[1].shape, config.batch)),
-        val_loss=lambda: val_loss(*checked).item(),
-        settings=FitSettings(config.steps, config.learning_rate, config.final_rate),
-        session=session,
-        optimizer=make_papers_adam(net),
+        lambda: sum_in_parts(loss, part, *draw(known[1].shape, config.batch)),
+        lambda: val_loss(*checked).item(),
+        config,
+        session,
     )
-    return net.cpu().eval(), curve
+    return net, curve
 
 
 def _one_value(name: str, *splits: dict[str, np.ndarray]) -> float:

@@ -7,10 +7,8 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.gridcodec import BOUND
-from objectfolder.nets.fit import CurvePoint, FitSettings, Session, choose_part_size, fit, sum_in_parts
-from objectfolder.nets.optimizers import make_papers_adam
-from objectfolder.nets.positional import train_in
-from objectfolder.nets.vision_config import OsfConfig
+from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
+from objectfolder.nets.settings import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.color import on_white, shown_error
@@ -71,8 +69,6 @@ def train_osf(
         )
     if net.hull is not None:
         net.hull = torch.from_numpy(visual_hull(train, config.hull_cells, BOUND))
-    net.to(device)
-    train_in(net, config.precision)
     checked = torch.randperm(len(held_out.target), generator=generator)[:VAL_RAYS]
 
     part = choose_part_size(_PART, config.batch, device)
@@ -85,15 +81,7 @@ def train_osf(
         sums = [held_out.loss(net, rows)[1].item() * len(rows) for rows in checked.split(part)]
         return sum(sums) / len(checked)
 
-    curve = fit(
-        net,
-        batch_loss=batch_loss,
-        val_loss=val_loss,
-        settings=FitSettings(config.steps, config.learning_rate, config.final_rate),
-        session=session,
-        optimizer=make_papers_adam(net),
-    )
-    return net.cpu().eval(), curve
+    return net, fit_papers_net(net, batch_loss, val_loss, config, session)
 
 
 def _gather(views: dict[str, np.ndarray], device: str | torch.device) -> _Pixels:

@@ -13,7 +13,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.fit import CurvePoint, FitSettings, Session, fit, minibatches
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.vision_config import SurfaceConfig
+from objectfolder.nets.settings import SurfaceConfig
 from objectfolder.nets.vision_surface import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.cameras import camera_rays, image_intrinsics

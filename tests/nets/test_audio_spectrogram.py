@@ -8,12 +8,12 @@ from objectfolder.audio.spectrogram import SHAPE, sounds_of, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors
-from objectfolder.nets.audio_config import SpectrogramConfig
 from objectfolder.nets.audio_gains_training import ModeSamples
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
 from objectfolder.nets.fit import Session
 from objectfolder.nets.positional import PointwiseNetwork
+from objectfolder.nets.settings import SpectrogramConfig
 
 CONFIG = SpectrogramConfig(
     width=32,

@@ -10,16 +10,14 @@ import torch
 from pretend_device import pretend_device
 
 from objectfolder import ObjectFile
-from objectfolder.nets.audio_config import SpectrogramConfig
 from objectfolder.nets.audio_gains_training import ModeSamples
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
 from objectfolder.nets.fit import Session
 from objectfolder.nets.released.network import Frame
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.settings import ImageConfig, OsfConfig, SpectrogramConfig
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.touch_image_training import train_image
-from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_osf_training import train_osf
 from objectfolder.released.audio import gains_net, spectrogram_net

@@ -16,15 +16,13 @@ from objectfolder.benchmarks.models.settings import GraspPolicyConfig, ReachConf
 from objectfolder.benchmarks.models.training import Objective, TrainSettings, shuffle, train
 from objectfolder.benchmarks.models.trpo import train_trpo
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.audio_config import SpectrogramConfig
 from objectfolder.nets.audio_gains_training import ModeSamples
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
 from objectfolder.nets.checkpoint import Checkpoint, identity
 from objectfolder.nets.fit import FitSettings, Session, fit
 from objectfolder.nets.optimizers import Soap
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.settings import ImageConfig, OsfConfig, SpectrogramConfig
 from objectfolder.nets.touch_image_training import train_image
-from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf_training import train_osf
 from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points

@@ -6,7 +6,7 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.fit import Session
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.touch_image_training import train_image
 

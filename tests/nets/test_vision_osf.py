@@ -10,7 +10,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import psnr
 from objectfolder.nets.fit import Session
-from objectfolder.nets.vision_config import OsfConfig
+from objectfolder.nets.settings import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, ScatteringFunction
 from objectfolder.nets.vision_osf_training import train_osf
 from objectfolder.objectfile.evaluation import evaluate_vision

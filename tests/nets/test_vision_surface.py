@@ -11,7 +11,7 @@ from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.nets.fit import Session
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.vision_config import SurfaceConfig
+from objectfolder.nets.settings import SurfaceConfig
 from objectfolder.nets.vision_surface import ALIKE, SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.vision.appearance import appearance_at

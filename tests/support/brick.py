@@ -12,11 +12,11 @@ from objectfolder.materials import material
 from objectfolder.mesh.normalize import mass_properties
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.nets.audio_config import GainsConfig
 from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.fit import Session
 from objectfolder.nets.hashgrid import HashGrid
+from objectfolder.nets.settings import GainsConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.vision_surface import SurfaceNet
