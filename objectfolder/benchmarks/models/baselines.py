@@ -1,10 +1,12 @@
 """Baselines without nets: canonical correlation analysis (Hotelling 1936) for retrieval, trees for grasps."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from objectfolder.benchmarks.datasets.grasps import Grasps
+if TYPE_CHECKING:
+    from objectfolder.benchmarks.datasets.grasps import Grasps
 
 RANK = 1e-10  #: relative variances, and correlations, below this are rounding errors
 #: Inputs of each classifier.
@@ -59,7 +61,7 @@ def find_directions(
     return left[:, kept], right[kept].T
 
 
-def predict_outcomes(grasps: Grasps, train: np.ndarray, test: np.ndarray) -> dict[str, np.ndarray]:
+def predict_outcomes(grasps: "Grasps", train: np.ndarray, test: np.ndarray) -> dict[str, np.ndarray]:
     """Compute the decision values (m,) of all `BASELINES` for the m test rows: above 0 for success.
 
     Training rows have both outcomes. "majority": the most frequent outcome; "object_majority": that of the
@@ -80,6 +82,6 @@ def predict_outcomes(grasps: Grasps, train: np.ndarray, test: np.ndarray) -> dic
     return answers
 
 
-def _numbers(grasps: Grasps, names: tuple[str, ...], rows: np.ndarray) -> np.ndarray:
+def _numbers(grasps: "Grasps", names: tuple[str, ...], rows: np.ndarray) -> np.ndarray:
     """Stack measured arrays as columns; (n, D) float64."""
     return np.column_stack([grasps.read(name, rows).astype(np.float64) for name in names])

@@ -53,25 +53,19 @@ class ShapeModel:
 
     @torch.no_grad()
     def embed(self, observations: Mapping[str, np.ndarray]) -> torch.Tensor:
-        """Embed the shapes of observations by modality, B rows each, from `Observations.read`; (B, 256)
-        float32.
+        """Embed the shapes of B observations of each modality; (B, 256) float32.
 
-        Of touches (B, K, h, w, 3), K are of each object.
+        They are from `Observations.read`; of touches (B, K, h, w, 3), K are of each object.
         """
-        device = next(self.net.parameters()).device
-        count = len(observations[self.setup.modalities[0]])
-        parts = [
-            self.net.embed(
-                {
-                    name: shape_inputs(
-                        name, observations[name][start : start + ROWS], self.setup.sizes, device=device
-                    )
-                    for name in self.setup.modalities
-                }
-            )
-            for start in range(0, count, ROWS)
-        ]
-        return torch.cat(parts)
+        device, (first, *_) = next(self.net.parameters()).device, self.setup.modalities
+
+        def inputs(name: str, rows: slice) -> torch.Tensor:
+            return shape_inputs(name, observations[name][rows], self.setup.sizes, device=device)
+
+        parts = [slice(start, start + ROWS) for start in range(0, len(observations[first]), ROWS)]
+        return torch.cat(
+            [self.net.embed({name: inputs(name, rows) for name in self.setup.modalities}) for rows in parts]
+        )
 
     def logits(self, embedding: torch.Tensor, points: np.ndarray) -> np.ndarray:
         """Return the occupancy logits (B, P) of points (P, 3), unit frame, for each of B shapes."""
