@@ -13,9 +13,7 @@ OCTAVES = 5  #: of sines and cosines of the places
 
 
 class Localizer(nn.Module):
-    """Encoder of what is felt or heard, and a net of the places (P, 3), unit frame; their product is the
-    belief.
-    """
+    """Encoder of what is felt or heard, and a net of the places (P, 3); their product is the belief."""
 
     def __init__(self, encoder: nn.Module, places: np.ndarray):
         super().__init__()

@@ -72,7 +72,7 @@ class ShapeTraining:
     def train(self, parts: Sequence[ShapeModel], best: int) -> tuple[ShapeModel, list[EpochPoint], float]:
         """Train the net, or resume from its checkpoint.
 
-        A net of several modalities starts from models of one each, ``parts``, equals the ``best`` of them, and
+        A net of several modalities starts from models of one each, ``parts``, as the ``best`` of them, and
         trains half as many epochs. Returns the model with the threshold that is best on the validation rows,
         the training curve, and the seconds of training the encoder before.
         """

@@ -304,7 +304,7 @@ def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
     def validated(answers):
         logits = np.where(occupancy.val_inside[answers], 5.0, -5.0)
         model = SimpleNamespace(embed=lambda seen: seen, logits=lambda embedding, points: logits)
-        return training._validated(model)[1]
+        return training._validate(model)[1]
 
     assert validated(labels) == 1
     by_heart = np.where(labels == 1, 0, labels)  # the block is taken for the ball
