@@ -26,7 +26,7 @@ def main(key: str) -> None:
     generator = torch_generator(params.seed, key, "train_audio")
 
     samples = ModeSamples(
-        *(modes[name] for name in ("points", "shapes", "damped_frequency", "damping")),
+        **{name: modes[name] for name in ("points", "shapes", "damped_frequency", "damping")},
         train=np.flatnonzero(modes["split"] == 0),
         val=np.flatnonzero(modes["split"] == 1),
     )

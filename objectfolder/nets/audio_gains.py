@@ -124,7 +124,7 @@ class GainsNet(nn.Module):
         if (modes[0] <= 0).any() or (modes[1] < 0).any():
             raise ValueError("modes have frequencies that are not positive, or negative damping")
         with UNFILLED:
-            net = cls(*modes, used, GainsShape(**config))
+            net = cls(modes[0], modes[1], modes[2], used, GainsShape(**config))
         return fill(net, state)
 
 

@@ -124,7 +124,9 @@ def train_trpo(
         is_better=lambda new, best: new[1] >= best[1],
         is_finished=is_finished,
     )
-    task = identify(params, seed, purpose)
-    return train_policy(
-        training, task, checkpoint, lambda point: report(point.done, *point.figures, point.seconds)
-    )
+
+    def tell(point: PolicyPoint) -> None:
+        train, val = point.figures
+        report(point.done, train, val, point.seconds)
+
+    return train_policy(training, identify(params, seed, purpose), checkpoint, tell)
