@@ -7,6 +7,7 @@ from itertools import count
 import numpy as np
 import pytest
 import torch
+from small_trainings import train_sounds, train_touches, train_views
 from tiny_tasks import Follow, Line
 from torch import nn
 
@@ -16,18 +17,11 @@ from objectfolder.benchmarks.models.settings import GraspPolicyConfig, ReachConf
 from objectfolder.benchmarks.models.training import Objective, TrainSettings, shuffle, train
 from objectfolder.benchmarks.models.trpo import train_trpo
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.audio_gains_training import ModeSamples
-from objectfolder.nets.audio_spectrogram_training import train_spectrogram
 from objectfolder.nets.checkpoint import Checkpoint, identity
 from objectfolder.nets.fit import FitSettings, Session, fit
 from objectfolder.nets.optimizers import Soap
-from objectfolder.nets.settings import ImageConfig, OsfConfig, SpectrogramConfig
-from objectfolder.nets.touch_image_training import train_image
-from objectfolder.nets.vision_osf_training import train_osf
 from objectfolder.seeding import numpy_generator, seeded
-from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
 
-TRAINING = {"steps": 30, "learning_rate": 0.01, "final_rate": 1.0, "precision": "float32"}
 POLICY = {"seeds": 1, "batch": 16, "learning_rate": 0.01, "discount": 0.9, "width": 4, "log_deviation": -0.5}
 
 
@@ -48,55 +42,27 @@ def kill_after(monkeypatch, units):
     monkeypatch.setattr(Checkpoint, "is_due", is_due)
 
 
-def session(path, report):
+def make_session(path, report):
     return Session(torch.Generator().manual_seed(0), checkpoint=Checkpoint(path, "task"), report=report)
 
 
-def train_views(path, report):
-    rng = np.random.default_rng(0)
-    views = {
-        "rgba": rng.random((3, 8, 8, 4)).astype(np.float16),
-        "camera_to_world": look_at(sphere_points(3, 2.5, rng)),
-        "light": sphere_points(3, 1.0, rng),
-        "focal": np.float64(Intrinsics.square(8).focal),
-        "center": np.full((3, 2), 4.0),
-    }
-    shape = {"width": 16, "depth": 2, "branch_width": 16, "branch_depth": 2, "point_octaves": 2}
-    shape |= {"direction_octaves": 1, "coarse_samples": 4, "fine_samples": 4, "hull_cells": 8}
-    config = OsfConfig(**shape, batch=100, **TRAINING)
-    net, curve = train_osf(views, views, config, session(path, report))
-    return net.state_dict(), curve
+def train_papers(train):
+    def run(path, report):
+        session = Session(
+            torch.Generator().manual_seed(0), checkpoint=Checkpoint(path, "task"), report=report
+        )
+        net, curve = train(session)
+        return net.state_dict(), curve
 
-
-def train_sounds(path, report):
-    rng = np.random.default_rng(0)
-    points, shapes = rng.uniform(-0.5, 0.5, (20, 3)), rng.standard_normal((20, 3, 2))
-    tuning = 2 * np.pi * np.array([400.0, 1500]), np.array([3.0, 4])
-    samples = ModeSamples(points, shapes, *tuning, np.arange(15), np.arange(15, 20))
-    shape = {"width": 8, "depth": 2, "point_octaves": 1, "bin_octaves": 2}
-    config = SpectrogramConfig(**shape, batch=64, loud=0.0, **TRAINING)
-    net, curve = train_spectrogram(samples, config, session(path, report))
-    return net.state_dict(), curve
-
-
-def train_touches(path, report):
-    rng = np.random.default_rng(0)
-    contacts = {
-        "images": rng.integers(0, 255, (5, 6, 8, 3), dtype=np.uint8),
-        "points": rng.uniform(-0.1, 0.1, (5, 3)),
-        "depths": np.full(5, 0.001),
-        "angles": np.zeros(5),
-    }
-    config = ImageConfig(width=8, depth=2, point_octaves=2, pixel_octaves=2, batch=64, **TRAINING)
-    net, curve = train_image(contacts, contacts, 0.2, "digit", config, session(path, report))
-    return net.state_dict(), curve
+    return run
 
 
 def train_by_soap(path, report):
     """It is killed before its only evaluation."""
     with seeded(0, "test"):
         net = nn.Linear(4, 3)
-    course, optimizer = session(path, report), Soap([{"params": list(net.parameters())}])
+    course = make_session(path, report)
+    optimizer = Soap([{"params": list(net.parameters())}])
 
     def loss():
         return (net(torch.randn(8, 4, generator=course.generator)) - 1).square().mean()
@@ -149,7 +115,9 @@ def run(trainer, path, world, report=lambda point: None):
     """Bytes of what is trained, and its curve without seconds; the global generators do not matter."""
     np.random.seed(world)  # noqa: NPY002 - Stable-Baselines3 draws from it
     torch.manual_seed(world)
+    before = torch.get_rng_state()
     tensors, curve = trainer(path, report)
+    assert trainer in (train_by_ppo, train_by_trpo) or torch.equal(torch.get_rng_state(), before)
     rows = [astuple(point)[:3] if dataclasses.is_dataclass(point) else point for point in curve]
     return {name: np.asarray(value).tobytes() for name, value in tensors.items()}, rows
 
@@ -157,9 +125,9 @@ def run(trainer, path, world, report=lambda point: None):
 @pytest.mark.parametrize(
     ("trainer", "kills", "kept", "replays"),
     [
-        pytest.param(train_views, (12, 9), 17, True, id="osf"),
-        pytest.param(train_sounds, (12, 9), 17, True, id="spectrogram"),
-        pytest.param(train_touches, (12, 9), 17, True, id="image"),
+        pytest.param(train_papers(train_views), (12, 9), 17, True, id="osf"),
+        pytest.param(train_papers(train_sounds), (12, 9), 17, True, id="spectrogram"),
+        pytest.param(train_papers(train_touches), (12, 9), 17, True, id="image"),
         pytest.param(train_by_soap, (12, 9), 17, True, id="soap"),
         pytest.param(train_epochs, (4, 3), 3, False, id="epochs"),
         pytest.param(train_by_ppo, (4, 3), 3, False, id="ppo"),

@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
@@ -94,12 +92,6 @@ def test_stored_weights_answer_nearly_alike(learnt):
     points = contacts["points"] / SCALE
     assert np.abs(back.images(points).astype(int) - net.images(points)).max() <= 3
     assert (back.press_depth, back.angle, back.image_size) == (0.001, 0.3, (16, 12))
-
-
-def test_equal_seeds_give_equal_nets():
-    config = dataclasses.replace(CONFIG, steps=25)
-    nets = [train(dots(3, 1), config)[0].state_dict() for _ in range(2)]
-    assert all(torch.equal(a, b) for a, b in zip(nets[0].values(), nets[1].values()))
 
 
 @pytest.mark.parametrize(("name", "field"), [("depths", "depth"), ("angles", "angle")])

@@ -393,18 +393,6 @@ def test_it_learns_as_well_within_the_hull_of_its_views(views, trained):
     assert within < 10**0.2 * without  # 2 dB: few steps, other samples
 
 
-@pytest.mark.slow
-def test_two_runs_give_equal_bytes_and_leave_the_global_random_state(tmp_path, views):
-    config = dataclasses.replace(CONFIG, steps=20, batch=64)
-    for seed, name in enumerate("ab"):
-        torch.manual_seed(seed)
-        before = torch.random.get_rng_state()
-        net, _ = train_osf(*views, config, Session(torch.Generator().manual_seed(5)))
-        assert torch.equal(torch.random.get_rng_state(), before)
-        write_safetensors(tmp_path / name, *net.to_tensors())
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_a_gpu_learns_as_well(views, trained):
     net, curve = train_osf(*views, CONFIG, Session(torch.Generator().manual_seed(1), "cuda"))
