@@ -160,7 +160,10 @@ def sum_in_parts(
 
 
 def minibatches(count: int, size: int, generator: torch.Generator) -> Iterable[torch.Tensor]:
-    """Yield shuffled index batches without end; a sample appears at most once per epoch."""
+    """Yield shuffled index batches without end; a sample appears at most once per epoch.
+
+    Only for trainings of seconds, without a checkpoint, which would not hold the place in the epoch.
+    """
     size = min(size, count)
     while True:
         order = torch.randperm(count, generator=generator)
