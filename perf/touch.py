@@ -39,7 +39,8 @@ from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image_training import train_image
@@ -298,7 +299,7 @@ def image(source: str, scale: str, count: str, steps: str) -> dict:
     config = replace(IMAGE, steps=int(steps))
     some = {name: values[:16] for name, values in known.items()}  # the paper stops at no held-out loss
     generator = torch.Generator().manual_seed(0)
-    trained, _ = train_image(known, some, scale_m, SOFT, config, generator)
+    trained, _ = train_image(known, some, scale_m, SOFT, config, Session(generator))
     row = {"contacts": int(count), "steps": int(steps), "seconds": time.process_time() - start}
     mean = known["images"].mean(axis=0).round()
     for name, contacts in (("known", known), ("unknown", unknown)):

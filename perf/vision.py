@@ -32,7 +32,8 @@ from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.metrics import psnr
-from objectfolder.nets.vision_config import VisionConfig
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
@@ -151,7 +152,9 @@ def train(workspace: str, key: str) -> dict:
             row["steps_reached"], row["seconds_reached"] = row["steps"], row["seconds"]
 
     generator = torch_generator(values["seed"], key, "train_vision")
-    net, _ = train_surface(surface, scene, views["train"], views["val"], config, generator, report)
+    net, _ = train_surface(
+        surface, scene, views["train"], views["val"], config, Session(generator, report=report)
+    )
     row |= {"seconds": cpu_seconds(), "peak_mb": peak_mb()}
     tensors, header = net.to_tensors()
     stored = SurfaceNet.from_tensors(tensors, header)
@@ -195,7 +198,7 @@ def fit(workspace: str, key: str, images: str, seed: str) -> dict:
         start = cpu_seconds()
     surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
     generator = torch_generator(int(seed), key, "train_vision")
-    net, _ = train_surface(surface, scene, views["train"], views["val"], config, generator, lambda _: None)
+    net, _ = train_surface(surface, scene, views["train"], views["val"], config, Session(generator))
     row["fit_seconds"] = cpu_seconds() - start
     stored = SurfaceNet.from_tensors(*net.to_tensors())
     drawer = partial(draw_surface, surface, stored.shader(surface))

@@ -51,12 +51,12 @@ SECTIONS = {
     "radiation": "objectfolder.acoustics.settings:RadiationConfig",
     "render_views": "objectfolder.vision.settings:RenderViewsConfig",
     "render_touch": "objectfolder.touch.settings:RenderTouchConfig",
-    "train_vision": "objectfolder.nets.vision_config:VisionConfig",
-    "train_audio": "objectfolder.nets.audio_config:AudioConfig",
-    "train_touch": "objectfolder.nets.touch_config:TouchConfig",
+    "train_vision": "objectfolder.nets.settings:VisionConfig",
+    "train_audio": "objectfolder.nets.settings:AudioConfig",
+    "train_touch": "objectfolder.nets.settings:TouchConfig",
     "evaluate": "objectfolder.objectfile.settings:EvaluateConfig",
     "observe": "objectfolder.benchmarks.datasets.observe_config:ObserveConfig",
-    "encode": "objectfolder.benchmarks.models.encode_config:EncodeConfig",
+    "encode": "objectfolder.benchmarks.models.settings:EncodeConfig",
     "recognize": "objectfolder.benchmarks.tasks.recognition_config:RecognizeConfig",
     "retrieve": "objectfolder.benchmarks.tasks.retrieval_config:RetrieveConfig",
     "reconstruct": "objectfolder.benchmarks.tasks.reconstruction_config:ReconstructConfig",
@@ -65,8 +65,8 @@ SECTIONS = {
     "decompose": "objectfolder.benchmarks.datasets.decompose_config:DecomposeConfig",
     "grasp_data": "objectfolder.benchmarks.datasets.grasp_config:GraspDataConfig",
     "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability_config:GraspStabilityConfig",
-    "grasp_policy": "objectfolder.benchmarks.models.trpo_config:GraspPolicyConfig",
-    "reach": "objectfolder.benchmarks.models.ppo_config:ReachConfig",
+    "grasp_policy": "objectfolder.benchmarks.models.settings:GraspPolicyConfig",
+    "reach": "objectfolder.benchmarks.models.settings:ReachConfig",
 }
 #: Stages of single objects that every build runs.
 OBJECT_STAGES = (

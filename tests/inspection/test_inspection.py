@@ -52,8 +52,9 @@ from objectfolder.mesh.ply import write_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.nets.audio_gains import GainsNet, GainsShape
 from objectfolder.nets.fit import CurvePoint
+from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
@@ -150,12 +151,12 @@ def _nets(build):
     modes = read_npz(build.modes)
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        vision, header = SurfaceNet(2, 2, 6, 4, 8, 8, 0.5, 0.0).to_tensors()
+        vision, header = SurfaceNet(HashGrid(2, 2, 6, 4, 8), 8, 0.5, 0.0).to_tensors()
         write_safetensors(build.net("vision"), vision, {"kind": "surface", "net": header})
         damped, damping = (torch.from_numpy(modes[name]) for name in ("damped_frequency", "damping"))
         used = torch.ones(4**3, dtype=torch.bool)
         audio, header = GainsNet(
-            damped, damping, torch.ones(len(damping)), used, 2, 3, 8, 8, 6.0
+            damped, damping, torch.ones(len(damping)), used, GainsShape(2, 3, 8, 8, 6.0)
         ).to_tensors()
         write_safetensors(build.net("audio"), audio, {"kind": "gains", "net": header})
     touch = GeometricTouch(Isosurface(DistanceGrid.from_arrays(sdf)), SCALE, load_profile("digit"))

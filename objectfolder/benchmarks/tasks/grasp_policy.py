@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from objectfolder.benchmarks.models.actor import Actor
+from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.models.trpo import train_trpo
-from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
 from objectfolder.benchmarks.reporting.film import mark_outcome, write_gif
 from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.robots import RobotJob

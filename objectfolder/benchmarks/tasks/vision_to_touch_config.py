@@ -5,7 +5,7 @@ from typing import Annotated
 
 from annotated_types import Ge, MultipleOf
 
-from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.settings import Count, NonNegative, Positive
 
 

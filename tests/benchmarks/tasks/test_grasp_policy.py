@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from objectfolder.benchmarks.models.actor import Actor
-from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
+from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.reporting.tables import grasping_table
 from objectfolder.benchmarks.tasks import grasp_policy as grasp_policy_module
 from objectfolder.benchmarks.tasks.grasp_policy import CURVE_COLUMNS, grasp_policy, rollout_successes

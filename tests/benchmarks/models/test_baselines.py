@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sklearn.cross_decomposition import CCA
 
-from objectfolder.benchmarks.models import cca
+from objectfolder.benchmarks.models.baselines import find_directions, fit_whitening
 
 
 @pytest.fixture
@@ -23,9 +23,9 @@ def all_pairs(first, second, labels):
 
 def variates(first, second, labels):
     """Canonical variates of all pairs."""
-    white = [cca.whitening(x, 10)(x) for x in (first, second)]
+    white = [fit_whitening(x, 10)(x) for x in (first, second)]
     pairs = all_pairs(*white, labels)
-    return [x @ matrix for x, matrix in zip(pairs, cca.directions(*white, labels))]
+    return [x @ matrix for x, matrix in zip(pairs, find_directions(*white, labels))]
 
 
 def correlations(a, b):
@@ -55,24 +55,24 @@ def test_variates_are_white_and_correlated_one_by_one(two_senses):
 def test_components_are_principal(two_senses):
     first = two_senses[0] * np.array([100, 1, 1])
     left, _, axes = np.linalg.svd(first - first.mean(0), full_matrices=False)
-    components = cca.whitening(first, 2)(first)
+    components = fit_whitening(first, 2)(first)
     np.testing.assert_allclose(np.abs(components), np.abs(left[:, :2]) * np.sqrt(20), atol=1e-9)
-    np.testing.assert_allclose(cca.whitening(first, 3)(first)[:, :2], components)
+    np.testing.assert_allclose(fit_whitening(first, 3)(first)[:, :2], components)
     # Rows that were not fitted are mapped alike.
-    moved = cca.whitening(first, 2)(first + 5 * axes[2])
+    moved = fit_whitening(first, 2)(first + 5 * axes[2])
     np.testing.assert_allclose(moved, components, atol=1e-9)
 
 
 def test_constant_and_repeated_features_are_ignored(two_senses):
     first = two_senses[0]
     degenerate = np.concatenate([first, first[:, :1], np.full((20, 1), 5.0)], axis=1)
-    assert cca.whitening(degenerate, 10)(degenerate).shape == (20, 3)
-    assert cca.whitening(first, 10)(first).shape == (20, 3)
+    assert fit_whitening(degenerate, 10)(degenerate).shape == (20, 3)
+    assert fit_whitening(first, 10)(first).shape == (20, 3)
 
 
 def test_the_order_of_an_objects_rows_does_not_matter(two_senses):
     first, second, labels = two_senses
     within = np.concatenate([5 * i + np.random.default_rng(i).permutation(5) for i in range(4)])
-    plain, other = (cca.directions(first, x, labels) for x in (second, second[within]))
+    plain, other = (find_directions(first, x, labels) for x in (second, second[within]))
     for a, b in zip(plain, other):
         np.testing.assert_allclose(np.abs(a), np.abs(b), atol=1e-9)
