@@ -51,7 +51,7 @@ def split(points: np.ndarray) -> np.ndarray:
     """
     count, corners = points.shape[:2]
     triangles = np.tile(fan(corners), (count, 1, 1))
-    for i in np.flatnonzero(needs_ears(points)):
+    for i in np.flatnonzero(needs_ears(points)) if corners > 3 else ():
         ears = manifold3d.triangulate([in_plane(points[i], area_vector(points[i]))])
         if len(ears) == corners - 2:  # otherwise the polygon crosses itself
             triangles[i] = ears

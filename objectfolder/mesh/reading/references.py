@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.reading.files import decoded_text, referenced_path
+from objectfolder.mesh.reading.files import referenced_path
 from objectfolder.mesh.reading.gltf import uris
 from objectfolder.mesh.reading.mtl import read_library, texture_path, textures
 from objectfolder.mesh.reading.obj import mtl_names
@@ -26,7 +26,7 @@ def references(mesh: Path) -> Iterator[PurePosixPath]:
     """
     suffix = mesh.suffix.lower()
     if suffix == ".obj":
-        for name in mtl_names(decoded_text(mesh.read_bytes())):
+        for name in mtl_names(mesh):
             library = referenced_path(mesh, name)
             yield library
             for _, texture in textures(read_library(mesh, library)):

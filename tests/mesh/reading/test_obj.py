@@ -304,6 +304,40 @@ def test_the_range_of_vertex_colours_is_that_of_the_file(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    ("material", "plain"), [("", PLAIN), ("newmtl a\nKd 0 1 0\n", [0, 1, 0])], ids=["none", "Kd"]
+)
+def test_vertices_without_a_colour_have_that_of_their_material(tmp_path, material, plain):
+    (tmp_path / "m.mtl").write_text(material)
+    path = tmp_path / "m.obj"
+    path.write_text("mtllib m.mtl\nv 0 0 0 1 0 0\nv 1 0 0\nv 0 1 0 0 0 1\nusemtl a\nf 1 2 3\n")
+    (part,) = read_obj(path).parts
+    np.testing.assert_array_equal(part.colors, [[1, 0, 0], np.broadcast_to(plain, 3), [0, 0, 1]])
+    assert part.material.color is None
+
+
+def test_comments_and_further_numbers_of_a_line_are_left_out(tmp_path):
+    plain, path = QUAD + CORNERS + "vn 0 0 1\nf 1/1/1 2/2/1 3/3/1\n", tmp_path / "m.obj"
+    path.write_text(plain)
+    (same,) = read_obj(path).parts
+    lines = [f"{line} # 1/2 x" for line in plain.splitlines()]
+    lines[0] = lines[0].replace("#", "1.0#")  # the weight of a rational curve's point
+    lines[5] = lines[5].replace("#", "0 #")  # the third coordinate of a texture
+    path.write_text("\n".join(["# v x", *lines, "f 1 2", "f 1"]))
+    (part,) = read_obj(path).parts
+    for name in ("vertices", "faces", "uv", "normals"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(same, name))
+
+
+def test_a_face_whose_coordinates_are_not_in_the_file_has_none(tmp_path):
+    (tmp_path / "m.obj").write_text(QUAD + CORNERS + "f 1/1/1 2/2/1 3/3/1\nf 1/1 3/3 4/9\n")
+    parts = read_obj(tmp_path / "m.obj").parts
+    assert [(len(part.faces), part.uv is None, part.normals) for part in parts] == [
+        (1, True, None),
+        (1, False, None),
+    ]
+
+
 TWO_MATERIALS = (
     "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl {}\nf 1 3 2\nf 1 2 4\nusemtl {}\nf 1 4 3\nf 2 3 4\n"
 )

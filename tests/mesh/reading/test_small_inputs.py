@@ -64,6 +64,14 @@ def read_ply(folder):
     return read
 
 
+def read_names(folder):
+    def read(text):
+        (folder / "m.obj").write_text(text)
+        mtl_names(folder / "m.obj")
+
+    return read
+
+
 def read_obj_text(folder):
     def read(text):
         (folder / "m.obj").write_text(TETRAHEDRON + text + "\n" + FACES)
@@ -75,8 +83,8 @@ def read_obj_text(folder):
 @pytest.mark.parametrize(
     ("reader", "make"),
     [
-        (lambda folder: mtl_names, lambda n: "mtllib a" + " " * n + "b"),
-        (lambda folder: mtl_names, lambda n: "mtllib " + "a " * (n // 2)),
+        (read_names, lambda n: "mtllib a" + " " * n + "b"),
+        (read_names, lambda n: "mtllib " + "a " * (n // 2)),
         (lambda folder: textures, lambda n: "\n" * n),
         (lambda folder: textures, lambda n: " \n" * (n // 2)),
         (lambda folder: textures, lambda n: "map_Kd a" + " " * n + "b"),
