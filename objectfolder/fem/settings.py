@@ -20,7 +20,7 @@ class VoxelizeConfig:
     resolutions: Annotated[tuple[Count, ...], MinLen(1)]  #: cells along the longest side, finest first
     subdivisions: Annotated[int, Ge(4)]  #: sub-cells along each side of a cell; fewer lose walls
     max_degrees_of_freedom: Count  #: the first resolution within this size is used, else the last
-    #: Samples of the distance grid along each axis, or more where walls are thin (`fitting_grid`)
+    #: Samples of the distance grid along each axis, or more where walls are thin (`fit_grid`)
     sdf_resolution: Annotated[int, Interval(ge=16, le=FINEST)]
 
     def __post_init__(self) -> None:

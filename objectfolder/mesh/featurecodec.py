@@ -91,12 +91,12 @@ def unpack_features(stream: np.ndarray, counts: Mapping[str, int], samples: int)
     parts = np.split(np.frombuffer(raw, np.uint8), np.cumsum(sizes)[:-1])
     edges, cells, sheets, moved = (part.reshape(width, -1) for part, width in zip(parts, COUNTED.values()))
     found = Features(
-        _summed(edges[:4]),
+        _sum_differences(edges[:4]),
         edges[4],
-        _summed(cells[:4]),
+        _sum_differences(cells[:4]),
         cells[4:].T.copy(),
-        _summed(sheets),
-        _summed(moved[:4]),
+        _sum_differences(sheets),
+        _sum_differences(moved[:4]),
         moved[4:].T.copy(),
     )
     for numbers, end in (
@@ -119,7 +119,7 @@ def _differences(numbers: np.ndarray) -> np.ndarray:
     return np.stack([(steps >> shift) & 255 for shift in (0, 8, 16, 24)])
 
 
-def _summed(parts: np.ndarray) -> np.ndarray:
+def _sum_differences(parts: np.ndarray) -> np.ndarray:
     """Invert `_differences`; (N,) int64."""
     steps = sum(part.astype(np.int64) << shift for part, shift in zip(parts, (0, 8, 16, 24)))
     return np.cumsum(steps)

@@ -65,7 +65,7 @@ def unpack_grid(stream: np.ndarray, resolution: int, predictor: str) -> np.ndarr
     if len(raw) != size:
         raise ValueError(f"{len(raw)} values or more in the grid, expected {size}")
     values = np.frombuffer(raw, np.int8).reshape((resolution,) * 3)
-    return values if predictor == "none" else _restored(values)
+    return values if predictor == "none" else _restore(values)
 
 
 def _residuals(values: np.ndarray) -> np.ndarray:
@@ -77,7 +77,7 @@ def _residuals(values: np.ndarray) -> np.ndarray:
     return (wide - predicted).astype(np.int8)
 
 
-def _restored(residuals: np.ndarray) -> np.ndarray:
+def _restore(residuals: np.ndarray) -> np.ndarray:
     """Inverse of `_residuals`."""
     values = np.empty_like(residuals)
     before = last = np.zeros(residuals.shape[1:], np.int16)

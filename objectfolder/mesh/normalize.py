@@ -26,7 +26,7 @@ class Normalized:
     source_centre: np.ndarray  #: (3,) centre of the bounding box, in the z-up source's units
     source_size: float  #: longest side of the bounding box, in the source's units
 
-    def seen(self, bridge: str) -> Mesh:
+    def select_visible(self, bridge: str) -> Mesh:
         """Return the surface to see and touch; it lacks the bridges that are for sound only."""
         return (bridge == "fem" and self.surface.unbridged) or self.surface.mesh
 

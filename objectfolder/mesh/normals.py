@@ -21,7 +21,7 @@ def area_vectors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def averaged(normals: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:
+def average_normals(normals: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:
     """Average unit normals (V, 3) with those of neighbouring vertices, ``rounds`` times."""
     import scipy.sparse as sp  # takes a quarter of a second
 
@@ -35,7 +35,9 @@ def averaged(normals: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:
     return normals
 
 
-def usable(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray | None, float]:
+def replace_bad_normals(
+    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray
+) -> tuple[np.ndarray | None, float]:
     """Return the normals of the faces' corners, with bad ones replaced by face normals.
 
     A normal is bad if it is zero, infinite, or does not point to the outer side of its face: shading would
@@ -68,7 +70,7 @@ def usable(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tupl
     return np.where(wrong[..., None], own[:, None], corners), bad
 
 
-def creased(vertices: np.ndarray, faces: np.ndarray, angle: float = CREASE) -> np.ndarray:
+def crease_normals(vertices: np.ndarray, faces: np.ndarray, angle: float = CREASE) -> np.ndarray:
     """Compute smooth normals of the faces' corners, with creases at sharp edges.
 
     The normal of a corner is the area-weighted mean over the faces around its point whose normals differ

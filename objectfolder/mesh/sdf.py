@@ -12,7 +12,7 @@ from objectfolder.mesh.features import find_features
 from objectfolder.mesh.gridcodec import BOUND, band_width, quantise
 from objectfolder.mesh.scanline import inside
 from objectfolder.mesh.settings import FINEST
-from objectfolder.mesh.sharpen import stored_triangles
+from objectfolder.mesh.sharpen import extract_triangles
 from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh, signed_volume
 
@@ -37,7 +37,7 @@ class FittedGrid:
     kept: float  #: volume that the stored surface encloses, as a fraction of the true one
 
 
-def fitting_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> FittedGrid:
+def fit_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> FittedGrid:
     """Compute a distance grid that is as fine as the walls of a closed surface require.
 
     The resolution is the asked one, or the first of its `REFINEMENTS` at which walls have `WALL_VOXELS` and
@@ -111,7 +111,7 @@ def kept_volume(
     """Return the volume that the surface of a distance grid encloses, as a fraction of the true one."""
     if values.min() >= 0 and not (features and len(features.sheets)):
         return 0.0
-    stored, triangles, _ = stored_triangles(values, features)
+    stored, triangles, _ = extract_triangles(values, features)
     spacing = 2 * BOUND / (len(values) - 1)
     return signed_volume(stored * spacing, triangles) / signed_volume(vertices, faces)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from objectfolder.mesh.featurecodec import MARGIN, ORIGIN, REACH, STEPS, Features
 from objectfolder.mesh.levelset import zero_level
-from objectfolder.mesh.normals import area_vectors, creased, split_vertices, unit_vectors
+from objectfolder.mesh.normals import area_vectors, crease_normals, split_vertices, unit_vectors
 
 BESIDE = -0.05  # stored distance instead of 0, so that each vertex lies on one edge of the grid only
 ON_EDGE = 1e-4  # voxels off a grid edge by which a vertex is still on it; single precision has 3e-5
@@ -17,7 +17,7 @@ MIXED = np.cos(np.deg2rad(3))  # of the angle to the faces' normal from which a 
 FOLDED = 0.2  # least cosine between the normals of faces before and after an edge is flipped
 
 
-def stored_triangles(
+def extract_triangles(
     values: np.ndarray, features: Features | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Extract the triangles that a distance grid and its features hold.
@@ -41,10 +41,10 @@ def stored_triangles(
     if len(features.sheets):
         values = values.copy()
         values.ravel()[features.sheets] = -127  # deep, so that they join across diagonals
-    return sharpened(*zero_level(values, BESIDE), features, len(values))
+    return insert_features(*zero_level(values, BESIDE), features, len(values))
 
 
-def sharpened(
+def insert_features(
     vertices: np.ndarray, faces: np.ndarray, features: Features, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Put stored features into a mesh of marching cubes.
@@ -69,18 +69,18 @@ def sharpened(
         Faces of fans, and those with vertices of thin walls.
     """
     edges = _grid_edges(vertices, count)
-    placed = _placed(vertices, edges, features)
-    vertices, thin = _moved(placed, edges, features, count)
+    placed = _place_crossings(vertices, edges, features)
+    vertices, thin = _move_walls(placed, edges, features, count)
     if not len(features.cells):
         return vertices, faces, thin[faces].any(1)
     cell = np.floor(placed[faces].mean(1)).astype(np.int64) @ [count**2, count, 1]
-    chosen, which = _found(cell, features.cells)
+    chosen, which = _find(cell, features.cells)
     border, owner = _borders(faces[chosen], which, len(vertices))
     low = np.stack(np.unravel_index(features.cells, (count,) * 3), 1)
     points = low + features.points / STEPS * (1 + 2 * MARGIN) - MARGIN
     fans = np.column_stack([border, len(vertices) + owner])
     vertices = np.concatenate([vertices, points])
-    fans = _flipped(vertices, fans)
+    fans = _flip_edges(vertices, fans)
     plain = np.delete(faces, chosen, 0)
     touched = np.concatenate([thin[plain].any(1), np.ones(len(fans), bool)])
     used, index = np.unique(np.concatenate([plain, fans]), return_inverse=True)
@@ -118,7 +118,7 @@ def sharp_normals(
     near = own[faces].any(1)
     index, inverse = np.unique(faces[near], return_inverse=True)
     local = inverse.reshape(-1, 3)
-    flat = creased(vertices[index], local)
+    flat = crease_normals(vertices[index], local)
     corners = np.where(own[faces[near]][..., None], flat, smooth[faces[near]])
     vertex, split, normals = split_vertices(local, corners, len(index))
     extra = len(vertices) + np.arange(len(vertex) - len(index))
@@ -148,20 +148,20 @@ def _grid_edges(vertices: np.ndarray, count: int) -> _GridEdges:
     return _GridEdges(single, axis, 3 * (low.astype(np.int64) @ [count**2, count, 1]) + axis)
 
 
-def _placed(vertices: np.ndarray, edges: _GridEdges, features: Features) -> np.ndarray:
+def _place_crossings(vertices: np.ndarray, edges: _GridEdges, features: Features) -> np.ndarray:
     """Move the vertices on listed grid edges to their places."""
-    rows, which = _found(edges.number, features.edges)
+    rows, which = _find(edges.number, features.edges)
     vertex, axis = edges.vertex[rows], edges.axis[rows]
     placed = vertices.copy()
     placed[vertex, axis] = np.floor(vertices[vertex, axis]) + features.places[which] / STEPS
     return placed
 
 
-def _moved(
+def _move_walls(
     vertices: np.ndarray, edges: _GridEdges, features: Features, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move the vertices of thin walls, off their edges; return which they are, too."""
-    rows, which = _found(edges.number, features.moved)
+    rows, which = _find(edges.number, features.moved)
     vertex = edges.vertex[rows]
     middles = edge_middles(features.moved[which], count)
     moved, thin = vertices.copy(), np.zeros(len(vertices), bool)
@@ -177,7 +177,7 @@ def edge_middles(numbers: np.ndarray, count: int) -> np.ndarray:
     return middles
 
 
-def _found(numbers: np.ndarray, listed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find(numbers: np.ndarray, listed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of numbers that are in an ascending list, and their places there."""
     if not len(listed):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -195,7 +195,7 @@ def _borders(faces: np.ndarray, owner: np.ndarray, count: int) -> tuple[np.ndarr
     return directed[single], group[single]
 
 
-def _flipped(vertices: np.ndarray, fans: np.ndarray) -> np.ndarray:
+def _flip_edges(vertices: np.ndarray, fans: np.ndarray) -> np.ndarray:
     """Flip the edges that two fans share, unless the new faces would fold; fans are (edge, point)."""
     low, high = fans[:, :2].min(1), fans[:, :2].max(1)
     _, inverse, uses = np.unique(low * len(vertices) + high, return_inverse=True, return_counts=True)

@@ -90,7 +90,7 @@ def connected_pieces(vertices: np.ndarray, faces: np.ndarray) -> list[Mesh]:
     return [compact(vertices, faces[groups[label]]) for label in np.argsort(first)]
 
 
-def merged(meshes: list[Mesh]) -> Mesh:
+def join_meshes(meshes: list[Mesh]) -> Mesh:
     """Concatenate meshes."""
     offsets = np.cumsum([0, *(len(v) for v, _ in meshes)])
     faces = [f + start for (_, f), start in zip(meshes, offsets)]

@@ -86,11 +86,11 @@ class GeometricTouch:
         self._rays = None
         if self.renderer == "tacto":
             # Imported here, because they load scipy.sparse, which renderer gel does not need.
-            from objectfolder.mesh.normals import averaged
+            from objectfolder.mesh.normals import average_normals
             from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
 
             vertices, faces = self.surface.vertices, self.surface.faces
-            normals = averaged(smooth_normals(vertices, faces), faces, rounds)
+            normals = average_normals(smooth_normals(vertices, faces), faces, rounds)
             self._rays = TactoRays(vertices, faces, self.profile, self.scale, normals)
             self._rays.background = self._optics.background.cpu().numpy()
 

@@ -13,7 +13,7 @@ _FLAT = 1e-15  # twice the area of a triangle without a direction
 _SMOOTH = np.cos(np.radians([30, 0.1]))  # of the angle between neighbours on a round surface
 
 
-def joint(
+def make_joint(
     a: Mesh, b: Mesh, solids: tuple[manifold3d.Manifold, manifold3d.Manifold], gap: float
 ) -> manifold3d.Manifold | None:
     """Fill the gap where faces of two closed pieces lie opposite each other.

@@ -11,7 +11,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.reading.atlas import bake_atlas
 from objectfolder.mesh.reading.parts import MeshPart, SurfaceMaterial
-from objectfolder.mesh.reading.texels import base_color, srgb_bytes, tinted_pixels
+from objectfolder.mesh.reading.texels import base_color, srgb_bytes, tint_pixels
 from objectfolder.mesh.textured import DEFAULT_ROUGHNESS, TexturedMesh
 
 
@@ -50,15 +50,15 @@ def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[Textu
     no_uv = [p for p in parts if p.material.image is not None and p.uv is None]
     if no_uv:
         notes.append(f"texture without coordinates replaced by its mean colour ({len(no_uv)})")
-    parts = [_mean_colored(p) if p.material.image is not None and p.uv is None else p for p in parts]
-    parts = _tinted(parts)
+    parts = [_replace_by_mean(p) if p.material.image is not None and p.uv is None else p for p in parts]
+    parts = _tint(parts)
     materials = list(dict.fromkeys(p.material for p in parts))
     if all(m.image is None for m in materials):
         appearance = _untextured(parts)
     elif len(materials) == 1 and all(p.colors is None for p in parts) and _plain_wrap(parts):
         appearance = {
             "uv": np.concatenate([p.uv for p in parts if p.uv is not None]),
-            "texture": tinted_pixels(materials[0], _limited(materials[0].image, texture_size)),
+            "texture": tint_pixels(materials[0], _limit_size(materials[0].image, texture_size)),
         }
     else:
         parts, appearance, scales = bake_atlas(parts, texture_size, name)
@@ -104,7 +104,7 @@ def _roughness_metallic(parts: Sequence[MeshPart]) -> tuple[dict[str, Any], list
     return result, notes
 
 
-def _mean_colored(part: MeshPart) -> MeshPart:
+def _replace_by_mean(part: MeshPart) -> MeshPart:
     assert part.material.image is not None
     counts = np.reshape(part.material.image.histogram(), (3, 256))
     mean = counts @ srgb.decode(np.arange(256) / 255) / counts.sum(1)
@@ -112,7 +112,7 @@ def _mean_colored(part: MeshPart) -> MeshPart:
     return replace(part, material=replace(part.material, image=None, color=color))
 
 
-def _tinted(parts: Sequence[MeshPart]) -> list[MeshPart]:
+def _tint(parts: Sequence[MeshPart]) -> list[MeshPart]:
     """Move vertex colours beside an image into the material where they are all equal."""
     tinted: dict[tuple[SurfaceMaterial, bytes], SurfaceMaterial] = {}
     result = []
@@ -150,7 +150,7 @@ def _plain_wrap(parts: Sequence[MeshPart]) -> bool:
     return all(p.uv is not None and p.uv[p.faces].min() >= 0 and p.uv[p.faces].max() <= 1 for p in parts)
 
 
-def _limited(image: Image.Image | None, size: int) -> Image.Image:
+def _limit_size(image: Image.Image | None, size: int) -> Image.Image:
     assert image is not None
     image = image.copy()
     if max(image.size) > size:

@@ -48,7 +48,7 @@ def referenced_path(mesh: Path, name: str, beside: PurePosixPath = HERE, said_in
     return path
 
 
-def decoded_text(data: bytes) -> str:
+def decode_text(data: bytes) -> str:
     """Decode the text of a mesh file: UTF-8, or else Latin-1, in which any bytes are characters.
 
     Names in an unknown encoding stay apart this way, and those in Latin-1 are right.

@@ -91,7 +91,7 @@ def fan_triangles(values: Any) -> np.ndarray:
     return polygons[:, fan(polygons.shape[1])].reshape(-1, 3)
 
 
-def by_face_color(colors: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def split_by_face_color(colors: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Duplicate vertices by face colour; return colours (V', 3), original vertices (V',), faces (F, 3)."""
     palette, color = np.unique(colors, axis=0, return_inverse=True)
     corner = faces * len(palette) + color.reshape(-1, 1)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.normals import usable
+from objectfolder.mesh.normals import replace_bad_normals
 from objectfolder.mesh.reading.bake import join
 from objectfolder.mesh.reading.gltf import read_gltf
 from objectfolder.mesh.reading.obj import read_obj
@@ -49,7 +49,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     """Load a mesh, rotate it z up, and bake its appearance into one texture or vertex colours.
 
     Vertex normals of the file are kept; bad ones are replaced by face normals, see
-    `objectfolder.mesh.normals.usable`.
+    `objectfolder.mesh.normals.replace_bad_normals`.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     mesh, notes = join([_finite(part) for part in parts], texture_size, str(path))
     bad = 0.0
     if mesh.normals is not None:
-        corners, bad = usable(mesh.vertices, mesh.faces, mesh.normals)
+        corners, bad = replace_bad_normals(mesh.vertices, mesh.faces, mesh.normals)
         mesh = replace(mesh, normals=None) if corners is None else mesh.with_normals(corners)
         if corners is None:
             notes.append(
@@ -101,7 +101,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
             )
     appearance |= {"normals_bad_fraction": bad, "notes": [*source.notes, *notes]}
     mesh = replace(mesh, source=appearance)
-    return mesh.turned(z_up) if up == "y" else mesh
+    return mesh.rotate(z_up) if up == "y" else mesh
 
 
 def _read(path: Path, reader: Callable[[Path], MeshContent]) -> MeshContent:

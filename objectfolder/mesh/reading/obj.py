@@ -13,7 +13,7 @@ from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import split
 from objectfolder.mesh.reading.from_trimesh import color_unit
-from objectfolder.mesh.reading.mtl import MaterialLibraries, MtlMaterial, bare
+from objectfolder.mesh.reading.mtl import MaterialLibraries, MtlMaterial, strip_comment
 from objectfolder.mesh.reading.objlines import COORDINATE, NORMAL, NOT_NUMBERS, VERTEX, ObjLines
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 from objectfolder.mesh.textured import PLAIN
@@ -99,7 +99,7 @@ def _library_names(lines: ObjLines) -> list[str]:
 def _used_materials(lines: ObjLines, materials: Collection[str]) -> tuple[list[int], list[str]]:
     """Return the lines ``usemtl`` and their names as the libraries write them: spaces and comments differ."""
     rows, texts = lines.statements("usemtl")
-    known = {bare(name): name for name in materials} | {name: name for name in materials}
+    known = {strip_comment(name): name for name in materials} | {name: name for name in materials}
     names = [" ".join(text.split()) for text in texts]
     count = len(set(names))
     if count > MAX_MATERIALS:
@@ -107,7 +107,7 @@ def _used_materials(lines: ObjLines, materials: Collection[str]) -> tuple[list[i
             f"{lines.path} uses {count} materials, expected at most {MAX_MATERIALS}; join them, such as by "
             "baking them into one texture"
         )
-    return rows, [known.get(name, known.get(bare(name), name)) for name in names]
+    return rows, [known.get(name, known.get(strip_comment(name), name)) for name in names]
 
 
 def _vertices(lines: ObjLines) -> tuple[np.ndarray, np.ndarray]:

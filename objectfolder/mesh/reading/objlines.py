@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError, shortened
-from objectfolder.mesh.reading.files import decoded_text
+from objectfolder.mesh.reading.files import decode_text
 
 #: Keywords of lines of numbers; the corners of a face have the numbers of lines of the first three.
 KEYWORDS = ("v", "vt", "vn", "f")
@@ -22,7 +22,7 @@ class ObjLines:
     """
 
     def __init__(self, path: Path):
-        text = decoded_text(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
+        text = decode_text(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
         self.path = path
         self.raw = text.encode() + b"\n\n\n"  # from the start of any word, there are three bytes
         self._split(np.frombuffer(self.raw, np.uint8))

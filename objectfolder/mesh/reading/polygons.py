@@ -13,13 +13,13 @@ from trimesh.exchange.ply import _elements_to_kwargs
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import needs_ears, split
-from objectfolder.mesh.reading.files import decoded_text
+from objectfolder.mesh.reading.files import decode_text
 from objectfolder.mesh.reading.from_trimesh import (
     ReferencedFiles,
     as_points,
-    by_face_color,
     color_unit,
     fan_triangles,
+    split_by_face_color,
     surface_material,
 )
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
@@ -48,13 +48,13 @@ def read_polygons(path: Path) -> MeshContent:
         _check_length(path, data)
     if kind == "ply":
         header, end, body = data.partition(b"end_header")
-        data = decoded_text(header).encode() + end + body
+        data = decode_text(header).encode() + end + body
     _check_textures(path, data if kind == "ply" else b"")
     scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
     files.check()
     sources = list(scene.geometry.values())
     raw = sources[0].metadata.get("_ply_raw", {}) if len(sources) == 1 else {}
-    elements = _amended(raw, textured=kind == "ply" and bool(ply_textures(data)))
+    elements = _amend(raw, textured=kind == "ply" and bool(ply_textures(data)))
     if elements is None:
         mesh = scene.to_mesh()
     else:
@@ -73,15 +73,17 @@ def read_polygons(path: Path) -> MeshContent:
     if visual.kind == "texture":
         material = surface_material(visual.material, files.images)
         uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
-        left_out = ["vertex colours beside a texture left out"] if _colored(elements or raw) else []
+        left_out = ["vertex colours beside a texture left out"] if _count_colored(elements or raw) else []
         left_out += ["texture left out: the file has no texture coordinates"] if uv is None else []
         return MeshContent([MeshPart(vertices, faces, material, uv, normals=normals)], left_out)
     colors: np.ndarray | None = None
-    notes = ["colours of faces beside those of vertices left out"] if _colored(elements or raw) > 1 else []
+    notes = (
+        ["colours of faces beside those of vertices left out"] if _count_colored(elements or raw) > 1 else []
+    )
     if ply_textures(data if kind == "ply" else b""):
         notes.append("texture left out: the file has no texture coordinates")
     if visual.kind == "face":
-        colors, vertex, faces = by_face_color(np.asarray(visual.face_colors), faces)
+        colors, vertex, faces = split_by_face_color(np.asarray(visual.face_colors), faces)
         vertices, normals = vertices[vertex], None if normals is None else normals[vertex]
     elif visual.kind == "vertex":
         colors = np.asarray(visual.vertex_colors)
@@ -91,7 +93,7 @@ def read_polygons(path: Path) -> MeshContent:
 
 def ply_textures(data: bytes) -> list[str]:
     """Return the textures named in the header of a ``.ply``, in order."""
-    header = decoded_text(data.partition(b"end_header")[0])
+    header = decode_text(data.partition(b"end_header")[0])
     names = re.findall(r"^(?:comment|obj_info)\b.*?texturefile(.*)", header, re.MULTILINE | re.I)
     return list(dict.fromkeys(name.strip() for name in names))
 
@@ -137,7 +139,7 @@ def _is_text(data: bytes) -> bool:
     return data[:80].removeprefix(BOM_UTF8).lstrip().lower().startswith(b"solid") and b"\0" not in data
 
 
-def _amended(elements: dict[str, Any], textured: bool) -> dict[str, Any] | None:
+def _amend(elements: dict[str, Any], textured: bool) -> dict[str, Any] | None:
     """Return the elements of a ``.ply`` with what trimesh misreads put right; None if it misreads nothing.
 
     Without a texture, it would put a default one at texture coordinates, in place of vertex colours.
@@ -188,7 +190,7 @@ def _byte_colors(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray] | None
     return {name: values for name, values in columns.items() if name != "alpha"} | dict(zip(COLORS, colors))
 
 
-def _colored(elements: dict[str, Any]) -> int:
+def _count_colored(elements: dict[str, Any]) -> int:
     """Count which of vertices and faces have colours, 0 to 2."""
     held = [elements[name]["properties"].keys() for name in CARRIERS if name in elements]
     return sum(set(COLORS) <= names for names in held)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from solids import TURN, box, flipped, join, pretzel, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.closing.solids import manifold
+from objectfolder.mesh.closing.solids import to_manifold
 from objectfolder.mesh.closing.surface import BRIDGED_GAP, close_surface
 from objectfolder.mesh.closing.weld import clean
 from objectfolder.mesh.normalize import normalize
@@ -427,7 +427,7 @@ def test_a_solid_inside_a_cavity_is_kept():
         sphere(0.1, 2),
     ]
     rod = box((0.9, 0.06, 0.06))
-    a, b, c, d, e, r = (manifold(s if signed_volume(*s) > 0 else flipped(s)) for s in (*shells, rod))
+    a, b, c, d, e, r = (to_manifold(s if signed_volume(*s) > 0 else flipped(s)) for s in (*shells, rod))
     truth = (a - b + (c - d) + e + r).volume()
     for mesh in (join(*shells, rod), flipped(join(rod, *shells[::-1]))):
         surface = close_surface(*mesh)
