@@ -69,20 +69,9 @@ def pack_features(features: Features) -> np.ndarray:
 def unpack_features(stream: np.ndarray, counts: Mapping[str, int], samples: int) -> Features:
     """Return the features that `pack_features` compressed.
 
-    Parameters
-    ----------
-    stream : (bytes,) uint8 array
-    counts : mapping
-        How many it holds; see `Features.counts`. Those left out are 0.
-    samples : int
-        Of the grid along each side.
-
-    Raises
-    ------
-    ValueError
-        If the stream holds another number of bytes, or places that are not in order or outside the grid.
-    lzma.LZMAError
-        If the stream is damaged.
+    Their grid has so many samples along each side. ``counts`` says how many it holds, see
+    `Features.counts`; those left out are 0. Raises ``ValueError`` if the stream holds another number of
+    bytes, or places that are not in order or outside the grid, and ``lzma.LZMAError`` if it is damaged.
     """
     sizes = [width * counts.get(name, 0) for name, width in COUNTED.items()]
     raw = lzma.LZMADecompressor(memlimit=_MEMORY).decompress(stream.tobytes(), sum(sizes) + 1)

@@ -33,17 +33,7 @@ def band_width(resolution: int) -> float:
 
 
 def pack_grid(values: np.ndarray) -> tuple[np.ndarray, str]:
-    """Compress a grid.
-
-    Parameters
-    ----------
-    values : (R, R, R) int8 array, -127 to 127
-
-    Returns
-    -------
-    stream : (bytes,) uint8 array
-    predictor : {"none", "planes"}
-    """
+    """Compress a grid (R, R, R) int8, -127 to 127; return the stream, uint8, and its predictor."""
     forms = {"none": values, "planes": _residuals(values)}
     streams = {name: lzma.compress(form.tobytes(), filters=_FILTERS[name]) for name, form in forms.items()}
     shortest = min(PREDICTORS, key=lambda name: len(streams[name]))
@@ -53,12 +43,8 @@ def pack_grid(values: np.ndarray) -> tuple[np.ndarray, str]:
 def unpack_grid(stream: np.ndarray, resolution: int, predictor: str) -> np.ndarray:
     """Return the (R, R, R) int8 grid that `pack_grid` compressed.
 
-    Raises
-    ------
-    ValueError
-        If the stream holds another number of values; at most one value too many is unpacked.
-    lzma.LZMAError
-        If the stream is damaged.
+    Raises ``ValueError`` if the stream holds another number of values, of which at most one too many is
+    unpacked, and ``lzma.LZMAError`` if it is damaged.
     """
     size = resolution**3
     raw = lzma.LZMADecompressor(memlimit=_MEMORY).decompress(stream.tobytes(), size + 1)

@@ -121,20 +121,11 @@ class Isosurface:
         return cKDTree(self.vertices)
 
     def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:
-        """Project points to the surface.
+        """Project points (N, 3), unit frame, to the surface; return them and their distances, (N,).
 
-        Within half a voxel of the surface, takes Newton steps along the gradient of the distance. For points
-        farther away, where a gradient can lead to the wrong side of a wall, where the steps go astray, and
-        beside edges and thin walls, which the grid does not hold, finds the nearest triangle.
-
-        Parameters
-        ----------
-        points : (N, 3) array, unit frame
-
-        Returns
-        -------
-        projected : (N, 3) float64
-        distance : (N,) float64, from the given points
+        Within half a voxel of the surface, takes Newton steps along the gradient of the distance. For
+        points farther away, where a gradient can lead to the wrong side of a wall, where the steps go
+        astray, and beside edges and thin walls, which the grid does not hold, finds the nearest triangle.
         """
         points = np.asarray(points, np.float64)
         voxel = self.grid.spacing

@@ -121,13 +121,9 @@ def _check_box(done: Normalized, name: str) -> None:
 
 
 def mass_properties(surface: Mesh) -> dict[str, Any]:
-    """Compute volume, centre of mass and inertia of a closed surface, at density 1.
+    """Compute the mass properties of a closed surface, at density 1, in its frame.
 
-    Returns
-    -------
-    dict
-        ``volume``, ``centre`` [x, y, z] and ``inertia`` [xx, yy, zz, xy, xz, yz] about the centre, in the
-        frame of the surface.
+    ``volume``, ``centre`` [x, y, z], and ``inertia`` [xx, yy, zz, xy, xz, yz] about the centre.
     """
     found = trimesh.Trimesh(*surface, process=False).mass_properties
     inertia = np.asarray(found.inertia)

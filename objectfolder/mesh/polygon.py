@@ -37,17 +37,9 @@ def needs_ears(points: np.ndarray) -> np.ndarray:
 
 
 def split(points: np.ndarray) -> np.ndarray:
-    """Split polygons into triangles.
+    """Split polygons (P, n, 3) that are flat or nearly so into triangles of their corners, (P, n - 2, 3) int.
 
-    Parameters
-    ----------
-    points : (P, n, 3) array
-        Corners of polygons that are flat or nearly so.
-
-    Returns
-    -------
-    (P, n - 2, 3) int array
-        Corners of the triangles: a fan, or where it would leave the polygon, ears cut in its plane.
+    They are a fan, or where it would leave the polygon, ears cut in its plane.
     """
     count, corners = points.shape[:2]
     triangles = np.tile(fan(corners), (count, 1, 1))

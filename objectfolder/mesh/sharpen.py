@@ -20,21 +20,10 @@ FOLDED = 0.2  # least cosine between the normals of faces before and after an ed
 def extract_triangles(
     values: np.ndarray, features: Features | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Extract the triangles that a distance grid and its features hold.
+    """Extract the triangles that a distance grid (R, R, R) int8, negative inside, and its features hold.
 
-    Parameters
-    ----------
-    values : (R, R, R) int8 array, negative inside
-    features : Features or None
-
-    Returns
-    -------
-    vertices : (V, 3) float64
-        In voxels.
-    faces : (F, 3) int64
-        Counter-clockwise seen from outside.
-    touched : (F,) bool, or None without features
-        Faces with a stored point or vertex.
+    Returns vertices (V, 3) float64 in voxels; faces (F, 3) int64, counter-clockwise seen from outside; and
+    which faces have a stored point or vertex, (F,) bool, or None without features.
     """
     if features is None:
         return *zero_level(values), None
@@ -47,26 +36,13 @@ def extract_triangles(
 def insert_features(
     vertices: np.ndarray, faces: np.ndarray, features: Features, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Put stored features into a mesh of marching cubes.
+    """Put stored features into a mesh of marching cubes, in voxels, of a grid of ``count`` samples a side.
 
     Crossings move to their stored places. In a cell with a stored point, the faces become a fan around it;
-    an edge between two such fans is flipped, so that it joins their points. Vertices of thin walls move last.
+    an edge between two such fans is flipped, so that it joins their points. Vertices of thin walls move
+    last.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64 array
-        In voxels, on the edges of the grid.
-    faces : (F, 3) int array
-    features : Features
-    count : int
-        Samples of the grid along each side.
-
-    Returns
-    -------
-    vertices : (V', 3) float64
-    faces : (F', 3) int64
-    touched : (F',) bool
-        Faces of fans, and those with vertices of thin walls.
+    Returns vertices, faces, and which faces are of fans, or have vertices of thin walls, (F',) bool.
     """
     edges = _grid_edges(vertices, count)
     placed = _place_crossings(vertices, edges, features)
@@ -93,23 +69,8 @@ def sharp_normals(
     """Give vertices the normals of their faces where those of the grid are wrong, split at creases.
 
     Within a voxel of an edge, and in walls of two voxels, distances are those to several faces; their
-    gradient belongs to none.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array
-    faces : (F, 3) int array
-    touched : (F,) bool array
-        Faces of fans.
-    smooth : (V, 3) array
-        Unit normals of the grid at the vertices.
-
-    Returns
-    -------
-    vertex : (V',) int64
-        Vertex of each new one.
-    faces : (F, 3) int64
-    normals : (V', 3)
+    gradient belongs to none. ``touched`` (F,) tells the faces of fans; ``smooth`` (V, 3) are unit normals
+    of the grid. Returns the vertex of each new one, (V',); faces (F, 3); and normals (V', 3).
     """
     areas = area_vectors(vertices, faces)
     mean = np.stack([np.bincount(faces.ravel(), np.repeat(a, 3), len(vertices)) for a in areas.T], 1)

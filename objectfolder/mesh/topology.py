@@ -46,19 +46,7 @@ def is_closed(faces: np.ndarray) -> bool:
 
 
 def components(first: np.ndarray, second: np.ndarray, count: int) -> tuple[int, np.ndarray]:
-    """Count and label the connected components of a graph of ``count`` nodes.
-
-    Parameters
-    ----------
-    first, second : (E,) int arrays
-        Ends of the edges.
-    count : int
-
-    Returns
-    -------
-    number : int
-    label : (count,) int array
-    """
+    """Count and label the components of a graph of ``count`` nodes; edges join two lists (E,)."""
     graph = coo_array((np.ones(len(first), bool), (first, second)), shape=(count, count))
     return connected_components(graph, directed=False)
 

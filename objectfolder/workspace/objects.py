@@ -11,8 +11,7 @@ from ruamel.yaml.comments import CommentedMap
 
 from objectfolder.disk import new_folder
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.reading.load import default_up, load_mesh
-from objectfolder.mesh.reading.references import references
+from objectfolder.mesh.reading.load import default_up, load_mesh, references
 from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_object

@@ -29,27 +29,14 @@ _OFFSET = 1e-4  # start of the rays above the cap, unit frame
 def close_piece(
     piece: Mesh, scene: RayCaster | None, wall: float, least: float = LARGE
 ) -> tuple[Mesh, int, int]:
-    """Close an open manifold piece.
+    """Close an open manifold piece, consistently oriented, in the unit frame.
 
-    Parameters
-    ----------
-    piece : vertices and faces, unit frame
-        Consistently oriented; no edge has more than two faces.
-    scene : RayCaster or None
-        All pieces, for visibility. None caps every loop.
-    wall : float
-        Thickness given to a sheet, unit frame. The sheet becomes the outer side; of a flat one, the side to
-        which its winding points. Where there is no room for the wall, the openings are capped instead.
-    least : float
-        Area, as a fraction of the piece's, above which a visible loop is an opening.
+    A visible loop whose area is more than ``least`` of the piece's is an opening, others are capped;
+    without a ``scene`` of all pieces, for visibility, all are. A piece with an opening is a sheet, which
+    gets a wall: it becomes the outer side; of a flat one, the side to which its winding points. Where there
+    is no room for the wall, the openings are capped instead.
 
-    Returns
-    -------
-    piece : the closed piece
-    capped : int
-        Number of capped loops.
-    openings : int
-        Number of openings of a sheet.
+    Returns the closed piece, the number of capped loops, and that of openings of a sheet.
     """
     vertices, faces, loops, flat = _turn_outward(piece)
     area = face_areas(vertices, faces).sum()

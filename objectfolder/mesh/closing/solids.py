@@ -20,13 +20,8 @@ _BRIDGE_DEPTH = 1.25 / 512  # overlap of a bridge with the pieces
 def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:
     """Unite closed pieces; an inner piece of opposite orientation is a cavity.
 
-    A piece inside a cavity, oriented like the outermost one, is solid again.
-
-    Returns
-    -------
-    mesh : vertices and faces, oriented outward; empty if nothing is enclosed
-    cavities : int
-        Number of subtracted pieces.
+    A piece inside a cavity, oriented like the outermost one, is solid again. Returns the mesh, oriented
+    outward and empty if nothing is enclosed, and the number of cavities.
     """
     volumes = [signed_volume(*piece) for piece in pieces]
     pieces = [piece for piece, volume in zip(pieces, volumes) if abs(volume) > _NOTHING]
@@ -78,12 +73,7 @@ def untangle(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
 def label_bodies(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Label the solid bodies of a closed surface: shells with their cavities.
 
-    Returns
-    -------
-    body : (F,) int
-        Body of each face, numbered by decreasing volume.
-    volumes : (B,) float
-        Volumes without cavities.
+    Returns the body of each face, (F,), numbered by decreasing volume, and their volumes without cavities.
     """
     shell = face_components(faces, len(vertices))
     volume = np.bincount(shell, weights=face_volumes(vertices, faces))
@@ -132,13 +122,7 @@ def bridge(vertices: np.ndarray, faces: np.ndarray, reach: float) -> tuple[Mesh,
     """Join bodies separated by gaps below ``reach`` with material in the gaps only.
 
     Bodies that touch, within `TOUCHING`, are bonded wherever they do; wider gaps are filled only until all
-    bodies hang together.
-
-    Returns
-    -------
-    mesh : vertices and faces
-    bridged : list of float
-        Widths of the filled gaps.
+    bodies hang together. Returns the mesh and the widths of the filled gaps.
     """
     body, volumes = label_bodies(vertices, faces)
     pieces = [compact(vertices, faces[body == k]) for k in range(len(volumes))]

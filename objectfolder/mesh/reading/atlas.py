@@ -30,31 +30,13 @@ FILLED = 0.9  # fraction of the atlas that cells with an image may fill up
 def bake_atlas(
     parts: Sequence[MeshPart], texture_size: int, name: str
 ) -> tuple[list[MeshPart], dict[str, Any], list[float]]:
-    """Bake parts into one texture.
+    """Bake parts, which have texture coordinates where their material has an image, into one texture.
 
-    Parameters
-    ----------
-    parts : sequence of MeshPart
-        With texture coordinates where their material has an image.
-    texture_size : int
-        Longest side of the texture, pixels.
-    name : str
-        Name of the mesh in errors.
+    Its longest side is at most ``texture_size`` pixels; raises `ObjectFolderError` if they do not fit.
 
-    Returns
-    -------
-    list of MeshPart
-        With coordinates in the atlas; parts with vertex colours beside an image may be divided, their
-        corners are no longer shared.
-    dict
-        ``uv`` (V, 2) of all parts, and ``texture`` (H, W, 3) uint8.
-    list of float
-        Scale of each image in the atlas.
-
-    Raises
-    ------
-    ObjectFolderError
-        If they do not fit that size.
+    Returns the parts with coordinates in the atlas, of which those with vertex colours beside an image may
+    be divided and share no corners; ``uv`` (V, 2) of all parts and ``texture`` (H, W, 3) uint8; and the
+    scale of each image in the atlas.
     """
     parts = [piece for part in parts for piece in _split_by_size(_move_near_origin(part))]
     # Parts of one material share a window; faces with vertex colours have cells.

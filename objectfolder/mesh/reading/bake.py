@@ -16,34 +16,15 @@ from objectfolder.mesh.textured import DEFAULT_ROUGHNESS, TexturedMesh
 
 
 def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[TexturedMesh, list[str]]:
-    """Join parts into one mesh.
+    """Join parts, with at least one face in total, into one mesh; and say what that changes of its look.
 
     Without textures, the result has one plain colour or vertex colours. A single texture is kept with its
-    coordinates, times vertex colours that are all equal. Otherwise an atlas is baked: for each image the
-    window used by its faces in whole texels, with repeats written out after every face was moved next to the
-    origin by whole repeats; for a plain colour one texel; for vertex colours a cell of texels per face, as
-    large as what the face covers of an image. Images are scaled down together until all fit. Roughness and
-    metallic become area-weighted means. Normals are kept, NaN in parts without.
-
-    Parameters
-    ----------
-    parts : sequence of MeshPart
-        At least one face in total.
-    texture_size : int
-        Longest side of the texture, pixels.
-    name : str
-        Name of the mesh in errors.
-
-    Returns
-    -------
-    TexturedMesh
-    list of str
-        Changes to the appearance, in words.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the atlas does not fit that size.
+    coordinates, times vertex colours that are all equal. Otherwise an atlas is baked, ``texture_size``
+    pixels at most: for each image the window used by its faces in whole texels, with repeats written out
+    after every face was moved next to the origin by whole repeats; for a plain colour one texel; for vertex
+    colours a cell of texels per face, as large as what the face covers of an image. Images are scaled down
+    together until all fit, or `ObjectFolderError` is raised. Roughness and metallic become area-weighted
+    means. Normals are kept, NaN in parts without.
     """
     parts = [part for part in parts if len(part.faces)]
     surface, notes = _roughness_metallic(parts)

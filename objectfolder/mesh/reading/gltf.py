@@ -54,13 +54,7 @@ def read_gltf(path: Path) -> MeshContent:
 
 
 def uris(path: Path) -> list[str]:
-    """Return the paths of the files that a glTF file refers to, as it names them.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is not valid.
-    """
+    """Return the paths of the files that a valid glTF file refers to, as it names them."""
     with _valid(path):
         document, _ = _document(path)
         items = [*document.get("buffers", []), *document.get("images", [])]

@@ -1,8 +1,9 @@
-"""Load a mesh with its appearance from any supported file format."""
+"""Load a mesh with its appearance from any supported file format, and list the files that it refers to."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,13 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normals import replace_bad_normals
 from objectfolder.mesh.reading.bake import join
-from objectfolder.mesh.reading.gltf import read_gltf
-from objectfolder.mesh.reading.obj import read_obj
+from objectfolder.mesh.reading.files import referenced_path
+from objectfolder.mesh.reading.gltf import read_gltf, uris
+from objectfolder.mesh.reading.mtl import read_library, texture_path, textures
+from objectfolder.mesh.reading.obj import mtl_names, read_obj
 from objectfolder.mesh.reading.off import read_off
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart
-from objectfolder.mesh.reading.polygons import read_polygons
+from objectfolder.mesh.reading.polygons import ply_textures, read_polygons
 from objectfolder.mesh.textured import TexturedMesh, z_up
 
 READERS: dict[str, Callable[[Path], MeshContent]] = {
@@ -173,3 +176,31 @@ def _source_report(parts: Sequence[MeshPart]) -> dict[str, Any]:
         "uv_outside_fraction": float(outside.sum() / count),
         "uv_not_finite_fraction": float((~finite).sum() / count),
     }
+
+
+def references(mesh: Path) -> Iterator[PurePosixPath]:
+    """Yield the paths of the files that a mesh refers to, relative to its folder.
+
+    An ``.mtl``, which is read after it was yielded, is followed by the textures that it names, also by those
+    that no face needs. They may be missing; one outside the mesh's folder is left out.
+
+    Raises
+    ------
+    ObjectFolderError
+        If another file lies outside the mesh's folder, an ``.mtl`` does not exist, or a glTF file is not
+        valid.
+    """
+    suffix = mesh.suffix.lower()
+    if suffix == ".obj":
+        for name in mtl_names(mesh):
+            library = referenced_path(mesh, name)
+            yield library
+            for _, texture in textures(read_library(mesh, library)):
+                with suppress(ObjectFolderError):  # outside: no face may need it, which the reader knows
+                    yield texture_path(mesh, library.parent, texture)
+    elif suffix == ".ply":
+        for name in ply_textures(mesh.read_bytes()):
+            yield referenced_path(mesh, name)
+    elif suffix in (".gltf", ".glb"):
+        for uri in uris(mesh):
+            yield referenced_path(mesh, uri)

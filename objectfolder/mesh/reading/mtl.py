@@ -119,12 +119,8 @@ def read_library(mesh: Path, path: PurePosixPath) -> str:
 def texture_path(mesh: Path, beside: PurePosixPath, name: str) -> PurePosixPath:
     """Return the path of a texture relative to the mesh's folder: beside its library, or else the mesh.
 
-    The name counts as it is written, or as `strip_comment` if only that file exists.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it lies outside the mesh's folder, or its name is too long.
+    The name counts as it is written, or as `strip_comment` if only that file exists. Raises
+    `ObjectFolderError` if it lies outside the mesh's folder, or its name is too long.
     """
     for folder in dict.fromkeys((beside, PurePosixPath())):
         for written in dict.fromkeys((name, strip_comment(name))):

@@ -12,10 +12,9 @@ from trimesh.visual.texture import unmerge_faces
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import split
-from objectfolder.mesh.reading.from_trimesh import color_unit
 from objectfolder.mesh.reading.mtl import MaterialLibraries, MtlMaterial, strip_comment
 from objectfolder.mesh.reading.objlines import COORDINATE, NORMAL, NOT_NUMBERS, VERTEX, ObjLines
-from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
+from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial, color_unit
 from objectfolder.mesh.textured import PLAIN
 
 MAX_MATERIALS = 4096  # the texture of more has no room for them

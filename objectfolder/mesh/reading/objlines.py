@@ -79,16 +79,9 @@ class ObjLines:
         return table, counts
 
     def corners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the faces of three or more corners.
+        """Return the faces of three or more corners: their lines, (F,), and how many corners each has, (F,).
 
-        Returns
-        -------
-        rows : (F,) int64
-            Their lines.
-        sizes : (F,) int64
-            Numbers of their corners.
-        corners : (C, 3) int64
-            Vertex, texture coordinates and normal of each corner, counted from 1; 0: none.
+        And vertex, texture coordinates and normal of all corners, (C, 3), counted from 1; 0: none.
         """
         rows, data = self._numbers(FACE, 3)
         sizes = self.words[rows] - 1

@@ -8,8 +8,13 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import split
-from objectfolder.mesh.reading.from_trimesh import color_unit, split_by_face_color
-from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
+from objectfolder.mesh.reading.parts import (
+    MeshContent,
+    MeshPart,
+    SurfaceMaterial,
+    color_unit,
+    split_by_face_color,
+)
 from objectfolder.mesh.textured import PLAIN
 
 # Texture coordinates (ST) come last and name no image.

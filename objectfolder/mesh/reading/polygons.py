@@ -2,33 +2,36 @@
 
 import re
 from codecs import BOM_UTF8
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from trimesh.exchange.ply import _elements_to_kwargs
+from trimesh.resolvers import Resolver
 
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.mesh.polygon import needs_ears, split
-from objectfolder.mesh.reading.files import decode_text
-from objectfolder.mesh.reading.from_trimesh import (
-    ReferencedFiles,
-    as_points,
+from objectfolder.mesh.polygon import fan, needs_ears, split
+from objectfolder.mesh.reading.files import decode_text, read_image, read_referenced
+from objectfolder.mesh.reading.parts import (
+    MeshContent,
+    MeshPart,
+    SurfaceMaterial,
     color_unit,
-    fan_triangles,
     split_by_face_color,
-    surface_material,
 )
-from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 
 COLORS, DIFFUSE = ("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue")
 INDICES = ("vertex_index", "vertex_indices")
 COORDINATES = {"s", "t", "u", "v", "texture_u", "texture_v", "texcoord"}
 CARRIERS = ("vertex", "face")  # elements that may have colours
 FACET = re.compile(rb"^\s*facet\s+normal\b", re.M | re.I)
+NAME = "file"  # entry of a stand-in's metadata
 MAX_SOLIDS = 4096  # trimesh takes time in proportion to the square of their number
 
 
@@ -40,7 +43,7 @@ def read_polygons(path: Path) -> MeshContent:
     ObjectFolderError
         If the texture that a ``.ply`` names is missing or unreadable, or it names several.
     """
-    files = ReferencedFiles(path)
+    files = _ReferencedFiles(path)
     kind = path.suffix.lower().removeprefix(".")
     data = path.read_bytes()
     _check_solids(path, data)
@@ -64,14 +67,14 @@ def read_polygons(path: Path) -> MeshContent:
     if kind == "stl":
         _check_facets(path, data, len(mesh.faces))
     visual = mesh.visual
-    vertices, faces = as_points(mesh.vertices), fan_triangles(mesh.faces)
+    vertices, faces = _as_points(mesh.vertices), _fan_triangles(mesh.faces)
     normals = None
     if len(sources) == 1:
         (source,) = sources
         # In the cache only if the file holds them; trimesh computes others on access.
-        normals = as_points(source.vertex_normals) if "vertex_normals" in source._cache else None
+        normals = _as_points(source.vertex_normals) if "vertex_normals" in source._cache else None
     if visual.kind == "texture":
-        material = surface_material(visual.material, files.images)
+        material = _surface_material(visual.material, files.images)
         uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
         left_out = ["vertex colours beside a texture left out"] if _count_colored(elements or raw) else []
         left_out += ["texture left out: the file has no texture coordinates"] if uv is None else []
@@ -96,6 +99,79 @@ def ply_textures(data: bytes) -> list[str]:
     header = decode_text(data.partition(b"end_header")[0])
     names = re.findall(r"^(?:comment|obj_info)\b.*?texturefile(.*)", header, re.MULTILINE | re.I)
     return list(dict.fromkeys(name.strip() for name in names))
+
+
+class _ReferencedFiles(Resolver):
+    """Resolver that decodes the images a mesh names, in place of trimesh.
+
+    trimesh opens images of every format and swallows errors. It gets stand-ins, see `_surface_material`.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.images: dict[str, Image.Image] = {}
+        self.error: Exception | None = None
+
+    def get(self, key: str) -> bytes:
+        """Return the bytes that stand for a file, for trimesh."""
+        try:
+            return self.read(key)
+        except Exception as error:  # raised by `check`
+            self.error = self.error or error
+            return _stand_in(key)
+
+    def read(self, key: str) -> bytes:
+        """Decode an image, and return its stand-in."""
+        if key not in self.images:
+            data = read_referenced(self.path, key)
+            self.images[key] = read_image(data, self.path.parent / key, self.path)
+        return _stand_in(key)
+
+    def check(self) -> None:
+        """Raise the first error of any file."""
+        if self.error is not None:
+            raise self.error
+
+    def write(self, name: str, data: Any) -> None:
+        """Refuse: nothing is written."""
+        raise NotImplementedError
+
+    def namespaced(self, namespace: str) -> Any:
+        """Refuse: there is one namespace."""
+        raise NotImplementedError
+
+    def keys(self) -> list[str]:
+        """Return no names: trimesh must ask for each file."""
+        return []
+
+
+def _stand_in(key: str) -> bytes:
+    """Return an image of one pixel that carries the name of a file."""
+    note, stream = PngInfo(), BytesIO()
+    note.add_text(NAME, key)
+    Image.new("RGB", (1, 1)).save(stream, "png", pnginfo=note)
+    return stream.getvalue()
+
+
+def _surface_material(source: Any, images: Mapping[str, Image.Image]) -> SurfaceMaterial:
+    """Convert a trimesh material, whose colours are sRGB, and whose image stands for one of ``images``."""
+    if source is None:
+        return SurfaceMaterial()
+    image: Image.Image | None = getattr(source, "image", None)
+    if image is not None:
+        return SurfaceMaterial(images[image.info[NAME]])
+    return SurfaceMaterial(color=srgb.decode(np.asarray(source.main_color[:3]) / 255))
+
+
+def _as_points(values: Any) -> np.ndarray:
+    """Return positions or normals as (V, 3) float64."""
+    return np.asarray(values, np.float64).reshape(-1, 3)
+
+
+def _fan_triangles(values: Any) -> np.ndarray:
+    """Split polygons (P, n) into triangle fans; (F, 3)."""
+    polygons = np.asarray(values, np.int64)
+    return polygons[:, fan(polygons.shape[1])].reshape(-1, 3)
 
 
 def _check_textures(path: Path, data: bytes) -> None:

@@ -14,8 +14,7 @@ from solids import box
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.reading.load import AS_STORED, FORMATS, default_up, load_mesh
-from objectfolder.mesh.reading.references import references
+from objectfolder.mesh.reading.load import AS_STORED, FORMATS, default_up, load_mesh, references
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
 
 PLY = """ply

@@ -10,10 +10,9 @@ from polygons import AREA, VOLUME, area, u_plate
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.reading.load import load_mesh, references
 from objectfolder.mesh.reading.mtl import textures
 from objectfolder.mesh.reading.obj import read_obj
-from objectfolder.mesh.reading.references import references
 from objectfolder.mesh.textured import PLAIN, appearance_report
 from objectfolder.workspace.objects import object_files
 

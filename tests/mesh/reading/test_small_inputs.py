@@ -16,11 +16,10 @@ from PIL import Image
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.reading import gltf
-from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.reading.load import load_mesh, references
 from objectfolder.mesh.reading.mtl import textures
 from objectfolder.mesh.reading.obj import MAX_MATERIALS, mtl_names
 from objectfolder.mesh.reading.polygons import MAX_SOLIDS
-from objectfolder.mesh.reading.references import references
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\n"
 FACES = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
