@@ -1,6 +1,7 @@
 """Lines of a Wavefront ``.obj``, by their keywords."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class ObjLines:
             same = (letters[:, :size] == list(keyword.encode())).all(1)
             self.kind[same & IS_SPACE[letters[:, size]]] = kind
 
-    def line(self, row: int) -> str:
+    def line(self, row: int | np.integer[Any]) -> str:
         """Return the text of a line."""
         return self.raw[self.start[row] : self.end[row]].decode().strip()
 

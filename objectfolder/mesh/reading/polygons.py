@@ -2,17 +2,13 @@
 
 import re
 from codecs import BOM_UTF8
-from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
-from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 from trimesh.exchange.ply import _elements_to_kwargs
-from trimesh.resolvers import Resolver
 
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
@@ -31,7 +27,6 @@ INDICES = ("vertex_index", "vertex_indices")
 COORDINATES = {"s", "t", "u", "v", "texture_u", "texture_v", "texcoord"}
 CARRIERS = ("vertex", "face")  # elements that may have colours
 FACET = re.compile(rb"^\s*facet\s+normal\b", re.M | re.I)
-NAME = "file"  # entry of a stand-in's metadata
 MAX_SOLIDS = 4096  # trimesh takes time in proportion to the square of their number
 
 
@@ -43,27 +38,29 @@ def read_polygons(path: Path) -> MeshContent:
     ObjectFolderError
         If the texture that a ``.ply`` names is missing or unreadable, or it names several.
     """
-    files = _ReferencedFiles(path)
     kind = path.suffix.lower().removeprefix(".")
-    data = path.read_bytes()
-    _check_solids(path, data)
-    if kind == "stl":
-        _check_length(path, data)
+    data, textures, image = path.read_bytes(), [], None
     if kind == "ply":
         header, end, body = data.partition(b"end_header")
         data = decode_text(header).encode() + end + body
-    _check_textures(path, data if kind == "ply" else b"")
-    scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
-    files.check()
-    sources = list(scene.geometry.values())
-    raw = sources[0].metadata.get("_ply_raw", {}) if len(sources) == 1 else {}
-    elements = _amend(raw, textured=kind == "ply" and bool(ply_textures(data)))
-    if elements is None:
-        mesh = scene.to_mesh()
+        textures = ply_textures(data)
+        _check_textures(path, textures)
     else:
-        image = getattr(getattr(sources[0].visual, "material", None), "image", None)
+        _check_solids(path, data)
+        _check_length(path, data)
+    if textures:
+        image = read_image(read_referenced(path, textures[0]), path.parent / textures[0], path)
+    # Without materials: trimesh would open images of every format, and swallow errors.
+    scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True, process=False)
+    sources = list(scene.geometry.values())
+    elements = sources[0].metadata.get("_ply_raw", {}) if len(sources) == 1 else {}
+    amended = _amend(elements, textured=bool(textures))
+    if amended or (textures and elements):
+        elements = amended or elements
         mesh = trimesh.Trimesh(**_elements_to_kwargs(elements, fix_texture=True, image=image), process=False)
         sources = [mesh]
+    else:
+        mesh = scene.to_mesh()
     if kind == "stl":
         _check_facets(path, data, len(mesh.faces))
     visual = mesh.visual
@@ -73,17 +70,14 @@ def read_polygons(path: Path) -> MeshContent:
         (source,) = sources
         # In the cache only if the file holds them; trimesh computes others on access.
         normals = _as_points(source.vertex_normals) if "vertex_normals" in source._cache else None
+    colored = _count_colored(elements)
     if visual.kind == "texture":
-        material = _surface_material(visual.material, files.images)
-        uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
-        left_out = ["vertex colours beside a texture left out"] if _count_colored(elements or raw) else []
-        left_out += ["texture left out: the file has no texture coordinates"] if uv is None else []
-        return MeshContent([MeshPart(vertices, faces, material, uv, normals=normals)], left_out)
+        uv = np.asarray(visual.uv, np.float64)
+        notes = ["vertex colours beside a texture left out"] if colored else []
+        return MeshContent([MeshPart(vertices, faces, SurfaceMaterial(image), uv, normals=normals)], notes)
     colors: np.ndarray | None = None
-    notes = (
-        ["colours of faces beside those of vertices left out"] if _count_colored(elements or raw) > 1 else []
-    )
-    if ply_textures(data if kind == "ply" else b""):
+    notes = ["colours of faces beside those of vertices left out"] if colored > 1 else []
+    if textures:
         notes.append("texture left out: the file has no texture coordinates")
     if visual.kind == "face":
         colors, vertex, faces = split_by_face_color(np.asarray(visual.face_colors), faces)
@@ -101,68 +95,6 @@ def ply_textures(data: bytes) -> list[str]:
     return list(dict.fromkeys(name.strip() for name in names))
 
 
-class _ReferencedFiles(Resolver):
-    """Resolver that decodes the images a mesh names, in place of trimesh.
-
-    trimesh opens images of every format and swallows errors. It gets stand-ins, see `_surface_material`.
-    """
-
-    def __init__(self, path: Path):
-        self.path = path
-        self.images: dict[str, Image.Image] = {}
-        self.error: Exception | None = None
-
-    def get(self, key: str) -> bytes:
-        """Return the bytes that stand for a file, for trimesh."""
-        try:
-            return self.read(key)
-        except Exception as error:  # raised by `check`
-            self.error = self.error or error
-            return _stand_in(key)
-
-    def read(self, key: str) -> bytes:
-        """Decode an image, and return its stand-in."""
-        if key not in self.images:
-            data = read_referenced(self.path, key)
-            self.images[key] = read_image(data, self.path.parent / key, self.path)
-        return _stand_in(key)
-
-    def check(self) -> None:
-        """Raise the first error of any file."""
-        if self.error is not None:
-            raise self.error
-
-    def write(self, name: str, data: Any) -> None:
-        """Refuse: nothing is written."""
-        raise NotImplementedError
-
-    def namespaced(self, namespace: str) -> Any:
-        """Refuse: there is one namespace."""
-        raise NotImplementedError
-
-    def keys(self) -> list[str]:
-        """Return no names: trimesh must ask for each file."""
-        return []
-
-
-def _stand_in(key: str) -> bytes:
-    """Return an image of one pixel that carries the name of a file."""
-    note, stream = PngInfo(), BytesIO()
-    note.add_text(NAME, key)
-    Image.new("RGB", (1, 1)).save(stream, "png", pnginfo=note)
-    return stream.getvalue()
-
-
-def _surface_material(source: Any, images: Mapping[str, Image.Image]) -> SurfaceMaterial:
-    """Convert a trimesh material, whose colours are sRGB, and whose image stands for one of ``images``."""
-    if source is None:
-        return SurfaceMaterial()
-    image: Image.Image | None = getattr(source, "image", None)
-    if image is not None:
-        return SurfaceMaterial(images[image.info[NAME]])
-    return SurfaceMaterial(color=srgb.decode(np.asarray(source.main_color[:3]) / 255))
-
-
 def _as_points(values: Any) -> np.ndarray:
     """Return positions or normals as (V, 3) float64."""
     return np.asarray(values, np.float64).reshape(-1, 3)
@@ -174,8 +106,7 @@ def _fan_triangles(values: Any) -> np.ndarray:
     return polygons[:, fan(polygons.shape[1])].reshape(-1, 3)
 
 
-def _check_textures(path: Path, data: bytes) -> None:
-    names = ply_textures(data)
+def _check_textures(path: Path, names: list[str]) -> None:
     if len(names) > 1:  # trimesh would put the last one on all faces
         raise ObjectFolderError(
             f"{path} names {len(names)} textures ({shortened(', '.join(names))}), expected at most one; "

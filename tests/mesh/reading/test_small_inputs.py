@@ -139,13 +139,10 @@ def test_trimesh_opens_no_file_of_the_user(tmp_path, monkeypatch, kind):
     (tmp_path / "m.mtl").write_text("newmtl skin\nmap_Kd t.png\n")
     (tmp_path / "m.ply").write_text(PLY.format("comment TextureFile t.png"))
     real, opened = Image.open, []
-    monkeypatch.setattr(
-        Image, "open", lambda f, *a, **k: opened.append((k, f.getvalue()[:4])) or real(f, *a, **k)
-    )
+    monkeypatch.setattr(Image, "open", lambda *a, **k: opened.append(k) or real(*a, **k))
     with pytest.raises(ObjectFolderError, match=r"t\.png cannot be read as an image"):
         load_mesh(tmp_path / f"m.{kind}")
-    stand_ins = [start for options, start in opened if "formats" not in options]
-    assert stand_ins == ([b"\x89PNG"] if kind == "ply" else [])
+    assert [sorted(options) for options in opened] == [["formats"]]
 
 
 LONG = "x" * 300 + ".png"
