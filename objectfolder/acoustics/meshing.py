@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from objectfolder.acoustics.triangles import Triangles
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.closing.solids import arrays, manifold
+from objectfolder.mesh.closing.solids import to_arrays, to_manifold
 from objectfolder.mesh.topology import Mesh, face_areas
 
 _NEIGHBOURS = 12  # points from which a vertex's motion is interpolated
@@ -44,7 +44,7 @@ def even_surface(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> Mes
 
 def finer_surface(vertices: np.ndarray, faces: np.ndarray, edge: float) -> Mesh:
     """Return a closed surface whose long edges are split to at most a length."""
-    return arrays(manifold((vertices, faces)).refine_to_length(edge))
+    return to_arrays(to_manifold((vertices, faces)).refine_to_length(edge))
 
 
 def interpolate_motion(points: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -13,8 +13,8 @@ from objectfolder.fem.cutcell import CUT_CELLS
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.settings import FineGrids
 from objectfolder.materials import Material
+from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh
 
 MAX_RESIDUAL = 1e-8

@@ -21,7 +21,7 @@ class VoxelizeConfig:
     resolutions: Annotated[tuple[Count, ...], MinLen(1)] = (32, 24, 16, 12)
     subdivisions: Annotated[int, Ge(4)] = 8  #: sub-cells along each side of a cell; fewer lose walls
     max_degrees_of_freedom: Count = 120_000  #: the first resolution within this size is used, else the last
-    #: Samples of the distance grid along each axis, or more where walls are thin (`fitting_grid`)
+    #: Samples of the distance grid along each axis, or more where walls are thin (`fit_grid`)
     sdf_resolution: Annotated[int, Interval(ge=16, le=FINEST)] = 192
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ from objectfolder.fem.elements import discretize
 from objectfolder.fem.settings import VoxelizeConfig
 from objectfolder.mesh.featurecodec import Features
 from objectfolder.mesh.scanline import check_winding
-from objectfolder.mesh.sdf import fitting_grid
+from objectfolder.mesh.sdf import fit_grid
 from objectfolder.mesh.topology import Mesh, signed_volume
 
 
@@ -36,7 +36,7 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
     cells = discretize(
         *solid, config.element, config.resolutions, config.subdivisions, config.max_degrees_of_freedom, name
     )
-    grid = fitting_grid(*surface, config.sdf_resolution, name)
+    grid = fit_grid(*surface, config.sdf_resolution, name)
     report = {
         "cells": {
             "winding": asdict(certificates[0]),

@@ -77,11 +77,11 @@ class GeometricTouch:
         """Return the renderer, made when it is first needed."""
         if self._rays is None:
             # Imported here, because they load scipy.sparse, which renderer gel does not need.
-            from objectfolder.mesh.normals import averaged
+            from objectfolder.mesh.normals import average_normals
             from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
 
             vertices, faces = self.surface.vertices, self.surface.faces
-            normals = averaged(smooth_normals(vertices, faces), faces, self.smoothing)
+            normals = average_normals(smooth_normals(vertices, faces), faces, self.smoothing)
             rays = TactoRays(vertices, faces, self.profile, self.scale, normals)
             rays.background = self._optics.background.cpu().numpy()
             self._rays = rays

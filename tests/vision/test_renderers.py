@@ -264,7 +264,7 @@ def test_a_turned_mesh_under_turned_camera_and_light_is_the_same_picture(render)
     turned = np.eye(4)
     turned[:3] = turn(pose[:3].T).T
     first = render(mesh, light, pose, LARGE)
-    second = render(mesh.turned(turn), turn(light), turned, LARGE)
+    second = render(mesh.rotate(turn), turn(light), turned, LARGE)
     flat = render(stretched, light, pose, LARGE)
     assert np.abs(first - second).mean() < 0.05 * np.abs(first - flat).mean()
 

@@ -80,4 +80,4 @@ def generate(generator: str, **parameters: Any) -> TexturedMesh:
             raise ObjectFolderError(
                 f"{generator}: unknown parameter {name!r}: expected one of {', '.join(known)}"
             )
-    return build(**parameters).smoothed()
+    return build(**parameters).with_smooth_normals()
