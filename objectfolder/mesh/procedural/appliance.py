@@ -8,22 +8,18 @@ import numpy as np
 from objectfolder.mesh.procedural.assembly import Look
 from objectfolder.mesh.procedural.extrusion import across, inset, prism, rectangle, rounded
 from objectfolder.mesh.procedural.fittings import (
+    DARK,
+    METAL,
     SPACING,
     Kit,
     bars,
     knob,
     loop,
-    painted,
     rounded_disc,
     torus,
     turned,
 )
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import evenly, rounded_polyline
 from objectfolder.mesh.procedural.sweep import bar, tube
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep
@@ -37,7 +33,6 @@ COLOURS = {
     "iron": ("2f7fc1", "eef0ea"),
     "dryer": ("e9b93a", "2e2f33"),
 }
-DARK, METAL = "2e2f33", "b9bdc2"
 
 
 def appliance(
@@ -52,6 +47,8 @@ def appliance(
 ) -> TexturedMesh:
     """Build a toaster with two slots, a lantern, a clothes iron or a hair dryer.
 
+    One closed surface. Toasters and dryers are hollow and open, with walls of 3 % of the span or more.
+
     Parameters
     ----------
     kind : str
@@ -60,32 +57,18 @@ def appliance(
         Length of a toaster or iron along x; height of a lantern or dryer, m.
     plump : float
         Width or diameter relative to the default, 0.8 to 1.25.
-    finish, color, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
     accent : str, optional
         Colour of the toaster's base and lever, of the lantern's lamp, or of the handle.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface. Toasters and dryers are hollow and open, with walls of 3 % of the span or more.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the kind is unknown or a dimension is out of range.
     """
-    require_choice("appliance", KINDS, kind=kind)
-    require_positive("appliance", span=span, plump=plump)
-    require_between("appliance", 0.8, 1.25, "usual widths", plump=plump)
-    require_texture_size("appliance", texture_size)
+    check = Checks("appliance", texture_size)
+    check.choice(KINDS, kind=kind)
+    check.positive(span=span, plump=plump)
+    check.between(0.8, 1.25, "usual widths", plump=plump)
 
     body, trim = COLOURS[kind]
     look = Look(finish, span, color or body, accent or trim, seed)
     makers = {"toaster": _toaster, "lantern": _lantern, "iron": _iron, "dryer": _dryer}
-    return makers[kind](look, plump).build(look, texture_size)
+    return makers[kind](look, plump).build(texture_size)
 
 
 def _lengthwise(solid: manifold3d.Manifold) -> manifold3d.Manifold:
@@ -129,17 +112,16 @@ def _toaster(look: Look, plump: float) -> Kit:
     dial = _lengthwise(knob(0.065, 0.05, turn=35.0)).translate((end, 0, 0.165))
 
     dark = look.accent
-    return Kit(
-        [
-            painted(look, body, look.color),
-            painted(look, base, dark),
-            painted(look, ribs, look.color, piece=1),
-            *(painted(look, one, "8d939a", piece=2) for one in rims),
-            *(painted(look, one, dark, piece=3) for one in feet),
-        ],
-        [painted(look, one, "26272a") for one in (hollow, *openings, track)],
-        [painted(look, paddle, dark), painted(look, dial, dark, piece=4)],
-    )
+    kit = Kit(look)
+    kit.body(look.color, body)
+    kit.body(dark, base)
+    kit.body(look.color, ribs, piece=1)
+    kit.body("8d939a", *rims, piece=2)
+    kit.body(dark, *feet, piece=3)
+    kit.cut("26272a", hollow, *openings, track)
+    kit.detail(dark, paddle)
+    kit.detail(dark, dial, piece=4)
+    return kit
 
 
 def _lantern(look: Look, plump: float) -> Kit:
@@ -185,18 +167,17 @@ def _lantern(look: Look, plump: float) -> Kit:
         return over(colour, rgb("fff0b8"), 0.85 * smoothstep(1.1, 0.1, far))
 
     brass = "b08a4a"
-    return Kit(
-        [painted(look, turned(tank), look.color, None), painted(look, turned(cap), look.color, None, 1)],
-        [painted(look, one, DARK) for one in holes],
-        [
-            painted(look, globe.warp_batch(ribbed), look.accent, decor=glow),
-            *(painted(look, one, look.color, (0, 0, 1), 2) for one in posts),
-            *(painted(look, one, look.color, None, 3) for one in guards),
-            painted(look, ring, brass, (0, 0, 1)),
-            painted(look, burner, brass, None),
-            painted(look, wick, brass),
-        ],
-    )
+    kit = Kit(look)
+    kit.body(look.color, turned(tank), axis=None)
+    kit.body(look.color, turned(cap), axis=None, piece=1)
+    kit.cut(DARK, *holes)
+    kit.detail(look.accent, globe.warp_batch(ribbed), decor=glow)
+    kit.detail(look.color, *posts, axis=(0, 0, 1), piece=2)
+    kit.detail(look.color, *guards, axis=None, piece=3)
+    kit.detail(brass, ring, axis=(0, 0, 1))
+    kit.detail(brass, burner, axis=None)
+    kit.detail(brass, wick)
+    return kit
 
 
 def _iron(look: Look, plump: float) -> Kit:
@@ -253,22 +234,17 @@ def _iron(look: Look, plump: float) -> Kit:
         for k in range(3)
     ]
     accent = look.accent
-    return Kit(
-        [
-            painted(look, sole, METAL),
-            painted(look, skirt, accent),
-            painted(look, body, look.color),
-            painted(look, grip, accent, piece=1),
-        ],
-        [painted(look, one, DARK) for one in holes],
-        [
-            painted(look, dial, accent, piece=2),
-            painted(look, mark, "d23b30"),
-            painted(look, button, "d23b30"),
-            painted(look, nozzle, METAL),
-            *(painted(look, one, DARK) for one in (cord, *rings)),
-        ],
-    )
+    kit = Kit(look)
+    kit.body(METAL, sole)
+    kit.body(accent, skirt)
+    kit.body(look.color, body)
+    kit.body(accent, grip, piece=1)
+    kit.cut(DARK, *holes)
+    kit.detail(accent, dial, piece=2)
+    kit.detail("d23b30", mark, button)
+    kit.detail(METAL, nozzle)
+    kit.detail(DARK, cord, *rings)
+    return kit
 
 
 def _dryer(look: Look, plump: float) -> Kit:
@@ -308,15 +284,12 @@ def _dryer(look: Look, plump: float) -> Kit:
         for x, z in ((0.045, 0.52), (0.035, 0.40))
     ]
     dark = look.accent
-    return Kit(
-        [
-            painted(look, along(turned(barrel)), look.color),
-            painted(look, grip, look.color, (0, 0, 1), 1),
-            *(painted(look, one, dark, None) for one in collars),
-        ],
-        [painted(look, along(turned(bore)), DARK), painted(look, grille, DARK)],
-        [
-            *(painted(look, one, dark, (0, 0, 1)) for one in ribs),
-            *(painted(look, one, code, (0, 0, 1)) for one, code in zip(switches, ("eef0ea", "d23b30"))),
-        ],
-    )
+    kit = Kit(look)
+    kit.body(look.color, along(turned(barrel)))
+    kit.body(look.color, grip, axis=(0, 0, 1), piece=1)
+    kit.body(dark, *collars, axis=None)
+    kit.cut(DARK, along(turned(bore)), grille)
+    kit.detail(dark, *ribs, axis=(0, 0, 1))
+    kit.detail("eef0ea", switches[0], axis=(0, 0, 1))
+    kit.detail("d23b30", switches[1], axis=(0, 0, 1))
+    return kit

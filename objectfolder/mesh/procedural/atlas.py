@@ -73,10 +73,7 @@ def _shelves(sizes: np.ndarray, resolution: int) -> np.ndarray | None:
 def pack_charts(charts: Sequence[Chart], resolution: int) -> Atlas:
     """Pack charts at the largest common texel density that fits a ``resolution`` x ``resolution`` square.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the square is too small for the charts.
+    Raises `ObjectFolderError` if the square is too small.
     """
     sizes = np.array([chart.size for chart in charts])
     low, high = 0.0, resolution / sizes.max()

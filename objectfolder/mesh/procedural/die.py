@@ -3,7 +3,7 @@
 import numpy as np
 
 from objectfolder.mesh.procedural.atlas import Chart, pack_charts
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.revolution import arc, disc
 from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, wood
@@ -38,29 +38,19 @@ PIPS: dict[int, list[tuple[int, int]]] = {
 def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> TexturedMesh:
     """Build a wooden die.
 
+    One closed surface of genus 0; x and y from -edge / 2 to edge / 2, z from 0 to edge.
+
     Parameters
     ----------
     edge : float
         Edge of the bounding cube, m.
     fillet : float
         Radius of the rounded edges and corners, m.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 0; x and y from -edge / 2 to edge / 2, z from 0 to edge.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or the fillets would reach the pips.
     """
-    require_positive("die", edge=edge, fillet=fillet)
+    check = Checks("die", texture_size)
+    check.positive(edge=edge, fillet=fillet)
     room = 0.5 - PIP_PITCH - 1.08 * PIP_RADIUS
-    require_between("die", 0.01 * edge, room * edge, "so that the pips stay on the flat", fillet=fillet)
-    require_texture_size("die", texture_size)
+    check.between(0.01 * edge, room * edge, "so that the pips stay on the flat", fillet=fillet)
 
     block, charts = [], []
     lift = np.array([0, 0, edge / 2])

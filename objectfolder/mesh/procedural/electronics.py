@@ -8,33 +8,24 @@ import numpy as np
 from objectfolder.mesh.procedural.assembly import Look
 from objectfolder.mesh.procedural.extrusion import across, inset, rectangle, regular
 from objectfolder.mesh.procedural.fittings import (
+    DARK,
+    METAL,
     SPACING,
     Kit,
     bars,
     knob,
     loop,
-    painted,
     rounded_disc,
     turned,
 )
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import bar
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
 KINDS = ("television", "radio", "clock")
 #: Colour and accent of each kind where none is asked for.
-COLOURS = {
-    "television": ("5f8f8b", "d9cfb8"),
-    "radio": ("a56b3c", "e6d3a8"),
-    "clock": ("c8412f", "f3ecdd"),
-}
-DARK, METAL = "2e2f33", "b9bdc2"
+COLOURS = {"television": ("5f8f8b", "d9cfb8"), "radio": ("a56b3c", "e6d3a8"), "clock": ("c8412f", "f3ecdd")}
 
 
 def electronics(
@@ -49,6 +40,9 @@ def electronics(
 ) -> TexturedMesh:
     """Build a television with an antenna, a table radio or an alarm clock with two bells.
 
+    One closed surface. Televisions and radios are hollow and open through their slots, with walls of 4 %
+    of the span; the thinnest bars have 2.5 %, grooves and marks about 2 %.
+
     Parameters
     ----------
     kind : str
@@ -57,34 +51,18 @@ def electronics(
         Width of a television or radio along x; height of a clock, m.
     plump : float
         Depth relative to the default, 0.8 to 1.25.
-    finish, color, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
     accent : str, optional
         Colour of the bezel and the panel, of the radio's dial, or of the clock's face.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface. Televisions and radios are hollow and open through their slots, with walls of
-        4 % of the span; the thinnest bars have 2.5 %, grooves and marks about 2 %.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the kind is unknown or a dimension is out of range.
     """
-    require_choice("electronics", KINDS, kind=kind)
-    require_positive("electronics", span=span, plump=plump)
-    require_between("electronics", 0.8, 1.25, "usual depths", plump=plump)
-    require_texture_size("electronics", texture_size)
+    check = Checks("electronics", texture_size)
+    check.choice(KINDS, kind=kind)
+    check.positive(span=span, plump=plump)
+    check.between(0.8, 1.25, "usual depths", plump=plump)
 
     body, trim = COLOURS[kind]
     look = Look(finish, span, color or body, accent or trim, seed)
-    return {"television": _television, "radio": _radio, "clock": _clock}[kind](look, plump).build(
-        look, texture_size
-    )
+    makers = {"television": _television, "radio": _radio, "clock": _clock}
+    return makers[kind](look, plump).build(texture_size)
 
 
 def superellipse(half_width: float, half_height: float, power: float, points: int = 72) -> np.ndarray:
@@ -154,27 +132,21 @@ def _television(look: Look, plump: float) -> Kit:
     foot = manifold3d.Manifold.sphere(1.0, 40).scale((0.10, 0.07, 0.05)).translate((0, 0.05, 0.665))
 
     body, trim = look.color, look.accent
-    return Kit(
-        [
-            painted(look, case, body),
-            painted(look, bump, body, piece=2),
-            *(painted(look, one, trim, piece=1) for one in (bezel, panel)),
-        ],
-        [
-            *(painted(look, solid, DARK) for solid in (cavity + deeper, vents, grille)),
-            painted(look, recess, trim, piece=1),
-        ],
-        [
-            painted(look, screen, "39443f", decor=shine),
-            *(painted(look, one.trim_by_plane((0, 0, 1.0), 0.0), DARK, (0, 0, 1)) for one in legs),
-            *(painted(look, one, METAL) for one in (*antenna, *tips)),
-            painted(look, foot, DARK),
-            *(
-                painted(look, knob(0.07, 0.045, turn=turn).translate((0.345, front - 0.013, z)), DARK)
-                for z, turn in ((0.53, 40.0), (0.37, -25.0))
-            ),
-        ],
-    )
+    knobs = [
+        knob(0.07, 0.045, turn=turn).translate((0.345, front - 0.013, z))
+        for z, turn in ((0.53, 40.0), (0.37, -25.0))
+    ]
+    kit = Kit(look)
+    kit.body(body, case)
+    kit.body(body, bump, piece=2)
+    kit.body(trim, bezel, panel, piece=1)
+    kit.cut(DARK, cavity + deeper, vents, grille)
+    kit.cut(trim, recess, piece=1)
+    kit.detail("39443f", screen, decor=shine)
+    kit.detail(DARK, *(one.trim_by_plane((0, 0, 1.0), 0.0) for one in legs), axis=(0, 0, 1))
+    kit.detail(METAL, *antenna, *tips)
+    kit.detail(DARK, foot, *knobs)
+    return kit
 
 
 def _radio(look: Look, plump: float) -> Kit:
@@ -217,31 +189,24 @@ def _radio(look: Look, plump: float) -> Kit:
         return over(paper, rgb("3a2414"), inked)
 
     dark = "4a2a17"
-    return Kit(
-        [
-            painted(look, case, look.color),
-            painted(look, rim, dark, piece=1),
-            painted(look, ring, dark, piece=2),
-            painted(look, cover, dark, piece=8),
-        ],
-        [
-            painted(look, cavity.translate((0, 0, middle)), dark),
-            painted(look, grille.translate((speaker[0], front, speaker[1])), dark),
-            painted(look, vents.translate((0, -front, middle)), dark),
-            painted(look, basin, look.color, piece=3),
-            painted(look, face, look.accent, piece=4, decor=scale),
-        ],
-        [
-            painted(look, handle, dark, piece=5),
-            painted(look, needle, "b3301f", (0, 0, 1)),
-            painted(look, hub, dark),
-            *(painted(look, one, dark, (0, 0, 1), 6) for one in feet),
-            *(
-                painted(look, knob(0.056, 0.05, turn=turn).translate((x, front, 0.155)), "d9b27c", None, 7)
-                for x, turn in ((0.15, -30.0), (0.34, 50.0))
-            ),
-        ],
-    )
+    knobs = [
+        knob(0.056, 0.05, turn=turn).translate((x, front, 0.155)) for x, turn in ((0.15, -30.0), (0.34, 50.0))
+    ]
+    kit = Kit(look)
+    kit.body(look.color, case)
+    kit.body(dark, rim, piece=1)
+    kit.body(dark, ring, piece=2)
+    kit.body(dark, cover, piece=8)
+    kit.cut(dark, cavity.translate((0, 0, middle)), grille.translate((speaker[0], front, speaker[1])))
+    kit.cut(dark, vents.translate((0, -front, middle)))
+    kit.cut(look.color, basin, piece=3)
+    kit.cut(look.accent, face, piece=4, decor=scale)
+    kit.detail(dark, handle, piece=5)
+    kit.detail("b3301f", needle, axis=(0, 0, 1))
+    kit.detail(dark, hub)
+    kit.detail(dark, *feet, axis=(0, 0, 1), piece=6)
+    kit.detail("d9b27c", *knobs, axis=None, piece=7)
+    return kit
 
 
 def _clock(look: Look, plump: float) -> Kit:
@@ -295,18 +260,17 @@ def _clock(look: Look, plump: float) -> Kit:
         minutes = stroke((turn / 6 + 0.5) % 1.0 - 0.5, 0.08, 0.08) * stroke(r - 0.232, 0.006, 0.003)
         return over(paper, rgb(DARK), minutes * (np.abs(points[:, 1] - face) < 0.004))
 
-    return Kit(
-        [painted(look, drum, look.color), painted(look, lip, METAL), painted(look, back, METAL)],
-        [painted(look, recess, look.accent, decor=dial)],
-        [
-            *(painted(look, one, DARK) for one in (*marks, hour, minute)),
-            painted(look, pin, METAL),
-            *(painted(look, one, "d9b24c", None) for one in bells),
-            *(painted(look, one, METAL) for one in (handle, stem, *keys)),
-            painted(look, head, DARK),
-            *(painted(look, one, METAL) for one in stand),
-        ],
-    )
+    kit = Kit(look)
+    kit.body(look.color, drum)
+    kit.body(METAL, lip, back)
+    kit.cut(look.accent, recess, decor=dial)
+    kit.detail(DARK, *marks, hour, minute)
+    kit.detail(METAL, pin)
+    kit.detail("d9b24c", *bells, axis=None)
+    kit.detail(METAL, handle, stem, *keys)
+    kit.detail(DARK, head)
+    kit.detail(METAL, *stand)
+    return kit
 
 
 def _bell() -> manifold3d.Manifold:

@@ -1,7 +1,8 @@
 """Parts that appliances have in common: turned bodies, knobs, slots, rings; in sizes of the object."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import manifold3d
 import numpy as np
@@ -14,62 +15,64 @@ from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.textured import TexturedMesh
 
 SPACING = 1 / 30  #: distance between vertices of flats
+DARK, METAL = "2e2f33", "b9bdc2"
 SEGMENTS = 56  #: facets of a full circle
 
 #: Points (N, 3) in sizes of the object and colours (N, 3) -> decorated colours (N, 3).
 Decor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Kit:
-    """Parts of an object: what is cut from the bodies leaves the details whole."""
+    """Parts of an object, in its sizes: what is cut from the bodies leaves the details whole.
 
-    bodies: Sequence[PaintedPart]
-    cuts: Sequence[PaintedPart] = ()
-    details: Sequence[PaintedPart] = ()
+    Each method takes a colour, hexadecimal or None for that of the finish, solids, and how to paint them:
+    the ``axis`` of the grain, None to turn it about z; the number of the ``piece`` of material; and
+    ``decor``, painted over the finish.
+    """
 
-    def build(self, look: Look, texture_size: int) -> TexturedMesh:
+    look: Look
+    bodies: list[PaintedPart] = field(default_factory=list)
+    cuts: list[PaintedPart] = field(default_factory=list)
+    details: list[PaintedPart] = field(default_factory=list)
+
+    def body(self, color: str | None, *solids: manifold3d.Manifold, **how: Any) -> None:
+        """Add solids to the bodies."""
+        self.bodies += [self._painted(solid, color, **how) for solid in solids]
+
+    def cut(self, color: str | None, *solids: manifold3d.Manifold, **how: Any) -> None:
+        """Cut solids from the bodies; the cuts have their colour."""
+        self.cuts += [self._painted(solid, color, **how) for solid in solids]
+
+    def detail(self, color: str | None, *solids: manifold3d.Manifold, **how: Any) -> None:
+        """Add solids that nothing is cut from."""
+        self.details += [self._painted(solid, color, **how) for solid in solids]
+
+    def _painted(
+        self,
+        solid: manifold3d.Manifold,
+        color: str | None,
+        axis: Sequence[float] | None = (1.0, 0.0, 0.0),
+        piece: int = 0,
+        decor: Decor | None = None,
+    ) -> PaintedPart:
+        """Scale a solid to m, and dye it."""
+        size = self.look.size
+        plain = self.look.dyed(color).paint(axis, piece)
+
+        def paint(points: np.ndarray) -> np.ndarray:
+            colour = plain(points)
+            return colour if decor is None else decor(points / size, colour)
+
+        return PaintedPart.of(solid.scale((size, size, size)), paint)
+
+    def build(self, texture_size: int) -> TexturedMesh:
         """Unite the bodies, cut them, add the details, and paint the surface."""
-        parts = [*self.bodies, *self.cuts, *self.details]
         whole = union(self.bodies)
         if self.cuts:
             whole = whole - union(self.cuts)
         added = [PaintedPart(whole, self.bodies[0].paint), *self.details]
-        return assemble(union(added), parts, look, texture_size)
-
-
-def painted(
-    look: Look,
-    solid: manifold3d.Manifold,
-    color: str | None,
-    axis: Sequence[float] | None = (1.0, 0.0, 0.0),
-    piece: int = 0,
-    decor: Decor | None = None,
-) -> PaintedPart:
-    """Scale a solid from sizes of the object to m, and dye it.
-
-    Parameters
-    ----------
-    look : Look
-    solid : manifold3d.Manifold
-        In sizes of the object.
-    color : str, optional
-        Hexadecimal sRGB; default: that of the finish.
-    axis : sequence of 3 floats, optional
-        Direction of the grain; None turns it about z.
-    piece : int
-        Number of the piece of material.
-    decor : callable, optional
-        Painted over the finish.
-    """
-    size = look.size
-    plain = look.dyed(color).paint(axis, piece)
-
-    def paint(points: np.ndarray) -> np.ndarray:
-        colour = plain(points)
-        return colour if decor is None else decor(points / size, colour)
-
-    return PaintedPart.of(solid.scale((size, size, size)), paint)
+        return assemble(union(added), [*self.bodies, *self.cuts, *self.details], self.look, texture_size)
 
 
 def turned(profile: ArrayLike, coarse: float = 1e-3) -> manifold3d.Manifold:

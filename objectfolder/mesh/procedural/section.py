@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.revolution import arc_length, points_along
 
 SLIVER = 1e-6  #: width, m, of the strip that represents a curve before it is thickened
 ARC = 160  #: segments of a full circle in rounded corners
@@ -47,9 +48,7 @@ def rounded_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
 
 def evenly(curve: np.ndarray, pieces: int = 400) -> np.ndarray:
     """Resample a polyline (N, 2) at even distances; (pieces + 1, 2)."""
-    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
-    at = np.linspace(0, length[-1], pieces + 1)
-    return np.stack([np.interp(at, length, curve[:, k]) for k in (0, 1)], 1)
+    return points_along(curve, np.linspace(0, arc_length(curve)[-1], pieces + 1))
 
 
 def round_solid(half: np.ndarray) -> manifold3d.CrossSection:
@@ -101,10 +100,7 @@ def offset(section: manifold3d.CrossSection, distance: float) -> manifold3d.Cros
 def half_outline(section: manifold3d.CrossSection, generator: str) -> np.ndarray:
     """Return the dense profile (N, 2) of the half at positive radius, from the lower to the upper axis.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the section is not one piece without holes that meets the axis once.
+    Raises `ObjectFolderError` if the section is not one piece without holes that meets the axis once.
     """
     left, low, right, high = section.bounds()
     span = max(right - left, high - low)

@@ -5,13 +5,7 @@ import numpy as np
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import board, leg, timber
 from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_not_negative,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import bar
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -40,6 +34,8 @@ def table(
 ) -> TexturedMesh:
     """Build a table.
 
+    One closed surface; x and y about 0, z from 0 to ``height``.
+
     Parameters
     ----------
     length, width, height : float
@@ -60,37 +56,19 @@ def table(
         "legs", four, or "pillar", one with a round foot.
     bevel : float
         Radius of rounded edges, m; 0 leaves them sharp.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface; x and y about 0, z from 0 to ``height``.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is unknown or a dimension does not fit the others.
     """
-    require_positive(
-        "table", length=length, width=width, height=height, top=top, leg_size=leg_size, taper=taper
-    )
-    require_choice("table", ("rectangle", "oval"), shape=shape)
-    require_choice("table", ("legs", "pillar"), base=base)
-    require_between("table", width, 4 * width, "1 to 4 widths", length=length)
-    require_between("table", 0.2 * width, 3 * width, "0.2 to 3 widths", height=height)
-    require_between("table", 0.01 * length, 0.25 * height, "a top that bears itself", top=top)
-    require_between(
-        "table", 0.02 * length, 0.15 * width, "2 % of the length to 15 % of the width", leg_size=leg_size
-    )
-    require_between("table", 0.4, 1.0, "sizes of a leg", taper=taper)
-    require_not_negative("table", 0.15 * width, "so that the legs stay apart", overhang=overhang)
-    require_not_negative("table", 0.5 * (height - top), "half the height under the top", apron=apron)
-    require_not_negative("table", 0.2 * min(top, taper * leg_size), "a fifth of top and leg", bevel=bevel)
-    require_texture_size("table", texture_size)
+    check = Checks("table", texture_size)
+    check.positive(length=length, width=width, height=height, top=top, leg_size=leg_size, taper=taper)
+    check.choice(("rectangle", "oval"), shape=shape)
+    check.choice(("legs", "pillar"), base=base)
+    check.between(width, 4 * width, "1 to 4 widths", length=length)
+    check.between(0.2 * width, 3 * width, "0.2 to 3 widths", height=height)
+    check.between(0.01 * length, 0.25 * height, "a top that bears itself", top=top)
+    check.between(0.02 * length, 0.15 * width, "2 % of the length to 15 % of the width", leg_size=leg_size)
+    check.between(0.4, 1.0, "sizes of a leg", taper=taper)
+    check.not_negative(0.15 * width, "so that the legs stay apart", overhang=overhang)
+    check.not_negative(0.5 * (height - top), "half the height under the top", apron=apron)
+    check.not_negative(0.2 * min(top, taper * leg_size), "a fifth of top and leg", bevel=bevel)
 
     look = Look(finish, max(length, width, height), color, accent, seed)
     spacing = look.size / 40

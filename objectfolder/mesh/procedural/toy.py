@@ -10,13 +10,7 @@ from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, u
 from objectfolder.mesh.procedural.boards import board
 from objectfolder.mesh.procedural.extrusion import across, prism, regular, rounded, solid
 from objectfolder.mesh.procedural.finish import Paint
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_count,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -40,6 +34,8 @@ def toy(
 ) -> TexturedMesh:
     """Build a toy.
 
+    One closed surface, facing +x.
+
     Parameters
     ----------
     kind : str
@@ -50,28 +46,16 @@ def toy(
         Width relative to the default, 0.75 to 1.3.
     count : int
         Number of rings of a tower, 3 to 8.
-    finish, color, seed
-        See `objectfolder.mesh.procedural.finish.finish`; rings without a colour take rainbow colours.
+    color : str, optional
+        Rings without a colour take rainbow colours.
     accent : str, optional
         Colour of the wheels or the bill; rings grade from the colour to it.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface, facing +x.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the kind is unknown or a dimension is out of range.
     """
-    require_choice("toy", KINDS, kind=kind)
-    require_positive("toy", span=span, plump=plump)
-    require_between("toy", 0.75, 1.3, "usual widths", plump=plump)
-    require_count("toy", 3, 8, count=count)
-    require_texture_size("toy", texture_size)
+    check = Checks("toy", texture_size)
+    check.choice(KINDS, kind=kind)
+    check.positive(span=span, plump=plump)
+    check.between(0.75, 1.3, "usual widths", plump=plump)
+    check.count(3, 8, count=count)
 
     if kind == "rings":
         look = Look(finish, span, color, accent, seed)
@@ -125,9 +109,8 @@ def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar:
         beside = smoothstep(border - soft, border + soft, deep) * (y > 0.42 * width)
         if pillar is not None:
             beside = beside * (1 - stroke(points[:, 0] - pillar, border / 2, soft))
-        height = smoothstep(low - soft, low + soft, points[:, 2]) * smoothstep(
-            high + soft, high - soft, points[:, 2]
-        )
+        z = points[:, 2]
+        height = smoothstep(low - soft, low + soft, z) * smoothstep(high + soft, high - soft, z)
         ahead = height * smoothstep(width / 2 - border + soft, width / 2 - border - soft, y)
         ahead = ahead * (deep < 0.7 * border)
         return over(colour, glass * (0.9 + 0.1 * colour), np.maximum(beside, ahead))
@@ -138,24 +121,13 @@ def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar:
 def _car(look: Look, span: float, plump: float) -> list[PaintedPart]:
     s, width = span, 0.46 * span * plump
     spacing, r = span / 36, 0.125 * span
-    hull = rounded(
-        [
-            (-0.5 * s, 0.09 * s),
-            (0.5 * s, 0.09 * s),
-            (0.5 * s, 0.22 * s),
-            (0.46 * s, 0.27 * s),
-            (-0.48 * s, 0.29 * s),
-            (-0.5 * s, 0.26 * s),
-        ],
-        0.045 * s,
-    )
-    cabin_corners = [(-0.36 * s, 0.2 * s), (0.29 * s, 0.2 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
+    x, z = [-0.5, 0.5, 0.5, 0.46, -0.48, -0.5], [0.09, 0.09, 0.22, 0.27, 0.29, 0.26]
+    hull = rounded(s * np.stack([x, z], 1), 0.045 * s)
+    cabin_corners = s * np.array([(-0.36, 0.2), (0.29, 0.2), (0.13, 0.44), (-0.27, 0.44)])
     cabin_width = 0.86 * width
     cabin = across([rounded(cabin_corners, 0.045 * s)], cabin_width, spacing, 0.03 * s)
     body = look.dyed(look.color).paint((1, 0, 0))
-    windows = np.array(
-        [(-0.33 * s, 0.27 * s), (0.245 * s, 0.27 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
-    )
+    windows = s * np.array([(-0.33, 0.27), (0.245, 0.27), (0.13, 0.44), (-0.27, 0.44)])
     return [
         PaintedPart.of(across([hull], width, spacing, 0.032 * s), body),
         PaintedPart.of(cabin, _glazed(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
@@ -168,19 +140,9 @@ def _car(look: Look, span: float, plump: float) -> list[PaintedPart]:
 def _truck(look: Look, span: float, plump: float) -> list[PaintedPart]:
     s, width = span, 0.40 * span * plump
     spacing, r = span / 36, 0.085 * span
-    frame = rounded(
-        [(-0.5 * s, 0.08 * s), (0.5 * s, 0.08 * s), (0.5 * s, 0.16 * s), (-0.5 * s, 0.16 * s)], 0.02 * s
-    )
-    cab_corners = [
-        (0.16 * s, 0.12 * s),
-        (0.49 * s, 0.12 * s),
-        (0.49 * s, 0.27 * s),
-        (0.43 * s, 0.45 * s),
-        (0.16 * s, 0.45 * s),
-    ]
-    windows = np.array(
-        [(0.16 * s, 0.255 * s), (0.50 * s, 0.255 * s), (0.43 * s, 0.45 * s), (0.16 * s, 0.45 * s)]
-    )
+    frame = rounded(s * np.array([(-0.5, 0.08), (0.5, 0.08), (0.5, 0.16), (-0.5, 0.16)]), 0.02 * s)
+    cab_corners = s * np.array([(0.16, 0.12), (0.49, 0.12), (0.49, 0.27), (0.43, 0.45), (0.16, 0.45)])
+    windows = s * np.array([(0.16, 0.255), (0.50, 0.255), (0.43, 0.45), (0.16, 0.45)])
     body = look.dyed(look.color).paint((1, 0, 0))
     load = look.dyed("f2c83b")
     x, y, z, t = (-0.49 * s, 0.11 * s), width / 2, (0.14 * s, 0.35 * s), 0.025 * s

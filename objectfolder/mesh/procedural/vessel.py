@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import manifold3d
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural.atlas import Chart, pack_charts
 from objectfolder.mesh.procedural.extrusion import solid
 from objectfolder.mesh.procedural.finish import Finish, Paint, finish
-from objectfolder.mesh.procedural.parameters import require_between
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.revolution import revolve
 from objectfolder.mesh.procedural.section import COARSE, even_rows, split_at_lip
 from objectfolder.mesh.procedural.solid import Patch, coincident, textured, weld_patches
@@ -41,21 +40,11 @@ def vessel_finish(
     accent: str | None = None,
     seed: int = 0,
 ) -> VesselFinish:
-    """Return the finish of a vessel.
+    """Return the finish of a vessel; its name, colours and seed are those of `finish`.
 
     A glazed vessel is dipped: the accent covers the inside and runs over the lip, and the foot stays bare.
-    Any other finish is the same on both sides.
-
-    Parameters
-    ----------
-    name, color, accent, seed
-        As for ``finish``.
-    size : float
-        Longest side of the vessel, m.
-    lip : float
-        Height of the lip, m.
-    foot : float
-        Height up to which the foot is bare, m.
+    Any other finish is the same on both sides. ``size`` is the vessel's longest side, ``lip`` the height of
+    its lip, and ``foot`` that up to which the foot is bare, m.
     """
     body = finish(name, size, color, accent if name != "glaze" else None, seed)
     if name != "glaze":
@@ -97,35 +86,17 @@ def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, 
 
 
 def lobed(
-    generator: str,
-    lobes: int,
-    depth: float,
-    weight: Callable[[np.ndarray], np.ndarray],
-    twist: float = 0.0,
+    check: Checks, lobes: int, depth: float, weight: Callable[[np.ndarray], np.ndarray], twist: float = 0.0
 ) -> Warp | None:
     """Return the warp of a round vessel into ``lobes`` lobes, or None without lobes.
 
-    Parameters
-    ----------
-    lobes : int
-        Number of lobes, 0 for none.
-    depth : float
-        Amplitude, in radii.
-    weight : callable
-        Maps points (N, 3) to factors (N,) on the amplitude, in [0, 1].
-    twist : float
-        Rotation of the lobes with height, turns per metre.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the number of lobes is not 0 or 3 to 12, or the depth exceeds 0.1.
+    ``depth`` is their amplitude in radii, on which ``weight`` maps points (N, 3) to factors (N,) in [0, 1];
+    ``twist`` rotates them with height, in turns per metre.
     """
-    if not isinstance(lobes, int) or isinstance(lobes, bool) or (lobes and not 3 <= lobes <= 12):
-        raise ObjectFolderError(
-            f"{generator}: lobes={lobes!r}: expected 0 (round) or a whole number from 3 to 12"
-        )
-    require_between(generator, 0.0, 0.1, "a share of the radius", lobe_depth=depth)
+    whole = isinstance(lobes, int) and not isinstance(lobes, bool)
+    if not whole or (lobes and not 3 <= lobes <= 12):
+        check.refuse("lobes", lobes, "0 (round) or a whole number from 3 to 12")
+    check.between(0.0, 0.1, "a share of the radius", lobe_depth=depth)
     if not lobes or not depth:
         return None
 

@@ -5,12 +5,7 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.textured import TexturedMesh
 
 ENDS = ("combination", "open", "ring")
@@ -34,6 +29,8 @@ def wrench(
 ) -> TexturedMesh:
     """Build a wrench.
 
+    One closed surface along x about the origin, its lower side on z = 0.
+
     Parameters
     ----------
     length : float
@@ -44,28 +41,12 @@ def wrench(
         Thickness of the bar outside its recessed panels, m; heads are thicker.
     ends : str
         "combination" of open jaws and a ring, "open" or "ring" at both ends.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface along x about the origin, its lower side on z = 0.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is unknown or a dimension does not fit the others.
     """
-    require_positive("wrench", length=length, flats=flats, thickness=thickness)
-    require_choice("wrench", ENDS, ends=ends)
-    require_between("wrench", 6 * flats, 30 * flats, "6 to 30 widths of the nut", length=length)
-    require_between(
-        "wrench", 0.2 * flats, 0.7 * flats, "20 % to 70 % of the nut's width", thickness=thickness
-    )
-    require_texture_size("wrench", texture_size)
+    check = Checks("wrench", texture_size)
+    check.positive(length=length, flats=flats, thickness=thickness)
+    check.choice(ENDS, ends=ends)
+    check.between(6 * flats, 30 * flats, "6 to 30 widths of the nut", length=length)
+    check.between(0.2 * flats, 0.7 * flats, "20 % to 70 % of the nut's width", thickness=thickness)
 
     look = Look(finish, length + 2 * flats, color, accent, seed)
     spacing = length / 60
