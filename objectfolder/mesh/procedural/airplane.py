@@ -90,11 +90,6 @@ def _pair(span: float, chord: float, thickness: float, sweep: float) -> manifold
     out = np.abs(y)
     end = np.sqrt(np.maximum(1 - np.clip((out - 1 + BLUNT) / BLUNT, 0, 1) ** 2, 0.02))
     path = np.stack([0 * y, span / 2 * y, 0 * y], 1)
-    made = tube(
-        path,
-        chord * (1 - (1 - TIP) * out) * end,
-        thickness * (1 - 0.5 * out) * np.sqrt(end),
-        (1.0, 0.0, 0.0),
-        segments=36,
-    )
+    width, height = chord * (1 - (1 - TIP) * out) * end, thickness * (1 - 0.5 * out) * np.sqrt(end)
+    made = tube(path, width, height, (1.0, 0.0, 0.0), segments=36)
     return made.warp_batch(lambda p: p - np.outer(2 * sweep / span * np.abs(p[:, 1]), [1, 0, 0]))

@@ -79,14 +79,8 @@ def _lengthwise(solid: manifold3d.Manifold) -> manifold3d.Manifold:
 def _toaster(look: Look, plump: float) -> Kit:
     """Build a toaster with slots into a hollow body; lever and dial are on its end at +x."""
     half, shift = 0.25 * plump, -0.035  # half the width; the body's centre along x
-    corners = [
-        (-half, 0.05),
-        (half, 0.05),
-        (half, 0.44),
-        (0.66 * half, 0.60),
-        (-0.66 * half, 0.60),
-        (-half, 0.44),
-    ]
+    x, z = [-1, 1, 1, 0.66, -0.66, -1], [0.05, 0.05, 0.44, 0.60, 0.60, 0.44]
+    corners = np.stack([x, z], 1) * [half, 1]
     outline = rounded(corners, 0.10)
     body = _lengthwise(across([outline], 0.90, SPACING, 0.075, 4)).translate((shift, 0, 0))
     hollow = _lengthwise(across([inset(outline, 0.04)], 0.78, 2 * SPACING)).translate((shift - 0.02, 0, 0))
@@ -200,16 +194,9 @@ def _iron(look: Look, plump: float) -> Kit:
     def lean(points: np.ndarray) -> np.ndarray:
         up = np.clip((points[:, 2] - 0.09) / 0.175, 0, 1)
         front = np.clip((points[:, 0] + 0.10) / 0.5, 0, 1)
-        drop = 1 - 0.42 * up * front
-        narrow = 1 - 0.34 * up
-        return np.stack(
-            [
-                -0.28 + (points[:, 0] + 0.28) * (1 - 0.20 * up),
-                points[:, 1] * narrow,
-                0.045 + (points[:, 2] - 0.045) * drop,
-            ],
-            1,
-        )
+        x = -0.28 + (points[:, 0] + 0.28) * (1 - 0.20 * up)
+        z = 0.045 + (points[:, 2] - 0.045) * (1 - 0.42 * up * front)
+        return np.stack([x, points[:, 1] * (1 - 0.34 * up), z], 1)
 
     body = body.warp_batch(lean)
     grip = loop([(-0.29, 0.20), (-0.32, 0.44), (0.10, 0.425), (0.17, 0.16)], 0.09, 0.105 * plump, 0.085, 2.6)

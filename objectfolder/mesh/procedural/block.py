@@ -93,19 +93,16 @@ def block(
 
     shapes = [_shape(hole, k, diameter / 2) for k in range(len(centres))]
     bored = [shape[::-1] + centre for shape, centre in zip(shapes, centres)]
-    cover = _bored(
-        skin, centres, diameter / 2, rounding, height, None if accent is None else look.dyed(accent).paint()
-    )
+    inside = None if accent is None else look.dyed(accent).paint()
+    cover = _bored(skin, centres, diameter / 2, rounding, height, inside)
     parts = [PaintedPart.of(prism([outline, *bored], height, spacing, rounding, 2), cover)]
     if depth is not None and not through:
         # A plug wider than the hole's rounded rim but narrower than the pitch.
         grow = 1 + 0.5 * (pitch - diameter) / diameter
         floor = height - depth
-        plugs = [
-            prism([shape * grow], floor, spacing).translate((*centre, 0))
-            for shape, centre in zip(shapes, centres)
-        ]
-        parts += [PaintedPart.of(plug, cover) for plug in plugs]
+        for shape, centre in zip(shapes, centres):
+            plug = prism([shape * grow], floor, spacing).translate((*centre, 0))
+            parts.append(PaintedPart.of(plug, cover))
     return assemble(union(parts), parts, look, texture_size)
 
 

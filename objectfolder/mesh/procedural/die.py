@@ -69,13 +69,9 @@ def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
         def locate(xy: np.ndarray, axes: np.ndarray = axes) -> np.ndarray:
             return lift + _rounded_face(xy - border, flat, fillet) @ axes.T
 
-        lines = np.concatenate(
-            [
-                np.linspace(-border, -flat, FILLET_CELLS, endpoint=False),
-                np.linspace(-flat, flat, FLAT_CELLS, endpoint=False),
-                np.linspace(flat, border, FILLET_CELLS + 1),
-            ]
-        )
+        rounded = np.linspace(-border, -flat, FILLET_CELLS, endpoint=False)
+        level = np.linspace(-flat, flat, FLAT_CELLS, endpoint=False)
+        lines = np.concatenate([rounded, level, np.linspace(flat, border, FILLET_CELLS + 1)])
         n = len(lines)
         xy = np.stack(np.meshgrid(lines, lines, indexing="ij"), 2).reshape(-1, 2) + border
         i, j = (m.ravel() for m in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
@@ -106,13 +102,9 @@ def _rounded_face(xy: np.ndarray, flat: float, fillet: float) -> np.ndarray:
 
 def _pip_centres(edge: float) -> np.ndarray:
     """Return the centres (21, 3) of the pips' rims, m."""
-    return np.array(
-        [
-            axes @ [PIP_PITCH * edge * x, PIP_PITCH * edge * y, edge / 2] + [0, 0, edge / 2]
-            for value, axes in FACES.items()
-            for x, y in PIPS[value]
-        ]
-    )
+    places = [(axes, x, y) for value, axes in FACES.items() for x, y in PIPS[value]]
+    pitch, half = PIP_PITCH * edge, edge / 2
+    return np.array([axes @ [pitch * x, pitch * y, half] + [0, 0, half] for axes, x, y in places])
 
 
 def _drill(edge: float, place: np.ndarray, axes: np.ndarray, border: float, chart: int) -> list[Patch]:

@@ -90,9 +90,8 @@ def pan(
     thickness = handle_thickness * (1 - 0.25 * smoothstep(0.3, 0.9, t)) * np.sqrt(blunt)
     handle = tube(path, width, thickness, (0.0, 1.0, 0.0), segments=32, squareness=2.6)
     eye = stop - 0.75 * handle_width
-    drill = manifold3d.Manifold.cylinder(
-        4 * handle_width, HOLE * handle_width, circular_segments=48, center=True
-    ).translate((eye, 0.0, float(np.interp(eye, path[:, 0], path[:, 2]))))
+    drill = manifold3d.Manifold.cylinder(4 * handle_width, HOLE * handle_width, -1.0, 48, center=True)
+    drill = drill.translate((eye, 0.0, float(np.interp(eye, path[:, 0], path[:, 2]))))
 
     size = 2 * radius + handle_length
     look = Look(finish, size, color, accent, seed)
@@ -100,9 +99,6 @@ def pan(
     grip = Look(handle_finish or finish, size, handle_color or own, None, seed)
     # The pan has the rings of turned metal, the handle is brushed lengthwise.
     paint = grip.paint((1.0, 0.0, 0.0))
-    body, bar, hole = (
-        PaintedPart.of(shell, look.paint()),
-        PaintedPart.of(handle - core, paint),
-        PaintedPart.of(drill, paint),
-    )
+    body = PaintedPart.of(shell, look.paint())
+    bar, hole = PaintedPart.of(handle - core, paint), PaintedPart.of(drill, paint)
     return assemble(body.solid + bar.solid - hole.solid, [body, bar, hole], look, texture_size)

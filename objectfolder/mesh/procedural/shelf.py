@@ -123,10 +123,6 @@ def _fronts(
     radius = 0.75 * t
     knob = prism([regular(20, radius)], 1.5 * t, spacing, 0.35 * radius, 2).rotate((90, 0, 0))
     for k, (at, z) in enumerate(knobs):
-        place = knob.translate((at, near + 0.5 * t, z))
-        parts.append(
-            PaintedPart.of(
-                place, timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius)
-            )
-        )
+        grain = timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius)
+        parts.append(PaintedPart.of(knob.translate((at, near + 0.5 * t, z)), grain))
     return parts

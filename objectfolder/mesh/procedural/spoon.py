@@ -72,21 +72,17 @@ def spoon(
     outer = ball.scale((a, b, depth))
     inner = ball.scale((a - wall, b - wall, depth - wall))
     # Extends upwards, to remove the handle's root from the bowl.
-    opening = inner + manifold3d.Manifold.hull(
-        inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth)
-        + inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth).translate((0, 0, size))
-    )
+    rim = inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth)
+    opening = inner + manifold3d.Manifold.hull(rim + rim.translate((0, 0, size)))
 
     def pointed(points: np.ndarray) -> np.ndarray:
         narrow = 1 + point * np.clip(points[:, 0] / a, -1, 0.35)
         return points * np.column_stack([np.ones_like(narrow), narrow, np.ones_like(narrow)])
 
     metal = look.paint((1, 0, 0))
-    parts = [
-        PaintedPart.of(outer.warp_batch(pointed), metal),
-        PaintedPart.of(_handle(a, length - a, wall, handle_width, rise, hook), metal),
-        PaintedPart.of(opening.warp_batch(pointed), metal),
-    ]
+    handle = _handle(a, length - a, wall, handle_width, rise, hook)
+    solids = (outer.warp_batch(pointed), handle, opening.warp_batch(pointed))
+    parts = [PaintedPart.of(solid, metal) for solid in solids]
     whole = parts[0].solid + parts[1].solid - parts[2].solid
     return assemble(whole.translate((0, 0, depth)), parts, look, texture_size)
 

@@ -114,13 +114,10 @@ def _pillar(
     disc = prism([regular(SIDES, 0.30 * across)], foot, spacing, 4 * bevel)
     plate = prism([regular(SIDES, 2.2 * radius)], 1.5 * collar, spacing, bevel)
     pillar = bar((0, 0, 0.5 * foot), (0, 0, under + SUNK * top), (2.0 * radius, 1.7 * radius), spacing, 48)
+    plate = plate.translate((0, 0, under - collar))
+    level, upright = np.eye(3), np.eye(3)[:, [2, 0, 1]]
     return [
-        PaintedPart.of(disc, timber(look, 11, np.array([0, 0, foot / 2]), np.eye(3), 0.6 * across)),
-        PaintedPart.of(
-            plate.translate((0, 0, under - collar)),
-            timber(look, 14, np.array([0, 0, under]), np.eye(3), 4 * radius),
-        ),
-        PaintedPart.of(
-            pillar, timber(look, 15, np.array([0, 0, under / 2]), np.eye(3)[:, [2, 0, 1]], 2 * radius)
-        ),
+        PaintedPart.of(disc, timber(look, 11, np.array([0, 0, foot / 2]), level, 0.6 * across)),
+        PaintedPart.of(plate, timber(look, 14, np.array([0, 0, under]), level, 4 * radius)),
+        PaintedPart.of(pillar, timber(look, 15, np.array([0, 0, under / 2]), upright, 2 * radius)),
     ]

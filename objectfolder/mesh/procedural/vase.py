@@ -53,13 +53,9 @@ def vase(
     check.positive(radius=radius, height=height, wall=wall, base_radius=base_radius, neck_radius=neck_radius)
     check.positive(lip_radius=lip_radius)
     check.between(1.2 * radius, 8 * radius, "1.2 to 8 radii", height=height)
-    for name, value in {
-        "base_radius": base_radius,
-        "neck_radius": neck_radius,
-        "lip_radius": lip_radius,
-    }.items():
-        check.between(0.2 * radius, radius, "20 % to 100 % of the radius", **{name: value})
-    narrow = min(base_radius, neck_radius, lip_radius)
+    others = {"base_radius": base_radius, "neck_radius": neck_radius, "lip_radius": lip_radius}
+    check.between(0.2 * radius, radius, "20 % to 100 % of the radius", **others)
+    narrow = min(others.values())
     check.between(0.02 * radius, 0.25 * narrow, "2 % of the radius to a quarter of the narrowest", wall=wall)
     check.between(0.2, 0.8, "a share of the height", belly=belly)
     check.between(belly + 0.1, 0.95, "a share of the height above the belly", neck=neck)

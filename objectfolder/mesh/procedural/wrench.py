@@ -74,10 +74,8 @@ def wrench(
         head = prism([regular(72, 1.03 * radius)], HEAD * thickness, spacing, 0.2 * thickness, 2)
         parts.append(PaintedPart.of(head.translate((x, 0, 0)), metal))
         outline = _jaws(s, radius, k) if kind == "open" else _star(s)
-        bite = prism(_rings(outline), 2 * HEAD * thickness, spacing).translate(
-            (x, 0, -0.5 * HEAD * thickness)
-        )
-        cuts.append(PaintedPart.of(bite, metal))
+        bite = prism(_rings(outline), 2 * HEAD * thickness, spacing)
+        cuts.append(PaintedPart.of(bite.translate((x, 0, -0.5 * HEAD * thickness)), metal))
     # Panels on both sides of the bar.
     ends_of_bar = middles[0] + 1.6 * radii[0], middles[1] - 1.6 * radii[1]
     span, across = ends_of_bar[1] - ends_of_bar[0], 0.8 * min(half)
@@ -96,9 +94,8 @@ def _rings(shape: manifold3d.CrossSection) -> list[np.ndarray]:
 def _jaws(size: float, radius: float, end: int) -> manifold3d.CrossSection:
     """Build the slot of the first (0) or second (1) end, open away from the bar."""
     turn = np.pi * (1 - end) + JAW_ANGLE
-    slot = manifold3d.CrossSection(
-        [rectangle(2.5 * radius, size) + np.array([1.25 * radius - 0.1 * size, 0])]
-    )
+    shift = np.array([1.25 * radius - 0.1 * size, 0])
+    slot = manifold3d.CrossSection([rectangle(2.5 * radius, size) + shift])
     seat = manifold3d.CrossSection([regular(6, size / np.sqrt(3))])
     return (slot + seat).rotate(np.rad2deg(turn))
 
