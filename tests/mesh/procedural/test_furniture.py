@@ -2,14 +2,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from assembled import check_charts, check_charts_apart, check_solid, check_texture, crossings, welded
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
-from procedural_cases import FURNITURE, SMALL
+from assembled import crossings, welded
+from procedural_cases import SMALL
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.mesh.procedural.extrusion import (
     across,
@@ -25,29 +22,6 @@ from objectfolder.mesh.procedural.shelf import shelf, shelf_levels
 from objectfolder.mesh.procedural.stool import stool
 from objectfolder.mesh.procedural.sweep import bar
 from objectfolder.mesh.procedural.table import table
-
-
-@pytest.fixture(scope="module", params=list(FURNITURE))
-def made(request):
-    generator, parameters = FURNITURE[request.param]
-    return GENERATORS[generator](**parameters, texture_size=SMALL)
-
-
-def test_furniture_is_one_closed_solid_with_a_texture_of_its_own(made):
-    check_solid(made)
-    check_charts(made)
-    check_charts_apart(made)
-    check_texture(made)
-    assert 1000 <= len(made.faces) <= 20_500
-
-
-def test_vertices_are_even_enough_to_strike_anywhere(made):
-    """No edge is long against the object, flats included."""
-    corners = made.vertices[made.faces]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    size = np.ptp(made.bounds, axis=0).max()
-    assert edges.max() < 0.18 * size
-    assert np.quantile(edges, 0.98) < 0.09 * size
 
 
 def test_a_board_of_another_seed_is_another_piece_of_wood():
@@ -236,82 +210,3 @@ def test_twice_the_size_is_eight_times_the_volume():
         for scale in (1, 2)
     )
     assert two == pytest.approx(8 * one, rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("build", "parameters", "words"),
-    [
-        (table, {"length": 0.0}, r"table: length=0\.0.*positive"),
-        (table, {"length": 9.0}, "table: length=9.0.*expected"),
-        (table, {"leg_size": 0.3}, "leg_size=0.3.*expected"),
-        (table, {"bevel": 0.03}, "bevel=0.03.*expected"),
-        (table, {"apron": 0.6}, "apron=0.6.*expected"),
-        (table, {"shape": "star"}, "shape='star'.*rectangle, oval"),
-        (table, {"base": "one"}, "base='one'.*legs, pillar"),
-        (table, {"finish": "gold"}, "unknown finish 'gold'"),
-        (table, {"texture_size": 64}, "texture_size=64.*charts"),
-        (stool, {"legs": 2}, "legs=2.*whole number from 3 to 6"),
-        (stool, {"legs": 3.5}, "legs=3.5.*whole number"),
-        (stool, {"splay": float("nan")}, "splay=nan.*expected"),
-        (stool, {"rung_height": 0.44}, "rung_height=0.44.*clear of the seat"),
-        (stool, {"color": "red"}, "color='red'.*hexadecimal"),
-        (shelf, {"bays": 0}, "bays=0.*whole number from 1 to 8"),
-        (shelf, {"bays": 8, "height": 0.5, "width": 0.5}, "height=0.5.*room for those bays"),
-        (shelf, {"back": 0.001}, "back=0.001.*expected"),
-        (shelf, {"front": "glass"}, "front='glass'.*open, doors, drawers"),
-        (shelf, {"board_thickness": 0.1}, "board_thickness=0.1.*expected"),
-    ],
-)
-def test_impossible_requests_are_refused(build, parameters, words):
-    with pytest.raises(ObjectFolderError, match=words):
-        build(**parameters)
-
-
-unit = st.floats(0, 1)
-
-
-@pytest.mark.slow
-@settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
-@given(st.floats(0.4, 1.2), unit, unit, unit, unit, st.sampled_from(["rectangle", "oval"]), st.booleans())
-def test_any_sane_table_is_solid(width, long, high, thick, slim, shape, pillar):
-    length = width * (1 + 1.5 * long)
-    height = width * (0.4 + high)
-    top = 0.01 * length + thick * (0.2 * height - 0.01 * length)
-    leg = 0.03 * length + slim * (0.14 * width - 0.03 * length)
-    apron, overhang = 0.2 * thick * (height - top), 0.15 * width * slim
-    base = "pillar" if pillar else "legs"
-    sizes = (length, width, height, top, leg, apron, overhang, 0.4 + 0.6 * high)
-    mesh = table(*sizes, shape, base, 0.0, texture_size=SMALL)
-    check_solid(mesh)
-    check_charts(mesh)
-
-
-@pytest.mark.slow
-@settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
-@given(st.floats(0.2, 0.5), unit, unit, unit, unit, st.integers(3, 6))
-def test_any_sane_stool_is_solid(diameter, high, thick, slim, wide, legs):
-    height = diameter * (0.6 + 2.2 * high)
-    seat = 0.05 * diameter + thick * (0.2 * height - 0.05 * diameter)
-    leg = diameter * (0.05 + 0.1 * slim)
-    rung = leg + thick * (0.69 * (height - seat) - leg) if wide > 0.3 else 0
-    mesh = stool(
-        diameter, height, seat, leg, legs, 0.3 * height * wide, rung, 0.25 * seat * slim, texture_size=SMALL
-    )
-    check_solid(mesh)
-    check_charts(mesh)
-
-
-@pytest.mark.slow
-@settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase.generate])
-@given(
-    st.floats(0.4, 1.5), unit, unit, unit, st.integers(1, 6), st.sampled_from(["open", "doors", "drawers"])
-)
-def test_any_sane_shelf_is_solid(width, deep, high, thick, bays, front):
-    depth, height = width * (0.3 + 0.5 * deep), width * (0.9 + high)
-    t = 0.013 * max(width, height) + thick * 0.008 * width
-    if t > 0.12 * depth or bays > height / (5 * t):
-        return
-    mesh = shelf(width, depth, height, t, 0.5 * t * (1 + thick) if deep > 0.4 else 0, bays, front,
-                 0.1 * height * high, 0.1 * t * thick, texture_size=SMALL)  # fmt: skip
-    check_solid(mesh)
-    check_charts(mesh)
