@@ -80,24 +80,17 @@ def _toaster(look: Look, plump: float) -> Kit:
     """Build a toaster with slots into a hollow body; lever and dial are on its end at +x."""
     half, shift = 0.25 * plump, -0.035  # half the width; the body's centre along x
     x, z = [-1, 1, 1, 0.66, -0.66, -1], [0.05, 0.05, 0.44, 0.60, 0.60, 0.44]
-    corners = np.stack([x, z], 1) * [half, 1]
-    outline = rounded(corners, 0.10)
+    outline = rounded(np.stack([x, z], 1) * [half, 1], 0.10)
     body = _lengthwise(across([outline], 0.90, SPACING, 0.075, 4)).translate((shift, 0, 0))
     hollow = _lengthwise(across([inset(outline, 0.04)], 0.78, 2 * SPACING)).translate((shift - 0.02, 0, 0))
     base = prism([rectangle(0.93, 2.1 * half, 0.11)], 0.055, SPACING, 0.015).translate((shift, 0, 0.03))
-    feet = [
-        rounded_disc(0.05, 0.06, 0.008, 28).translate((shift + x * 0.36, y * 0.66 * half, 0))
-        for x, y in product((-1, 1), repeat=2)
-    ]
+    foot, corners = rounded_disc(0.05, 0.06, 0.008, 28), product((-1, 1), repeat=2)
+    feet = [foot.translate((shift + x * 0.36, y * 0.66 * half, 0)) for x, y in corners]
     sides = [0.42 * half, -0.42 * half]
-    rims = [
-        prism([rectangle(0.71, 0.155 * plump, 0.05)], 0.10, SPACING, 0.010, 2).translate((shift, y, 0.515))
-        for y in sides
-    ]
-    openings = [
-        prism([rectangle(0.64, 0.085 * plump, 0.03)], 0.30, SPACING).translate((shift, y, 0.40))
-        for y in sides
-    ]
+    rim = prism([rectangle(0.71, 0.155 * plump, 0.05)], 0.10, SPACING, 0.010, 2)
+    rims = [rim.translate((shift, y, 0.515)) for y in sides]
+    opening = prism([rectangle(0.64, 0.085 * plump, 0.03)], 0.30, SPACING)
+    openings = [opening.translate((shift, y, 0.40)) for y in sides]
     ribs = bars([0.56, 0.60, 0.56], 0.028, 0.056, 2 * half + 0.024, 0.008).translate((shift, 0, 0.235))
 
     end = shift + 0.45
@@ -121,10 +114,8 @@ def _toaster(look: Look, plump: float) -> Kit:
 def _lantern(look: Look, plump: float) -> Kit:
     """Build a lantern: a tank, a ribbed lamp behind four posts with guard rings, a cap and a ring."""
     w = plump
-    tank = np.array(
-        [[0, 0], [0.27, 0], [0.27, 0.05], [0.235, 0.06], [0.235, 0.17], [0.13, 0.25], [0.13, 0.29], [0, 0.29]]
-    )
-    tank = rounded_polyline(tank * [w, 1], np.array([0.02, 0.02, 0.02, 0.06, 0.04, 0.015]))
+    r, z = [0, 0.27, 0.27, 0.235, 0.235, 0.13, 0.13, 0], [0, 0, 0.05, 0.06, 0.17, 0.25, 0.29, 0.29]
+    tank = rounded_polyline(np.stack([r, z], 1) * [w, 1], np.array([0.02, 0.02, 0.02, 0.06, 0.04, 0.015]))
     t = np.linspace(0, np.pi, 40)
     globe = np.stack([w * (0.115 + 0.07 * np.sin(t) ** 0.8), 0.28 + 0.31 * t / np.pi], 1)
     globe = turned(np.concatenate([[[0, 0.28]], globe, [[0, 0.59]]]), 6e-4)
@@ -135,25 +126,21 @@ def _lantern(look: Look, plump: float) -> Kit:
         scale = 1 + 0.035 * swell * np.cos(14 * turn)
         return points * np.stack([scale, scale, np.ones_like(scale)], 1)
 
-    cap = rounded_polyline(
-        np.array([[0, 0.575], [0.265 * w, 0.575], [0.265 * w, 0.615], [0.135 * w, 0.70], [0.115 * w, 0.765],
-                  [0.165 * w, 0.775], [0.15 * w, 0.81], [0.04, 0.85], [0.035, 0.885], [0, 0.885]]),
-        np.array([0.015, 0.015, 0.03, 0.02, 0.012, 0.02, 0.03, 0.012]),
-    )  # fmt: skip
+    r = np.array([0, 0.265, 0.265, 0.135, 0.115, 0.165, 0.15]) * w
+    z = [0.575, 0.575, 0.615, 0.70, 0.765, 0.775, 0.81, 0.85, 0.885, 0.885]
+    cap = np.stack([np.append(r, [0.04, 0.035, 0]), z], 1)
+    cap = rounded_polyline(cap, np.array([0.015, 0.015, 0.03, 0.02, 0.012, 0.02, 0.03, 0.012]))
     radius, wire = 0.222 * w, 0.027
-    posts = [
-        bar((radius * np.cos(a), radius * np.sin(a), 0.14), (radius * np.cos(a), radius * np.sin(a), 0.60),
-            (1.3 * wire, 1.3 * wire), SPACING, 16)
-        for a in np.pi / 4 + np.pi / 2 * np.arange(4)
-    ]  # fmt: skip
+    posts = []
+    for a in np.pi / 4 + np.pi / 2 * np.arange(4):
+        x, y = radius * np.cos(a), radius * np.sin(a)
+        posts.append(bar((x, y, 0.14), (x, y, 0.60), (1.3 * wire, 1.3 * wire), SPACING, 16))
     guards = [torus(radius, wire, 12).translate((0, 0, z)) for z in (0.375, 0.495)]
     lug = 0.082
     ring = torus(lug, 0.04).rotate((90, 0, 0)).translate((0, 0, 0.98 - lug))
     burner = torus(0.13 * w, 0.03, 12).translate((0, 0, 0.27))
-    holes = [
-        manifold3d.Manifold.sphere(0.022, 20).translate((0.126 * w * np.cos(a), 0.126 * w * np.sin(a), 0.735))
-        for a in 2 * np.pi * np.arange(8) / 8
-    ]
+    drill, turns = manifold3d.Manifold.sphere(0.022, 20), 2 * np.pi * np.arange(8) / 8
+    holes = [drill.translate((0.126 * w * np.cos(a), 0.126 * w * np.sin(a), 0.735)) for a in turns]
     wick = manifold3d.Manifold.sphere(1.0, 24).scale((0.035, 0.05, 0.05)).translate((0.24 * w, 0, 0.115))
 
     def glow(points: np.ndarray, colour: np.ndarray) -> np.ndarray:
@@ -200,10 +187,9 @@ def _iron(look: Look, plump: float) -> Kit:
 
     body = body.warp_batch(lean)
     grip = loop([(-0.29, 0.20), (-0.32, 0.44), (0.10, 0.425), (0.17, 0.16)], 0.09, 0.105 * plump, 0.085, 2.6)
+    drill = manifold3d.Manifold.cylinder(0.05, 0.014, circular_segments=16)
     holes = [
-        manifold3d.Manifold.cylinder(0.05, 0.014, circular_segments=16).translate(
-            (0.40 - 0.075 * k, s * y, -0.025)
-        )
+        drill.translate((0.40 - 0.075 * k, s * y, -0.025))
         for k, y in enumerate([0.0, 0.035, 0.065, 0.09, 0.105, 0.115])
         for s in ((-1, 1) if y > 0 else (1,))
     ]
@@ -211,15 +197,10 @@ def _iron(look: Look, plump: float) -> Kit:
     mark = prism([rectangle(0.06, 0.018, 0.006, 2)], 0.02, SPACING).translate((-0.055, 0, 0.285))
     button = rounded_disc(0.035, 0.06, 0.012, 28).translate((0.06, 0, 0.42))
     nozzle = manifold3d.Manifold.sphere(0.032, 28).translate((0.285, 0, 0.165))
-    cord = bar((-0.28, 0, 0.385), (-0.52, 0, 0.412), (0.060, 0.042), SPACING, 20).trim_by_plane(
-        (1.0, 0, 0), -0.5
-    )
-    rings = [
-        torus(0.026 - 0.002 * k, 0.022, 10)
-        .rotate((0, 84, 0))
-        .translate((-0.375 - 0.035 * k, 0, 0.397 + 0.004 * k))
-        for k in range(3)
-    ]
+    cord = bar((-0.28, 0, 0.385), (-0.52, 0, 0.412), (0.060, 0.042), SPACING, 20)
+    cord = cord.trim_by_plane((1.0, 0, 0), -0.5)
+    rings = [torus(0.026 - 0.002 * k, 0.022, 10).rotate((0, 84, 0)) for k in range(3)]
+    rings = [one.translate((-0.375 - 0.035 * k, 0, 0.397 + 0.004 * k)) for k, one in enumerate(rings)]
     accent = look.accent
     kit = Kit(look)
     kit.body(METAL, sole)
@@ -248,10 +229,8 @@ def _dryer(look: Look, plump: float) -> Kit:
     r = np.array([0, 0.085, 0.135, 0.135, 0.080, 0.080, 0]) * w
     at = np.array([-0.225, -0.225, -0.18, 0.0, 0.26, 0.60, 0.60])
     bore = rounded_polyline(np.stack([r, at], 1), np.array([0.02, 0.08, 0.2, 0.1, 0.01]))
-    collars = [
-        along(torus(w * r, 0.04, 12).translate((0, 0, x)))
-        for r, x in ((0.113, 0.425), (0.175, 0.02), (0.175, -0.03))
-    ]
+    places = ((0.113, 0.425), (0.175, 0.02), (0.175, -0.03))
+    collars = [along(torus(w * r, 0.04, 12).translate((0, 0, x))) for r, x in places]
     grille = bars([0.10 * w, 0.15 * w, 0.15 * w, 0.10 * w], 0.026, 0.05 * w, 0.10)
     grille = _lengthwise(grille).translate((-0.26, 0, axis))
 
@@ -261,15 +240,12 @@ def _dryer(look: Look, plump: float) -> Kit:
     swell = 1 + 0.10 * np.sin(np.pi * fine) + 0.25 * smoothstep(0.3, 0.0, fine)
     grip = tube(path, 0.125 * w * swell, 0.15 * w * swell, (0.0, 1.0, 0.0), 32, 2.5)
     grip = grip.trim_by_plane((0, 0, 1.0), 0.0)
-    ribs = [
-        tube(np.array([[-0.052 - 0.07 * (0.2 - z), 0, z - 0.013], [-0.052 - 0.07 * (0.2 - z), 0, z + 0.013]]),
-             0.150 * w, 0.175 * w, (0.0, 1.0, 0.0), 32, 2.5)
-        for z in (0.07, 0.12, 0.17, 0.22, 0.27)
-    ]  # fmt: skip
-    switches = [
-        _lengthwise(across([rectangle(0.07, 0.085, 0.02, 4)], 0.08, SPACING, 0.012)).translate((x, 0, z))
-        for x, z in ((0.045, 0.52), (0.035, 0.40))
-    ]
+    ribs = []
+    for z in (0.07, 0.12, 0.17, 0.22, 0.27):
+        x = -0.052 - 0.07 * (0.2 - z)
+        ends = np.array([[x, 0, z - 0.013], [x, 0, z + 0.013]])
+        ribs.append(tube(ends, 0.150 * w, 0.175 * w, (0.0, 1.0, 0.0), 32, 2.5))
+    switch = _lengthwise(across([rectangle(0.07, 0.085, 0.02, 4)], 0.08, SPACING, 0.012))
     dark = look.accent
     kit = Kit(look)
     kit.body(look.color, along(turned(barrel)))
@@ -277,6 +253,6 @@ def _dryer(look: Look, plump: float) -> Kit:
     kit.body(dark, *collars, axis=None)
     kit.cut(DARK, along(turned(bore)), grille)
     kit.detail(dark, *ribs, axis=(0, 0, 1))
-    kit.detail("eef0ea", switches[0], axis=(0, 0, 1))
-    kit.detail("d23b30", switches[1], axis=(0, 0, 1))
+    kit.detail("eef0ea", switch.translate((0.045, 0, 0.52)), axis=(0, 0, 1))
+    kit.detail("d23b30", switch.translate((0.035, 0, 0.40)), axis=(0, 0, 1))
     return kit

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normals import area_vectors
-from objectfolder.mesh.procedural.atlas import MARGIN, Chart, pack_charts
-from objectfolder.mesh.procedural.finish import Paint, finish
+from objectfolder.mesh.procedural.atlas import MARGIN, Chart, Paint, pack_charts
+from objectfolder.mesh.procedural.finish import finish
 from objectfolder.mesh.procedural.texture import rgb
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.textured import TexturedMesh

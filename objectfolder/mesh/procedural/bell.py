@@ -88,9 +88,8 @@ def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:
     join = np.arcsin(neck / grip)
     # A quarter ellipse carries the crown into the stem.
     bend = np.linspace(-np.pi / 2, -np.pi, 7)
-    collar = np.array([collar_r, collar_z + 0.9 * (collar_r - neck)]) + (
-        np.stack([np.cos(bend), np.sin(bend)], 1) * [collar_r - neck, 0.9 * (collar_r - neck)]
-    )
+    span = np.array([collar_r - neck, 0.9 * (collar_r - neck)])
+    collar = [collar_r, collar_z + span[1]] + np.stack([np.cos(bend), np.sin(bend)], 1) * span
     return [
         inner[shoulder:][::-1],
         np.concatenate([inner[: shoulder + 1][::-1], rim[1 : len(rim) // 2 + 1]]),

@@ -3,9 +3,9 @@
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
+from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.boards import timber
 from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
-from objectfolder.mesh.procedural.finish import Paint
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.texture import over
 from objectfolder.mesh.textured import TexturedMesh

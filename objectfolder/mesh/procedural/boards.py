@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart
+from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.extrusion import prism, rectangle
-from objectfolder.mesh.procedural.finish import Paint
 from objectfolder.mesh.procedural.texture import over, stroke
 
 #: Position of the pith in ``finish``, across a grain along x, in sizes of the object.

@@ -100,9 +100,8 @@ def _television(look: Look, plump: float) -> Kit:
     cavity = across([rectangle(1 - 2 * wall, 0.60 - 2 * wall, 0.05)], deep - 0.09 - wall, 1.5 * SPACING)
     cavity = cavity.translate((0, (0.09 - wall) / 2, middle))
     deeper = across([rectangle(0.70 - 2 * wall, 0.46 - 2 * wall, 0.04)], tail + wall, 1.5 * SPACING)
-    deeper = _tapered(deeper.translate((0, tail / 2 - 1.5 * wall, middle)), tail, 0.8, middle).translate(
-        (0, rear, 0)
-    )
+    deeper = _tapered(deeper.translate((0, tail / 2 - 1.5 * wall, middle)), tail, 0.8, middle)
+    deeper = deeper.translate((0, rear, 0))
     vents = bars([0.36] * 5, 0.026, 0.054, 4 * wall).translate((0, rear + tail, middle))
     # The recess flares towards the viewer.
     recess = across([glass], 0.10, SPACING)
@@ -172,10 +171,8 @@ def _radio(look: Look, plump: float) -> Kit:
     needle = across([np.array([[-0.013, -0.03], [0.013, -0.03], [0.009, 0.10], [-0.009, 0.10]])], 0.03, 0.02)
     needle = needle.rotate((0, 35, 0)).translate((dial[0], front + 0.005, dial[1]))
     hub = across([regular(24, 0.028)], 0.05, SPACING, 0.01).translate((dial[0], front + 0.002, dial[1]))
-    feet = [
-        rounded_disc(0.045, 0.08, 0.01, 32).translate((x * 0.36, y * 0.25 * deep, 0))
-        for x, y in product((-1, 1), repeat=2)
-    ]
+    foot, corners = rounded_disc(0.045, 0.08, 0.01, 32), product((-1, 1), repeat=2)
+    feet = [foot.translate((x * 0.36, y * 0.25 * deep, 0)) for x, y in corners]
 
     def scale(points: np.ndarray, colour: np.ndarray) -> np.ndarray:
         x, z = points[:, 0] - dial[0], points[:, 2] - dial[1]
@@ -248,10 +245,8 @@ def _clock(look: Look, plump: float) -> Kit:
     legs = [bar((0.7 * x, 0.5 * y, 0.24), (x, y, ball), (0.05, 0.044), SPACING, 24) for x, y in feet]
     balls = [manifold3d.Manifold.sphere(ball, 24).translate((x, y, ball - 1e-3)) for x, y in feet]
     stand = [(leg + tip).trim_by_plane((0, 0, 1.0), 0.0) for leg, tip in zip(legs, balls)]
-    keys = [
-        knob(0.05, 0.06, 6).rotate((0, 0, 180)).translate((x, -front + 0.018, middle + 0.03))
-        for x in (-0.1, 0.1)
-    ]
+    key = knob(0.05, 0.06, 6).rotate((0, 0, 180))
+    keys = [key.translate((x, -front + 0.018, middle + 0.03)) for x in (-0.1, 0.1)]
 
     def dial(points: np.ndarray, colour: np.ndarray) -> np.ndarray:
         x, z = points[:, 0], points[:, 2] - middle

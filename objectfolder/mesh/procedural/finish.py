@@ -12,11 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, wood
-
-__all__ = ["FINISHES", "Finish", "Paint", "finish"]
-
-Paint = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> sRGB (N, 3) in [0, 1]
 
 BOARD = 0.2  #: object size, m, above which the width of wood rings no longer grows with the object
 #: Rotates the noise lattice off the axes of the object, to hide its rows and period.

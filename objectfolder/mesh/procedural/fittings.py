@@ -105,12 +105,10 @@ def bars(
 ) -> manifold3d.Manifold:
     """Build level bars with round ends, one above the other, about the origin, ``depth`` long along y."""
     rise = pitch * (np.arange(len(lengths)) - (len(lengths) - 1) / 2)
-    tools = [
-        across([rectangle(length, width, width / 2, 4)], depth, SPACING, bevel, 2).translate(
-            (0.0, 0.0, float(z))
-        )
-        for length, z in zip(lengths, rise)
-    ]
+    tools = []
+    for length, z in zip(lengths, rise):
+        tool = across([rectangle(length, width, width / 2, 4)], depth, SPACING, bevel, 2)
+        tools.append(tool.translate((0.0, 0.0, float(z))))
     return manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add)
 
 

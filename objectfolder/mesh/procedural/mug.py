@@ -1,10 +1,8 @@
 """A ceramic mug: a hollow cup with a swept handle, in metres, standing on z = 0."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from objectfolder.mesh.procedural.atlas import Chart, pack_charts
+from objectfolder.mesh.procedural.atlas import Chart, Paint, pack_charts
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.revolution import (
     arc,
@@ -67,19 +65,12 @@ def mug(
     lip = wall / 2
     step = height / 16
     top = height - lip
-    under = polyline(
-        np.array([[0, foot], [0.70 * radius, foot], [0.73 * radius, 0], [radius - edge, 0]]), step=step
-    )
-    outside = polyline(
-        arc((radius - edge, edge), edge, -np.pi / 2, 0, 7),
-        arc((radius - lip, top), lip, 0, np.pi / 2, 5),
-        step=step,
-    )
-    inside = polyline(
-        arc((radius - lip, top), lip, np.pi / 2, np.pi, 5),
-        arc((radius - wall - inner, bottom + inner), inner, 0, -np.pi / 2, 8),
-        step=step,
-    )
+    base = np.array([[0, foot], [0.70 * radius, foot], [0.73 * radius, 0], [radius - edge, 0]])
+    under = polyline(base, step=step)
+    bend = arc((radius - edge, edge), edge, -np.pi / 2, 0, 7)
+    outside = polyline(bend, arc((radius - lip, top), lip, 0, np.pi / 2, 5), step=step)
+    bend = arc((radius - wall - inner, bottom + inner), inner, 0, -np.pi / 2, 8)
+    inside = polyline(arc((radius - lip, top), lip, np.pi / 2, np.pi, 5), bend, step=step)
     floor = polyline(np.array([[radius - wall - inner, bottom], [0, bottom]]), step=step)
 
     decor = _Decor(radius, height)
@@ -96,12 +87,7 @@ def mug(
 
 
 def _handle(
-    radius: float,
-    height: float,
-    wall: float,
-    reach: float,
-    chart: int,
-    paint: Callable[[np.ndarray], np.ndarray],
+    radius: float, height: float, wall: float, reach: float, chart: int, paint: Paint
 ) -> tuple[list[Patch], Chart]:
     """Sweep an ellipse along a D-shaped path whose ends lie in the middle of the wall."""
     thick, wide = 0.12 * reach, 0.20 * reach  # half axes of the section
@@ -132,9 +118,8 @@ def _handle(
 
     around = np.pi * (3 * (thick + wide) - np.sqrt((3 * thick + wide) * (thick + 3 * wide)))  # Ramanujan
     rows, n = STATIONS + 1, ROUND
-    s, turn = (
-        k.ravel() for k in np.meshgrid(np.linspace(0, total, rows), np.arange(n + 1) / n, indexing="ij")
-    )
+    grid = np.meshgrid(np.linspace(0, total, rows), np.arange(n + 1) / n, indexing="ij")
+    s, turn = (k.ravel() for k in grid)
     vertices = surface(s, turn % 1.0)
     xy = np.stack([s, (1 - turn) * around], 1)  # horizontal: the atlas packs low charts better
     tube = Patch(vertices, grid_faces(rows, n + 1), xy, chart)
@@ -202,11 +187,8 @@ class _Decor:
 
         crest = max(3, round(around / 0.0215))
         for level, ink, shift in ((0.0265, SAGE, 0.9), (0.0225, TEAL, 0.0), (0.0165, DEEP, 2.1)):
-            wave = (
-                level
-                + 0.0019 * np.sin(crest * angle + shift)
-                + 0.0006 * np.sin(2 * crest * angle + 1.7 * shift)
-            )
+            ripple = 0.0006 * np.sin(2 * crest * angle + 1.7 * shift)
+            wave = level + 0.0019 * np.sin(crest * angle + shift) + ripple
             colour = over(colour, GLAZE, smoothstep(soft / u, -soft / u, z - wave - 0.0008))
             colour = over(colour, self._glaze(points, ink), smoothstep(soft / u, -soft / u, z - wave))
 

@@ -4,12 +4,11 @@ A profile is a polyline (N, 2) of radius and height, m, with the solid to its le
 an inner one.
 """
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
-from objectfolder.mesh.procedural.atlas import Chart
+from objectfolder.mesh.procedural.atlas import Chart, Paint
 from objectfolder.mesh.procedural.solid import Patch
 
 SEGMENTS = 120  #: facets of a full circle; a multiple of 8, so that bounds are exact
@@ -59,7 +58,7 @@ def spin(rz: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.stack([rz[:, 0] * np.cos(angle), rz[:, 0] * np.sin(angle), rz[:, 1]], 1)
 
 
-def sleeve(profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray]) -> tuple[Patch, Chart]:
+def sleeve(profile: np.ndarray, chart: int, paint: Paint) -> tuple[Patch, Chart]:
     """Revolve a profile off the axis; the chart is angle by arc length, cut at angle 0."""
     rows, n = len(profile), SEGMENTS
     length = arc_length(profile)
@@ -78,9 +77,7 @@ def sleeve(profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.nda
     return Patch(vertices, grid_faces(rows, n + 1), xy, chart), Chart((width, length[-1]), locate, paint)
 
 
-def disc(
-    profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray], segments: int = SEGMENTS
-) -> tuple[Patch, Chart]:
+def disc(profile: np.ndarray, chart: int, paint: Paint, segments: int = SEGMENTS) -> tuple[Patch, Chart]:
     """Revolve a profile that starts or ends near or on the axis; the chart is polar, without a cut.
 
     Towards the axis the number of facets halves repeatedly, which avoids needle triangles. A disc with a
@@ -109,10 +106,8 @@ def disc(
     if closed:
         xy[0] = reach
 
-    faces = [
-        _strip(inner, outer, start, start + inner) for inner, outer, start in zip(counts, counts[1:], starts)
-    ]
-    triangles = np.concatenate(faces)
+    rings = zip(counts, counts[1:], starts)
+    triangles = np.concatenate([_strip(one, other, start, start + one) for one, other, start in rings])
 
     def locate(at: np.ndarray) -> np.ndarray:
         x, y = (at - reach).T
@@ -134,18 +129,11 @@ def _strip(inner: int, outer: int, a: int, b: int) -> np.ndarray:
         far = b + (j + 1) % outer
         return np.concatenate([np.stack([a + j, after, far], 1), np.stack([a + j, far, b + j], 1)])
     first, middle, last = (b + (2 * j + k) % outer for k in range(3))
-    return np.concatenate(
-        [
-            np.stack([a + j, middle, first], 1),
-            np.stack([a + j, after, middle], 1),
-            np.stack([after, last, middle], 1),
-        ]
-    )
+    fans = ([a + j, middle, first], [a + j, after, middle], [after, last, middle])
+    return np.concatenate([np.stack(fan, 1) for fan in fans])
 
 
-def revolve(
-    profile: np.ndarray, first_chart: int, paint: Callable[[np.ndarray], np.ndarray]
-) -> list[tuple[Patch, Chart]]:
+def revolve(profile: np.ndarray, first_chart: int, paint: Paint) -> list[tuple[Patch, Chart]]:
     """Revolve any profile (N, 2), cut into few sleeves and discs with little texture distortion.
 
     Charts are numbered from ``first_chart`` on.
@@ -171,9 +159,8 @@ def _runs(profile: np.ndarray) -> list[tuple[int, int, int]]:
             break
         # Length relative to the distance from the axis: short runs join a neighbour.
         spans = np.diff(length[edges])
-        reach = np.array(
-            [span / profile[a : b + 1, 0].mean() for span, (a, b) in zip(spans, pairwise(edges))]
-        )
+        means = [profile[a : b + 1, 0].mean() for a, b in pairwise(edges)]
+        reach = spans / np.array(means)
         if profile[0, 0] == 0:
             reach[0] = np.inf
         if profile[-1, 0] == 0:

@@ -7,9 +7,9 @@ import numpy as np
 from skimage.measure import marching_cubes
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
+from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.boards import board
 from objectfolder.mesh.procedural.extrusion import across, prism, regular, rounded, solid
-from objectfolder.mesh.procedural.finish import Paint
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
@@ -154,14 +154,12 @@ def _truck(look: Look, span: float, plump: float) -> list[PaintedPart]:
         ((x[1] - t, 0.5 * t - y, z[0]), (x[1], y - 0.5 * t, z[1] - 0.1 * t)),
     ]
     tray = [board(load, 10 + k, low, high, spacing, 0.2 * t) for k, (low, high) in enumerate(boards)]
+    cab = across([rounded(cab_corners, 0.035 * s)], 0.96 * width, spacing, 0.025 * s)
     under = across([frame], 0.8 * width, spacing, 0.012 * s)
     return [
         *tray,
         PaintedPart.of(under, look.dyed("6b6e73").paint((1, 0, 0), 4)),
-        PaintedPart.of(
-            across([rounded(cab_corners, 0.035 * s)], 0.96 * width, spacing, 0.025 * s),
-            _glazed(body, windows, 0.96 * width, 0.03 * s, None),
-        ),
+        PaintedPart.of(cab, _glazed(body, windows, 0.96 * width, 0.03 * s, None)),
         *_wheels(look, [-0.38 * s, -0.16 * s, 0.33 * s], r, 1.06 * width, spacing),
         *_lamps(look, 0.49 * s, width, 0.17 * s, 0.028 * s, "f6e9a8", spacing),
     ]
@@ -176,10 +174,8 @@ def _rings(look: Look, height: float, plump: float, count: int) -> list[PaintedP
     colours = ramp(look.color, look.accent, count + 2)
     base = prism([regular(72, widest)], foot, height / 40, 0.3 * foot)
     parts = [PaintedPart.of(base, look.dyed(colours[0]).paint((1, 0, 0)))]
-    post = prism([regular(48, 0.16 * widest)], height - foot - ball, height / 40).translate(
-        (0, 0, 0.5 * foot)
-    )
-    parts.append(PaintedPart.of(post, parts[0].paint))
+    post = prism([regular(48, 0.16 * widest)], height - foot - ball, height / 40)
+    parts.append(PaintedPart.of(post.translate((0, 0, 0.5 * foot)), parts[0].paint))
     for k in range(count):
         outer = widest * (0.94 - 0.46 * k / (count - 1))
         half = min(0.8 * thick, 0.42 * outer)

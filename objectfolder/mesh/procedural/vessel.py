@@ -1,18 +1,18 @@
 """Hollow turned vessels: finish of both sides, lobes, and assembly."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import manifold3d
 import numpy as np
 
-from objectfolder.mesh.procedural.atlas import Chart, pack_charts
+from objectfolder.mesh.procedural.atlas import Paint, pack_charts
 from objectfolder.mesh.procedural.extrusion import solid
-from objectfolder.mesh.procedural.finish import Finish, Paint, finish
+from objectfolder.mesh.procedural.finish import Finish, finish
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.revolution import revolve
 from objectfolder.mesh.procedural.section import COARSE, even_rows, split_at_lip
-from objectfolder.mesh.procedural.solid import Patch, coincident, textured, weld_patches
+from objectfolder.mesh.procedural.solid import coincident, textured, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -22,23 +22,14 @@ Warp = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> points (N, 3),
 
 
 @dataclass(frozen=True)
-class VesselFinish:
-    """Paint of the two sides of a vessel, continuous at its lip."""
+class VesselFinish(Finish):
+    """Finish of a vessel; the paint of its inside continues that of its outside at the lip."""
 
-    outside: Paint
     inside: Paint
-    roughness: float
-    metallic: float
 
 
 def vessel_finish(
-    name: str,
-    size: float,
-    lip: float,
-    foot: float,
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
+    name: str, size: float, lip: float, foot: float, color: str | None, accent: str | None, seed: int
 ) -> VesselFinish:
     """Return the finish of a vessel; its name, colours and seed are those of `finish`.
 
@@ -48,12 +39,8 @@ def vessel_finish(
     """
     body = finish(name, size, color, accent if name != "glaze" else None, seed)
     if name != "glaze":
-        return VesselFinish(body.paint, body.paint, body.roughness, body.metallic)
+        return VesselFinish(body.paint, body.roughness, body.metallic, body.paint)
     lining = body if accent is None else finish(name, size, accent, None, seed + 1)
-    return _dipped(body, lining, size, lip, foot, seed)
-
-
-def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, seed: int) -> VesselFinish:
     values = lattice(seed)
     u = size / 0.1
     v = min(u, lip / 0.05)  # narrower on flat vessels
@@ -82,7 +69,7 @@ def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, 
     def inside(points: np.ndarray) -> np.ndarray:
         return thin(points, lining.paint(points))
 
-    return VesselFinish(outside, inside, body.roughness, body.metallic)
+    return VesselFinish(outside, body.roughness, body.metallic, inside)
 
 
 def lobed(
@@ -108,25 +95,18 @@ def lobed(
     return warp
 
 
-def shell(profile: np.ndarray, look: VesselFinish, warp: Warp | None = None) -> list[tuple[Patch, Chart]]:
-    """Build patches and charts of a vessel from a profile (N, 2) that starts and ends on the axis."""
-    outer, inner = split_at_lip(profile)
-    parts = revolve(outer, 0, look.outside)
-    parts += revolve(inner, len(parts), look.inside)
-    if warp is not None:
-        parts = [
-            (Patch(warp(patch.vertices), patch.faces, patch.xy, patch.chart), chart) for patch, chart in parts
-        ]
-    return parts
-
-
 def turned_vessel(
-    profile: np.ndarray, look: VesselFinish, texture_size: int, warp: Warp | None = None
+    profile: np.ndarray, look: VesselFinish, texture_size: int, warp: Warp | None
 ) -> TexturedMesh:
-    """Build the textured mesh of a vessel without attached parts."""
-    parts = shell(profile, look, warp)
+    """Build the textured mesh of a vessel from a profile (N, 2) that starts and ends on the axis."""
+    outer, inner = split_at_lip(profile)
+    parts = revolve(outer, 0, look.paint)
+    parts += revolve(inner, len(parts), look.inside)
     atlas = pack_charts([chart for _, chart in parts], texture_size)
-    return textured(weld_patches([patch for patch, _ in parts], atlas), atlas, look.roughness, look.metallic)
+    patches = [patch for patch, _ in parts]
+    if warp is not None:
+        patches = [replace(patch, vertices=warp(patch.vertices)) for patch in patches]
+    return textured(weld_patches(patches, atlas), atlas, look.roughness, look.metallic)
 
 
 def revolved(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold:
