@@ -68,7 +68,8 @@ CASES = {
     **TOOLS,
     **APPLIANCES,
 }
-#: Handles and holes of each object; furniture and toys have no designed number.
+SAMPLE = ("toaster", "lantern")  # of the appliances, examined by default
+#: Handles and holes of each object, such as the slots of a radio; furniture and toys have no designed number.
 GENUS = (
     dict.fromkeys((*STARTERS, *VESSELS, *TOOLS), 0)
     | {"mug": 1, "pan": 1, "teapot": 1, "wrench": 1, "ring wrench": 2, "peg block": 9}

@@ -2,8 +2,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from assembled import crossings, welded
-from procedural_cases import APPLIANCES, SMALL
+from assembled import crossings
+from procedural_cases import APPLIANCES, SAMPLE, SMALL
 
 from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.mesh.procedural.electronics import superellipse
@@ -11,26 +11,13 @@ from objectfolder.mesh.procedural.extrusion import area
 from objectfolder.mesh.procedural.fittings import bars, torus
 from objectfolder.mesh.raycast import RayCaster
 
-#: Openings and handles of each object: its genus.
-GENUS = {
-    "television": 4,  # five vents
-    "radio": 10,  # six slots, four vents, a handle
-    "clock": 1,  # the handle
-    "toaster": 1,  # two slots
-    "lantern": 13,  # three levels between four posts, and the ring
-    "clothes iron": 1,
-    "hair dryer": 4,  # the nozzle and four slots
-}
-
-
-SAMPLE = ("toaster", "lantern")  # examined by default
 NAMES = [name if name in SAMPLE else pytest.param(name, marks=pytest.mark.slow) for name in APPLIANCES]
 
 
 @cache
-def made(name, size=1.0):
+def made(name):
     generator, parameters = APPLIANCES[name]
-    return GENERATORS[generator](**parameters, span=size, texture_size=SMALL)
+    return GENERATORS[generator](**parameters, span=1.0, texture_size=SMALL)
 
 
 @cache
@@ -48,12 +35,6 @@ def first(name, origins, direction):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_size_is_that_of_the_longest_side(name):
     assert np.ptp(made(name).bounds, axis=0).max() == pytest.approx(1, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_object_of_a_tenth_of_the_size_has_a_thousandth_of_the_volume():
-    large, small = (welded(made("clothes iron", size)).volume for size in (1.0, 0.1))
-    assert small == pytest.approx(large / 1000, rel=1e-9)
 
 
 def test_toast_falls_through_both_slots_to_the_floor_of_a_hollow_body():

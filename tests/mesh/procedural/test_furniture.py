@@ -193,20 +193,3 @@ def test_stool_stands_on_its_legs_and_has_a_seat_as_thick_as_asked():
     down = crossings(mesh, (0.0001, 0.0002, 1.0), (0, 0, -1))
     np.testing.assert_allclose(down, [0.546, 0.576], atol=1e-4)
     assert mesh.bounds[1, 2] == pytest.approx(0.46, abs=1e-9)
-
-
-def test_twice_the_size_is_eight_times_the_volume():
-    lengths: dict[str, Any] = {
-        "length": 1.5,
-        "width": 0.8,
-        "height": 0.74,
-        "top": 0.03,
-        "leg_size": 0.06,
-        "apron": 0.08,
-    }
-    lengths |= {"overhang": 0.03, "bevel": 0.002}
-    one, two = (
-        welded(table(**{k: scale * v for k, v in lengths.items()}, texture_size=SMALL)).volume
-        for scale in (1, 2)
-    )
-    assert two == pytest.approx(8 * one, rel=1e-9)

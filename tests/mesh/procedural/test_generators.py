@@ -5,13 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 from assembled import check_charts, check_charts_apart, check_solid, check_texture, welded
-from procedural_cases import APPLIANCES, CASES, GENUS, SMALL, STARTERS, VESSELS
+from procedural_cases import APPLIANCES, CASES, GENUS, SAMPLE, SMALL, STARTERS, VESSELS
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.textured import TexturedMesh
 
-SAMPLE = ("toaster", "lantern")  # of the appliances, examined by default
 NAMES = [
     pytest.param(name, marks=pytest.mark.slow) if name in APPLIANCES and name not in SAMPLE else name
     for name in CASES
@@ -64,6 +63,27 @@ def test_colours_agree_across_seams(name):
     assert twins.sum() > 100
     limit, share = (25, 0.95) if name in STARTERS else (30, 0.93)
     assert np.mean(np.abs(colour - mean[group])[twins].max(1) < limit) > share
+
+
+TABLE = {"length": 1.5, "width": 0.8, "height": 0.74, "top": 0.03, "leg_size": 0.06, "apron": 0.08}
+TABLE |= {"overhang": 0.03, "bevel": 0.002}
+BLOCK = {"length": 0.1, "width": 0.08, "height": 0.04, "diameter": 0.016, "depth": 0.02, "rounding": 0.001}
+
+
+@pytest.mark.parametrize(
+    ("generator", "lengths", "options"),
+    [
+        ("table", TABLE, {}),
+        ("block", BLOCK, {}),
+        pytest.param("appliance", {"span": 0.1}, {"kind": "iron"}, marks=pytest.mark.slow),
+    ],
+)
+def test_object_of_twice_the_size_has_eight_times_the_volume(generator, lengths, options):
+    small, large = (
+        generate(generator, **{k: scale * v for k, v in lengths.items()}, **options, texture_size=SMALL)
+        for scale in (1, 2)
+    )
+    assert welded(large).volume == pytest.approx(8 * welded(small).volume, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-from typing import Any
-
 import manifold3d
 import numpy as np
 import pytest
@@ -117,21 +115,6 @@ def test_brick_has_its_studs_on_top():
     mesh = block(l, w, h, "studs", 2, 4, d, 0.004, rounding=0, finish="plastic", texture_size=SMALL)
     assert welded(mesh).volume == pytest.approx(l * w * h + 8 * polygon(40, d) * 0.004, rel=1e-9)
     assert mesh.bounds[1, 2] == pytest.approx(h + 0.004, abs=1e-12)
-
-
-def test_block_of_twice_the_size_has_eight_times_the_volume():
-    one: dict[str, Any] = {
-        "length": 0.1,
-        "width": 0.08,
-        "height": 0.04,
-        "diameter": 0.016,
-        "depth": 0.02,
-        "rounding": 0.001,
-    }
-    small, large = (
-        welded(block(**{k: scale * v for k, v in one.items()}, texture_size=SMALL)).volume for scale in (1, 2)
-    )
-    assert large == pytest.approx(8 * small, rel=1e-9)
 
 
 @pytest.mark.parametrize(("kind", "wheels"), [("car", 4), ("truck", 6)])

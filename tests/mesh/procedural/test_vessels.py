@@ -17,7 +17,6 @@ from objectfolder.mesh.textured import TexturedMesh
 FAMILIES: dict[str, Callable[..., TexturedMesh]] = {
     f.__name__: f for f in (bowl, cup, plate, bottle, vase, pan, teapot)
 }
-EULER = dict.fromkeys(FAMILIES, 2) | {"pan": 0, "teapot": 0}  # the hole in a handle, the loop of another
 TEXELS = 256
 
 
