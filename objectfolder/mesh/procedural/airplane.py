@@ -73,7 +73,7 @@ def airplane(
     fin = fin.trim_by_plane((0.0, 0.0, 1.0), 0.0).translate((stern[0], 0.0, 0.5 * body))
 
     fuselage = look.paint((1.0, 0.0, 0.0))
-    trim = look.dyed(look.accent)
+    trim = look.dye(look.accent)
     parts = [
         PaintedPart.of(hull, fuselage),
         PaintedPart.of(wings, trim.paint((0.0, 1.0, 0.0), 1)),

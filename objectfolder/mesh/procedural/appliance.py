@@ -6,7 +6,7 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look
-from objectfolder.mesh.procedural.extrusion import across, inset, prism, rectangle, rounded
+from objectfolder.mesh.procedural.extrusion import extrude_y, inset, prism, rectangle, round_corners
 from objectfolder.mesh.procedural.fittings import (
     DARK,
     METAL,
@@ -17,10 +17,10 @@ from objectfolder.mesh.procedural.fittings import (
     loop,
     rounded_disc,
     torus,
-    turned,
+    turn_profile,
 )
 from objectfolder.mesh.procedural.parameters import Checks
-from objectfolder.mesh.procedural.section import evenly, rounded_polyline
+from objectfolder.mesh.procedural.section import resample_evenly, round_polyline
 from objectfolder.mesh.procedural.sweep import bar, tube
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep
 from objectfolder.mesh.textured import TexturedMesh
@@ -71,8 +71,8 @@ def appliance(
     return makers[kind](look, plump).build(texture_size)
 
 
-def _lengthwise(solid: manifold3d.Manifold) -> manifold3d.Manifold:
-    """Turn what `across` extrudes by 90 degrees, so that -y becomes +x."""
+def _face_x(solid: manifold3d.Manifold) -> manifold3d.Manifold:
+    """Turn what `extrude_y` extrudes by 90 degrees, so that -y becomes +x."""
     return solid.rotate((0.0, 0.0, 90.0))
 
 
@@ -80,9 +80,9 @@ def _toaster(look: Look, plump: float) -> Kit:
     """Build a toaster with slots into a hollow body; lever and dial are on its end at +x."""
     half, shift = 0.25 * plump, -0.035  # half the width; the body's centre along x
     x, z = [-1, 1, 1, 0.66, -0.66, -1], [0.05, 0.05, 0.44, 0.60, 0.60, 0.44]
-    outline = rounded(np.stack([x, z], 1) * [half, 1], 0.10)
-    body = _lengthwise(across([outline], 0.90, SPACING, 0.075, 4)).translate((shift, 0, 0))
-    hollow = _lengthwise(across([inset(outline, 0.04)], 0.78, 2 * SPACING)).translate((shift - 0.02, 0, 0))
+    outline = round_corners(np.stack([x, z], 1) * [half, 1], 0.10)
+    body = _face_x(extrude_y([outline], 0.90, SPACING, 0.075, 4)).translate((shift, 0, 0))
+    hollow = _face_x(extrude_y([inset(outline, 0.04)], 0.78, 2 * SPACING)).translate((shift - 0.02, 0, 0))
     base = prism([rectangle(0.93, 2.1 * half, 0.11)], 0.055, SPACING, 0.015).translate((shift, 0, 0.03))
     foot, corners = rounded_disc(0.05, 0.06, 0.008, 28), product((-1, 1), repeat=2)
     feet = [foot.translate((shift + x * 0.36, y * 0.66 * half, 0)) for x, y in corners]
@@ -94,9 +94,9 @@ def _toaster(look: Look, plump: float) -> Kit:
     ribs = bars([0.56, 0.60, 0.56], 0.028, 0.056, 2 * half + 0.024, 0.008).translate((shift, 0, 0.235))
 
     end = shift + 0.45
-    track = _lengthwise(across([rectangle(0.034, 0.27, 0.016, 3)], 0.08, SPACING)).translate((end, 0, 0.37))
+    track = _face_x(extrude_y([rectangle(0.034, 0.27, 0.016, 3)], 0.08, SPACING)).translate((end, 0, 0.37))
     paddle = prism([rectangle(0.13, 0.17, 0.05)], 0.05, SPACING, 0.015).translate((0.5 - 0.065, 0, 0.43))
-    dial = _lengthwise(knob(0.065, 0.05, turn=35.0)).translate((end, 0, 0.165))
+    dial = _face_x(knob(0.065, 0.05, turn=35.0)).translate((end, 0, 0.165))
 
     dark = look.accent
     kit = Kit(look)
@@ -114,11 +114,12 @@ def _toaster(look: Look, plump: float) -> Kit:
 def _lantern(look: Look, plump: float) -> Kit:
     """Build a lantern: a tank, a ribbed lamp behind four posts with guard rings, a cap and a ring."""
     w = plump
-    r, z = [0, 0.27, 0.27, 0.235, 0.235, 0.13, 0.13, 0], [0, 0, 0.05, 0.06, 0.17, 0.25, 0.29, 0.29]
-    tank = rounded_polyline(np.stack([r, z], 1) * [w, 1], np.array([0.02, 0.02, 0.02, 0.06, 0.04, 0.015]))
+    r = np.array([0, 0.27, 0.27, 0.235, 0.235, 0.13, 0.13, 0]) * w
+    z = [0, 0, 0.05, 0.06, 0.17, 0.25, 0.29, 0.29]
+    tank = round_polyline(np.stack([r, z], 1), np.array([0.02, 0.02, 0.02, 0.06, 0.04, 0.015]))
     t = np.linspace(0, np.pi, 40)
     globe = np.stack([w * (0.115 + 0.07 * np.sin(t) ** 0.8), 0.28 + 0.31 * t / np.pi], 1)
-    globe = turned(np.concatenate([[[0, 0.28]], globe, [[0, 0.59]]]), 6e-4)
+    globe = turn_profile(np.concatenate([[[0, 0.28]], globe, [[0, 0.59]]]), 6e-4)
 
     def ribbed(points: np.ndarray) -> np.ndarray:
         turn = np.arctan2(points[:, 1], points[:, 0])
@@ -129,7 +130,7 @@ def _lantern(look: Look, plump: float) -> Kit:
     r = np.array([0, 0.265, 0.265, 0.135, 0.115, 0.165, 0.15]) * w
     z = [0.575, 0.575, 0.615, 0.70, 0.765, 0.775, 0.81, 0.85, 0.885, 0.885]
     cap = np.stack([np.append(r, [0.04, 0.035, 0]), z], 1)
-    cap = rounded_polyline(cap, np.array([0.015, 0.015, 0.03, 0.02, 0.012, 0.02, 0.03, 0.012]))
+    cap = round_polyline(cap, np.array([0.015, 0.015, 0.03, 0.02, 0.012, 0.02, 0.03, 0.012]))
     radius, wire = 0.222 * w, 0.027
     posts = []
     for a in np.pi / 4 + np.pi / 2 * np.arange(4):
@@ -149,8 +150,8 @@ def _lantern(look: Look, plump: float) -> Kit:
 
     brass = "b08a4a"
     kit = Kit(look)
-    kit.body(look.color, turned(tank), axis=None)
-    kit.body(look.color, turned(cap), axis=None, piece=1)
+    kit.body(look.color, turn_profile(tank), axis=None)
+    kit.body(look.color, turn_profile(cap), axis=None, piece=1)
     kit.cut(DARK, *holes)
     kit.detail(look.accent, globe.warp_batch(ribbed), decor=glow)
     kit.detail(look.color, *posts, axis=(0, 0, 1), piece=2)
@@ -167,12 +168,12 @@ def _iron(look: Look, plump: float) -> Kit:
     x, y = -0.40 + 0.90 * t, 0.20 * plump * (1 - t**2.4) ** 0.8 * np.minimum(1, (t / 0.10 + 0.05)) ** 0.3
     half = np.stack([x, y], 1)
     whole = np.concatenate([half * [1, -1], half[-2::-1]])
-    whole[:, 0] += 0.5 - rounded(whole, 0.03)[:, 0].max()
+    whole[:, 0] += 0.5 - round_corners(whole, 0.03)[:, 0].max()
 
     def boat(radius: float, margin: float) -> np.ndarray:
         """Return the outline with corners of a radius, moved inwards by a margin."""
-        ring = rounded(whole, radius)
-        return inset(evenly(np.append(ring, ring[:1], axis=0), 80)[:-1], margin)
+        ring = round_corners(whole, radius)
+        return inset(resample_evenly(np.append(ring, ring[:1], axis=0), 80)[:-1], margin)
 
     sole = prism([boat(0.03, 0.0)], 0.05, SPACING, 0.014)
     skirt = prism([boat(0.05, 0.016)], 0.06, SPACING, 0.008).translate((0, 0, 0.03))
@@ -225,14 +226,14 @@ def _dryer(look: Look, plump: float) -> Kit:
 
     r = np.array([0, 0.115, 0.175, 0.175, 0.115, 0.115, 0]) * w
     at = np.array([-0.27, -0.27, -0.19, 0.0, 0.26, 0.44, 0.44])
-    barrel = rounded_polyline(np.stack([r, at], 1), np.array([0.03, 0.12, 0.25, 0.12, 0.012]))
+    barrel = round_polyline(np.stack([r, at], 1), np.array([0.03, 0.12, 0.25, 0.12, 0.012]))
     r = np.array([0, 0.085, 0.135, 0.135, 0.080, 0.080, 0]) * w
     at = np.array([-0.225, -0.225, -0.18, 0.0, 0.26, 0.60, 0.60])
-    bore = rounded_polyline(np.stack([r, at], 1), np.array([0.02, 0.08, 0.2, 0.1, 0.01]))
+    bore = round_polyline(np.stack([r, at], 1), np.array([0.02, 0.08, 0.2, 0.1, 0.01]))
     places = ((0.113, 0.425), (0.175, 0.02), (0.175, -0.03))
     collars = [along(torus(w * r, 0.04, 12).translate((0, 0, x))) for r, x in places]
     grille = bars([0.10 * w, 0.15 * w, 0.15 * w, 0.10 * w], 0.026, 0.05 * w, 0.10)
-    grille = _lengthwise(grille).translate((-0.26, 0, axis))
+    grille = _face_x(grille).translate((-0.26, 0, axis))
 
     path = np.array([[0.0, 0, axis], [-0.01, 0, 0.60], [-0.03, 0, 0.40], [-0.05, 0, 0.20], [-0.06, 0, -0.02]])
     fine = np.linspace(0, 1, 40)
@@ -245,13 +246,13 @@ def _dryer(look: Look, plump: float) -> Kit:
         x = -0.052 - 0.07 * (0.2 - z)
         ends = np.array([[x, 0, z - 0.013], [x, 0, z + 0.013]])
         ribs.append(tube(ends, 0.150 * w, 0.175 * w, (0.0, 1.0, 0.0), 32, 2.5))
-    switch = _lengthwise(across([rectangle(0.07, 0.085, 0.02, 4)], 0.08, SPACING, 0.012))
+    switch = _face_x(extrude_y([rectangle(0.07, 0.085, 0.02, 4)], 0.08, SPACING, 0.012))
     dark = look.accent
     kit = Kit(look)
-    kit.body(look.color, along(turned(barrel)))
+    kit.body(look.color, along(turn_profile(barrel)))
     kit.body(look.color, grip, axis=(0, 0, 1), piece=1)
     kit.body(dark, *collars, axis=None)
-    kit.cut(DARK, along(turned(bore)), grille)
+    kit.cut(DARK, along(turn_profile(bore)), grille)
     kit.detail(dark, *ribs, axis=(0, 0, 1))
     kit.detail("eef0ea", switch.translate((0.045, 0, 0.52)), axis=(0, 0, 1))
     kit.detail("d23b30", switch.translate((0.035, 0, 0.40)), axis=(0, 0, 1))

@@ -39,7 +39,7 @@ class Look:
         direction = None if axis is None else [float(x) for x in axis]
         return finish(self.finish, self.size, self.color, self.accent, self.seed + piece, direction).paint
 
-    def dyed(self, color: str | None) -> "Look":
+    def dye(self, color: str | None) -> "Look":
         """Return the same finish in another colour; wood gets a darker shade as late wood."""
         late = None
         if self.finish == "wood" and color is not None:

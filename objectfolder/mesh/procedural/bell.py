@@ -7,7 +7,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural.atlas import pack_charts
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.revolution import arc, arc_length, disc, polyline, sleeve
-from objectfolder.mesh.procedural.solid import textured, weld_patches
+from objectfolder.mesh.procedural.solid import bake_mesh, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -49,7 +49,7 @@ def bell(
         disc(ball, 5, decor.outside),
     ]
     atlas = pack_charts([chart for _, chart in parts], texture_size)
-    return textured(weld_patches([patch for patch, _ in parts], atlas), atlas, roughness=0.35)
+    return bake_mesh(weld_patches([patch for patch, _ in parts], atlas), atlas, roughness=0.35)
 
 
 def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:

@@ -5,7 +5,7 @@ import numpy as np
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.boards import timber
-from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
+from objectfolder.mesh.procedural.extrusion import polygon, prism, rectangle
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.texture import over
 from objectfolder.mesh.textured import TexturedMesh
@@ -86,15 +86,15 @@ def block(
         if relief == "studs":
             rise = 0.4 * diameter if depth is None else depth
             sunk = 0.5 * height
-            stud = prism([regular(40, diameter / 2)], rise + sunk, spacing, min(rounding, 0.3 * rise), 2)
-            cover = skin if accent is None else look.dyed(accent).paint()
+            stud = prism([polygon(40, diameter / 2)], rise + sunk, spacing, min(rounding, 0.3 * rise), 2)
+            cover = skin if accent is None else look.dye(accent).paint()
             parts += [PaintedPart.of(stud.translate((x, y, height - sunk)), cover) for x, y in centres]
         return assemble(union(parts), parts, look, texture_size)
 
     shapes = [_shape(hole, k, diameter / 2) for k in range(len(centres))]
     bored = [shape[::-1] + centre for shape, centre in zip(shapes, centres)]
-    inside = None if accent is None else look.dyed(accent).paint()
-    cover = _bored(skin, centres, diameter / 2, rounding, height, inside)
+    inside = None if accent is None else look.dye(accent).paint()
+    cover = _paint_holes(skin, centres, diameter / 2, rounding, height, inside)
     parts = [PaintedPart.of(prism([outline, *bored], height, spacing, rounding, 2), cover)]
     if depth is not None and not through:
         # A plug wider than the hole's rounded rim but narrower than the pitch.
@@ -117,14 +117,14 @@ def _shape(hole: str, place: int, radius: float) -> np.ndarray:
     """Return the outline (N, 2), counter-clockwise, of the hole at one place."""
     kind = HOLES[place % 4] if hole == "mixed" else hole
     if kind == "star":
-        points = regular(10, radius, np.pi / 2)
+        points = polygon(10, radius, np.pi / 2)
         points[1::2] *= 0.62
         return points
     sides, turn = {"round": (32, 0.0), "square": (4, np.pi / 4), "hexagon": (6, 0.0)}[kind]
-    return regular(sides, radius, turn)
+    return polygon(sides, radius, turn)
 
 
-def _bored(
+def _paint_holes(
     skin: Paint, centres: np.ndarray, radius: float, rounding: float, height: float, inside: Paint | None
 ) -> Paint:
     """Return the paint of a block whose holes have another colour below their rims."""

@@ -7,12 +7,12 @@ from objectfolder.mesh.procedural.section import (
     half_outline,
     ring,
     ring_under,
-    rounded_polyline,
+    round_polyline,
     soften,
     wall_about,
 )
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -73,7 +73,7 @@ def bottle(
     recess = 0.4 * wall
     floor, side, bore = recess + wall / 2, radius - wall / 2, neck_radius - wall / 2
     hip = height - neck_height - shoulder
-    foot = rounded_polyline(np.array([[0, floor], [side, floor], [side, hip]]), np.array([0.2 * radius]))
+    foot = round_polyline(np.array([[0, floor], [side, floor], [side, hip]]), np.array([0.2 * radius]))
     up = np.linspace(0, 1, 200)
     body = np.stack([np.full(200, side), foot[-2, 1] + (hip - foot[-2, 1]) * up], 1)
     body[:, 0] -= waist * radius * np.sin(np.pi * up) ** 2
@@ -94,5 +94,5 @@ def bottle(
         return smoothstep(hip + shoulder, hip, points[:, 2])
 
     look = vessel_finish(finish, height, height, recess, color, accent, seed)
-    warp = lobed(check, lobes, lobe_depth, weight)
-    return turned_vessel(half_outline(section, "bottle"), look, texture_size, warp)
+    warp = lobe_warp(check, lobes, lobe_depth, weight)
+    return build_vessel(half_outline(section, "bottle"), look, texture_size, warp)

@@ -5,7 +5,7 @@ import numpy as np
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import half_outline, ring_under, soften, wall_about
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -70,7 +70,7 @@ def bowl(
         concave=0.4 * foot_height,
         convex=0.3 * min(wall, foot_height),
     )
-    warp = lobed(check, lobes, lobe_depth, lambda p: smoothstep(0.3 * height, height, p[:, 2]))
+    warp = lobe_warp(check, lobes, lobe_depth, lambda p: smoothstep(0.3 * height, height, p[:, 2]))
     size = max(2 * radius, height)
     look = vessel_finish(finish, size, height, 0.6 * foot_height, color, accent, seed)
-    return turned_vessel(half_outline(section, "bowl"), look, texture_size, warp)
+    return build_vessel(half_outline(section, "bowl"), look, texture_size, warp)

@@ -5,16 +5,16 @@ import numpy as np
 
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import (
-    evenly,
     half_outline,
+    resample_evenly,
     ring_under,
+    round_polyline,
     round_solid,
-    rounded_polyline,
     soften,
     wall_about,
 )
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -78,7 +78,7 @@ def cup(
     floor = (stem or recess) + wall / 2
     top = height - wall / 2
     corners = np.array([[0, floor], [base_radius - wall / 2, floor], [radius - wall / 2, top]])
-    middle = evenly(rounded_polyline(corners, np.array([rounding])))
+    middle = resample_evenly(round_polyline(corners, np.array([rounding])))
     up = (middle[:, 1] - floor) / (top - floor)
     middle[:, 0] *= 1 + bulge * np.sin(np.pi * up) ** 2 * smoothstep(0, 0.1, up)
     section = wall_about(middle, wall)
@@ -95,8 +95,8 @@ def cup(
 
     size = max(2 * radius, height)
     look = vessel_finish(finish, size, height, 0.0 if stem else recess, color, accent, seed)
-    warp = lobed(check, lobes, lobe_depth, weight)
-    return turned_vessel(half_outline(section, "cup"), look, texture_size, warp)
+    warp = lobe_warp(check, lobes, lobe_depth, weight)
+    return build_vessel(half_outline(section, "cup"), look, texture_size, warp)
 
 
 def _stem(top: float, foot_radius: float, wall: float) -> manifold3d.CrossSection:

@@ -5,7 +5,7 @@ import numpy as np
 from objectfolder.mesh.procedural.atlas import Chart, pack_charts
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.revolution import arc, disc
-from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
+from objectfolder.mesh.procedural.solid import Patch, bake_mesh, weld_patches
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, wood
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -85,7 +85,7 @@ def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
     for k, (value, axes) in enumerate(FACES.items()):
         for place in PIPS[value]:
             solid -= weld_patches(_drill(edge, np.multiply(place, PIP_PITCH * edge), axes, border, k), atlas)
-    return textured(solid, atlas, roughness=0.55)
+    return bake_mesh(solid, atlas, roughness=0.55)
 
 
 def _rounded_face(xy: np.ndarray, flat: float, fillet: float) -> np.ndarray:

@@ -6,7 +6,7 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look
-from objectfolder.mesh.procedural.extrusion import across, inset, rectangle, regular
+from objectfolder.mesh.procedural.extrusion import extrude_y, inset, polygon, rectangle
 from objectfolder.mesh.procedural.fittings import (
     DARK,
     METAL,
@@ -16,7 +16,7 @@ from objectfolder.mesh.procedural.fittings import (
     knob,
     loop,
     rounded_disc,
-    turned,
+    turn_profile,
 )
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import bar
@@ -72,7 +72,7 @@ def superellipse(half_width: float, half_height: float, power: float, points: in
     return ray / np.sum(np.abs(ray) ** power, 1, keepdims=True) ** (1 / power) * [half_width, half_height]
 
 
-def _tapered(solid: manifold3d.Manifold, length: float, end: float, middle: float) -> manifold3d.Manifold:
+def _taper(solid: manifold3d.Manifold, length: float, end: float, middle: float) -> manifold3d.Manifold:
     """Shrink a solid about the height ``middle``, linearly in y from 1 at 0 to ``end`` at ``length``."""
 
     def narrow(points: np.ndarray) -> np.ndarray:
@@ -90,25 +90,25 @@ def _television(look: Look, plump: float) -> Kit:
     at, half = -0.125, (0.30, 0.225)  # centre of the screen along x, its half width and height
     glass = superellipse(*half, 4.0)
 
-    case = across([rectangle(1.0, 0.60, 0.08)], deep, SPACING, 0.035).translate((0, 0, middle))
-    bump = across([rectangle(0.70, 0.46, 0.07)], tail + 0.02, SPACING, 0.02)
+    case = extrude_y([rectangle(1.0, 0.60, 0.08)], deep, SPACING, 0.035).translate((0, 0, middle))
+    bump = extrude_y([rectangle(0.70, 0.46, 0.07)], tail + 0.02, SPACING, 0.02)
     bump = bump.translate((0, (tail - 0.02) / 2, middle))
-    bump = _tapered(bump, tail, 0.8, middle).translate((0, rear, 0))
-    bezel = across([inset(glass, -0.035)], 0.03, SPACING, 0.01).translate((at, front, middle))
-    panel = across([rectangle(0.24, 0.50, 0.04)], 0.03, SPACING, 0.006).translate((0.345, front, middle))
+    bump = _taper(bump, tail, 0.8, middle).translate((0, rear, 0))
+    bezel = extrude_y([inset(glass, -0.035)], 0.03, SPACING, 0.01).translate((at, front, middle))
+    panel = extrude_y([rectangle(0.24, 0.50, 0.04)], 0.03, SPACING, 0.006).translate((0.345, front, middle))
 
-    cavity = across([rectangle(1 - 2 * wall, 0.60 - 2 * wall, 0.05)], deep - 0.09 - wall, 1.5 * SPACING)
+    cavity = extrude_y([rectangle(1 - 2 * wall, 0.60 - 2 * wall, 0.05)], deep - 0.09 - wall, 1.5 * SPACING)
     cavity = cavity.translate((0, (0.09 - wall) / 2, middle))
-    deeper = across([rectangle(0.70 - 2 * wall, 0.46 - 2 * wall, 0.04)], tail + wall, 1.5 * SPACING)
-    deeper = _tapered(deeper.translate((0, tail / 2 - 1.5 * wall, middle)), tail, 0.8, middle)
+    deeper = extrude_y([rectangle(0.70 - 2 * wall, 0.46 - 2 * wall, 0.04)], tail + wall, 1.5 * SPACING)
+    deeper = _taper(deeper.translate((0, tail / 2 - 1.5 * wall, middle)), tail, 0.8, middle)
     deeper = deeper.translate((0, rear, 0))
     vents = bars([0.36] * 5, 0.026, 0.054, 4 * wall).translate((0, rear + tail, middle))
     # The recess flares towards the viewer.
-    recess = across([glass], 0.10, SPACING)
-    recess = _tapered(recess, 0.05, 0.95, 0.0).translate((at, front, middle))
+    recess = extrude_y([glass], 0.10, SPACING)
+    recess = _taper(recess, 0.05, 0.95, 0.0).translate((at, front, middle))
     grille = bars([0.15] * 5, 0.018, 0.036, 0.06).translate((0.345, front - 0.015, 0.235))
 
-    screen = across([inset(glass, -0.012)], 0.03, SPACING)
+    screen = extrude_y([inset(glass, -0.012)], 0.03, SPACING)
 
     def bulge(points: np.ndarray) -> np.ndarray:
         share = np.clip(1 - (points[:, [0, 2]] / half) ** 2, 0, 1)
@@ -154,23 +154,25 @@ def _radio(look: Look, plump: float) -> Kit:
     front = -deep / 2
     speaker, dial = (-0.22, middle), (0.245, 0.375)
 
-    case = across([rectangle(1.0, tall, 0.13, 7)], deep, SPACING, 0.04, 4).translate((0, 0, middle))
-    rim = across([regular(64, 0.225)], 0.04, SPACING, 0.012).translate((speaker[0], front, speaker[1]))
-    ring = across([regular(64, 0.145)], 0.04, SPACING, 0.012).translate((dial[0], front, dial[1]))
+    case = extrude_y([rectangle(1.0, tall, 0.13, 7)], deep, SPACING, 0.04, 4).translate((0, 0, middle))
+    rim = extrude_y([polygon(64, 0.225)], 0.04, SPACING, 0.012).translate((speaker[0], front, speaker[1]))
+    ring = extrude_y([polygon(64, 0.145)], 0.04, SPACING, 0.012).translate((dial[0], front, dial[1]))
     arch = [(-0.32, 0.50), (-0.32, 0.70), (0.32, 0.70), (0.32, 0.50)]
     handle = loop(arch, 0.11, 0.09, 0.05, 2.8)
 
-    cavity = across([rectangle(1 - 2 * wall, tall - 2 * wall, 0.09)], deep - 2 * wall, SPACING)
+    cavity = extrude_y([rectangle(1 - 2 * wall, tall - 2 * wall, 0.09)], deep - 2 * wall, SPACING)
     rise = 0.062 * (np.arange(6) - 2.5)
     grille = bars(list(2 * np.sqrt(0.185**2 - rise**2)), 0.025, 0.062, 0.14)
     vents = bars([0.30, 0.42, 0.42, 0.30], 0.025, 0.062, 0.14)
-    basin = across([regular(64, 0.195)], 0.04, SPACING).translate((speaker[0], front - 0.018, speaker[1]))
-    cover = across([rectangle(0.62, 0.32, 0.06)], 0.03, SPACING, 0.01).translate((0, -front, middle))
-    face = across([regular(64, 0.12)], 0.04, SPACING).translate((dial[0], front - 0.018, dial[1]))
+    basin = extrude_y([polygon(64, 0.195)], 0.04, SPACING).translate((speaker[0], front - 0.018, speaker[1]))
+    cover = extrude_y([rectangle(0.62, 0.32, 0.06)], 0.03, SPACING, 0.01).translate((0, -front, middle))
+    face = extrude_y([polygon(64, 0.12)], 0.04, SPACING).translate((dial[0], front - 0.018, dial[1]))
 
-    needle = across([np.array([[-0.013, -0.03], [0.013, -0.03], [0.009, 0.10], [-0.009, 0.10]])], 0.03, 0.02)
+    needle = extrude_y(
+        [np.array([[-0.013, -0.03], [0.013, -0.03], [0.009, 0.10], [-0.009, 0.10]])], 0.03, 0.02
+    )
     needle = needle.rotate((0, 35, 0)).translate((dial[0], front + 0.005, dial[1]))
-    hub = across([regular(24, 0.028)], 0.05, SPACING, 0.01).translate((dial[0], front + 0.002, dial[1]))
+    hub = extrude_y([polygon(24, 0.028)], 0.05, SPACING, 0.01).translate((dial[0], front + 0.002, dial[1]))
     foot, corners = rounded_disc(0.045, 0.08, 0.01, 32), product((-1, 1), repeat=2)
     feet = [foot.translate((x * 0.36, y * 0.25 * deep, 0)) for x, y in corners]
 
@@ -213,13 +215,15 @@ def _clock(look: Look, plump: float) -> Kit:
 
     def facing(outline: np.ndarray, top: float, turn: float = 0.0) -> manifold3d.Manifold:
         """Extrude an outline about the centre of the face, from within the drum to above the face."""
-        plate = across([outline], top + 0.02, SPACING, 0.2 * top, 1)
+        plate = extrude_y([outline], top + 0.02, SPACING, 0.2 * top, 1)
         return plate.translate((0, face + 0.01 - top / 2, 0)).rotate((0, turn, 0)).translate((0, 0, middle))
 
-    drum = across([regular(80, radius)], deep, SPACING, 0.03, 4).translate((0, 0, middle))
-    lip = across([regular(80, radius + 0.022)], 0.06, SPACING, 0.02, 4).translate((0, front + 0.025, middle))
-    back = across([regular(64, 0.22)], 0.04, SPACING, 0.012).translate((0, -front, middle))
-    recess = across([regular(80, inner)], 0.10, SPACING).translate((0, face - 0.05, middle))
+    drum = extrude_y([polygon(80, radius)], deep, SPACING, 0.03, 4).translate((0, 0, middle))
+    lip = extrude_y([polygon(80, radius + 0.022)], 0.06, SPACING, 0.02, 4).translate(
+        (0, front + 0.025, middle)
+    )
+    back = extrude_y([polygon(64, 0.22)], 0.04, SPACING, 0.012).translate((0, -front, middle))
+    recess = extrude_y([polygon(80, inner)], 0.10, SPACING).translate((0, face - 0.05, middle))
 
     quarter, other = (
         rectangle(width, length, 0.25 * width, 2) + np.array([0.0, at])
@@ -228,7 +232,7 @@ def _clock(look: Look, plump: float) -> Kit:
     marks = [facing(other, 0.018, 30.0 * k) if k % 3 else facing(quarter, 0.022, 30.0 * k) for k in range(12)]
     hour = facing(np.array([[-0.020, -0.03], [0.020, -0.03], [0.012, 0.11], [-0.012, 0.11]]), 0.022, -55.0)
     minute = facing(np.array([[-0.016, -0.04], [0.016, -0.04], [0.010, 0.165], [-0.010, 0.165]]), 0.034, 60.0)
-    pin = facing(regular(24, 0.026), 0.046)
+    pin = facing(polygon(24, 0.026), 0.046)
 
     dome = _bell().translate((0, 0, 0.375))
     bells = [dome.rotate((0, turn, 0)).translate((0, 0, middle)) for turn in (-36.0, 36.0)]
@@ -237,7 +241,7 @@ def _clock(look: Look, plump: float) -> Kit:
     arch = [(-out, high - 0.02), (-0.75 * out, 0.975), (0.75 * out, 0.975), (out, high - 0.02)]
     handle = loop(arch, 0.08, 0.07, 0.05)
     stem = bar((0, 0, 0.70), (0, 0, 0.83), (0.036, 0.036), SPACING, 20)
-    head = across([rectangle(0.12, 0.06, 0.02, 4)], 0.07, SPACING, 0.015).translate((0, 0, 0.82))
+    head = extrude_y([rectangle(0.12, 0.06, 0.02, 4)], 0.07, SPACING, 0.015).translate((0, 0, 0.82))
 
     slant = np.radians(38.0)
     feet = [(-0.36 * np.sin(slant), -0.22 * deep), (0.36 * np.sin(slant), -0.22 * deep), (0.0, 0.75 * deep)]
@@ -275,5 +279,5 @@ def _bell() -> manifold3d.Manifold:
     inner = np.stack([0.115 * np.cos(t[::-1]), 0.09 * np.sin(t[::-1])], 1)
     shell = manifold3d.CrossSection([np.concatenate([outer[::3], inner[::3]])]).revolve(48)
     post = manifold3d.Manifold.cylinder(0.24, 0.024, circular_segments=24).translate((0, 0, -0.13))
-    button = turned([[0, 0.10], [0.032, 0.10], [0.030, 0.125], [0.018, 0.138], [0, 0.14]])
+    button = turn_profile([[0, 0.10], [0.032, 0.10], [0.030, 0.125], [0.018, 0.138], [0, 0.14]])
     return shell + post + button

@@ -29,12 +29,12 @@ def rectangle(length: float, width: float, corner: float = 0.0, steps: int = 5) 
     return polyline(*quarters, quarters[0][:1], step=length + width)[:-1]
 
 
-def regular(sides: int, radius: float, turn: float = 0.0) -> np.ndarray:
+def polygon(sides: int, radius: float, turn: float = 0.0) -> np.ndarray:
     """Return the outline (sides, 2) of a regular polygon about the origin, first corner at ``turn``, rad."""
     return arc((0.0, 0.0), radius, turn, turn + 2 * np.pi, sides)[:-1]
 
 
-def rounded(corners: ArrayLike, radius: float) -> np.ndarray:
+def round_corners(corners: ArrayLike, radius: float) -> np.ndarray:
     """Round the corners of an outline (N, 2), counter-clockwise, with arcs of ``radius``, m."""
     shape = manifold3d.CrossSection([np.asarray(corners, np.float64)])
     round_ = manifold3d.JoinType.Round
@@ -112,7 +112,7 @@ def prism(
     return solid(np.concatenate([vertices, *lids]), np.concatenate([sides, bottom[:, ::-1], top]))
 
 
-def across(
+def extrude_y(
     outlines: Sequence[np.ndarray], width: float, spacing: float, bevel: float = 0.0, steps: int = ROUND_STEPS
 ) -> manifold3d.Manifold:
     """Extrude outlines in x and z along y, from -width / 2 to width / 2, m; parameters of `prism`."""

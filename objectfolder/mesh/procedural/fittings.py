@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
-from objectfolder.mesh.procedural.extrusion import across, prism, rectangle
-from objectfolder.mesh.procedural.section import even_rows, evenly, rounded_polyline
+from objectfolder.mesh.procedural.extrusion import extrude_y, prism, rectangle
+from objectfolder.mesh.procedural.section import resample_evenly, resample_rows, round_polyline
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -38,17 +38,17 @@ class Kit:
 
     def body(self, color: str | None, *solids: manifold3d.Manifold, **how: Any) -> None:
         """Add solids to the bodies."""
-        self.bodies += [self._painted(solid, color, **how) for solid in solids]
+        self.bodies += [self._paint(solid, color, **how) for solid in solids]
 
     def cut(self, color: str | None, *solids: manifold3d.Manifold, **how: Any) -> None:
         """Cut solids from the bodies; the cuts have their colour."""
-        self.cuts += [self._painted(solid, color, **how) for solid in solids]
+        self.cuts += [self._paint(solid, color, **how) for solid in solids]
 
     def detail(self, color: str | None, *solids: manifold3d.Manifold, **how: Any) -> None:
         """Add solids that nothing is cut from."""
-        self.details += [self._painted(solid, color, **how) for solid in solids]
+        self.details += [self._paint(solid, color, **how) for solid in solids]
 
-    def _painted(
+    def _paint(
         self,
         solid: manifold3d.Manifold,
         color: str | None,
@@ -58,7 +58,7 @@ class Kit:
     ) -> PaintedPart:
         """Scale a solid to m, and dye it."""
         size = self.look.size
-        plain = self.look.dyed(color).paint(axis, piece)
+        plain = self.look.dye(color).paint(axis, piece)
 
         def paint(points: np.ndarray) -> np.ndarray:
             colour = plain(points)
@@ -75,13 +75,13 @@ class Kit:
         return assemble(union(added), [*self.bodies, *self.cuts, *self.details], self.look, texture_size)
 
 
-def turned(profile: ArrayLike, coarse: float = 1e-3) -> manifold3d.Manifold:
+def turn_profile(profile: ArrayLike, coarse: float = 1e-3) -> manifold3d.Manifold:
     """Revolve a profile (N, 2) of radius and height, from the lower to the upper axis, about z.
 
     ``coarse`` is the allowed deviation from the profile, in its sizes.
     """
     dense = np.asarray(profile, np.float64)
-    return manifold3d.CrossSection([even_rows(dense, dense, coarse)]).revolve(SEGMENTS)
+    return manifold3d.CrossSection([resample_rows(dense, dense, coarse)]).revolve(SEGMENTS)
 
 
 def torus(radius: float, wire: float, segments: int = 16) -> manifold3d.Manifold:
@@ -95,7 +95,7 @@ def loop(
 ) -> manifold3d.Manifold:
     """Sweep a handle, ``width`` along y, along a polyline (N, 2) in x and z with bends of radius ``bend``."""
     corners = np.asarray(corners, np.float64)
-    path = evenly(rounded_polyline(corners, np.full(len(corners) - 2, bend)), 44)
+    path = resample_evenly(round_polyline(corners, np.full(len(corners) - 2, bend)), 44)
     spatial = np.stack([path[:, 0], 0 * path[:, 0], path[:, 1]], 1)
     return tube(spatial, width, thickness, (0.0, 1.0, 0.0), 20, squareness)
 
@@ -107,7 +107,7 @@ def bars(
     rise = pitch * (np.arange(len(lengths)) - (len(lengths) - 1) / 2)
     tools = []
     for length, z in zip(lengths, rise):
-        tool = across([rectangle(length, width, width / 2, 4)], depth, SPACING, bevel, 2)
+        tool = extrude_y([rectangle(length, width, width / 2, 4)], depth, SPACING, bevel, 2)
         tools.append(tool.translate((0.0, 0.0, float(z))))
     return manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add)
 
@@ -120,8 +120,8 @@ def knob(radius: float, height: float, flutes: int = 10, turn: float = 0.0) -> m
     angle = 2 * np.pi * np.arange(6 * flutes) / (6 * flutes)
     r = radius * (0.97 + 0.03 * np.cos(flutes * angle))
     outline = np.stack([r * np.cos(angle), r * np.sin(angle)], 1)
-    base = across([outline], height, SPACING, min(0.12 * radius, 0.3 * height), 2)
-    ridge = across([rectangle(0.22 * radius, 0.8 * radius, 0.1 * radius, 3)], 0.4 * height, SPACING)
+    base = extrude_y([outline], height, SPACING, min(0.12 * radius, 0.3 * height), 2)
+    ridge = extrude_y([rectangle(0.22 * radius, 0.8 * radius, 0.1 * radius, 3)], 0.4 * height, SPACING)
     ridge = ridge.translate((0.0, -0.5 * height, 0.45 * radius)).rotate((0.0, turn, 0.0))
     return (base + ridge).translate((0.0, -0.4 * height, 0.0))
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import timber
-from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
+from objectfolder.mesh.procedural.extrusion import polygon, prism, rectangle
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import bar, tube
 from objectfolder.mesh.textured import TexturedMesh
@@ -98,14 +98,14 @@ def _upright(
 
 
 def _mallet(look: Look, length: float, diameter: float, spacing: float) -> list[PaintedPart]:
-    block = _upright(regular(64, diameter / 2), -length / 2, length / 2, spacing, 0.08 * diameter)
+    block = _upright(polygon(64, diameter / 2), -length / 2, length / 2, spacing, 0.08 * diameter)
     axes = np.eye(3)[:, [1, 2, 0]]
     return [PaintedPart.of(block, timber(look, 2, np.zeros(3), axes, diameter), axes)]
 
 
 def _club(look: Look, length: float, diameter: float, spacing: float) -> list[PaintedPart]:
     cheek = 0.97 * diameter
-    octagon = regular(8, diameter / 2 / np.cos(np.pi / 8), np.pi / 8)
+    octagon = polygon(8, diameter / 2 / np.cos(np.pi / 8), np.pi / 8)
     body = _upright(octagon, -length / 2, length / 2, spacing, 0.13 * diameter)
     block = rectangle(cheek, 1.12 * cheek, 0.2 * cheek)
     waist = _upright(block, -0.17 * length, 0.17 * length, spacing, 0.06 * diameter)
@@ -117,7 +117,7 @@ def _claw(look: Look, length: float, diameter: float, spacing: float) -> list[Pa
     """Build the head: face towards +y, claw towards -y and bent towards the handle."""
     front, rear = 0.46 * length, 0.54 * length
     metal = look.paint((0, 1, 0), 2)
-    face = _upright(regular(48, diameter / 2), front - 0.55 * diameter, front, spacing, 0.07 * diameter)
+    face = _upright(polygon(48, diameter / 2), front - 0.55 * diameter, front, spacing, 0.07 * diameter)
     neck = bar((0, 0, 0), (0, front - 0.3 * diameter, 0), (0.78 * diameter, 0.72 * diameter), spacing, 40)
     block = rectangle(0.98 * diameter, 0.92 * diameter, 0.18 * diameter)
     cheek = _upright(block, -0.55 * diameter, 0.55 * diameter, spacing, 0.1 * diameter)

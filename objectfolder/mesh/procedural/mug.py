@@ -13,7 +13,7 @@ from objectfolder.mesh.procedural.revolution import (
     polyline,
     sleeve,
 )
-from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
+from objectfolder.mesh.procedural.solid import Patch, bake_mesh, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -83,7 +83,7 @@ def mug(
     handle, handle_chart = _handle(radius, height, wall, handle_reach, 4, decor.handle)
     atlas = pack_charts([*(chart for _, chart in parts), handle_chart], texture_size)
     cup = weld_patches([patch for patch, _ in parts], atlas)
-    return textured(cup + weld_patches(handle, atlas), atlas, roughness=0.25)
+    return bake_mesh(cup + weld_patches(handle, atlas), atlas, roughness=0.25)
 
 
 def _handle(

@@ -7,14 +7,14 @@ from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import (
     half_outline,
+    round_polyline,
     round_solid,
-    rounded_polyline,
     soften,
     wall_about,
 )
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import revolved
+from objectfolder.mesh.procedural.vessel import revolve_solid
 from objectfolder.mesh.textured import TexturedMesh
 
 HOLE = 0.24  #: radius of the hanging hole, in widths of the handle
@@ -73,9 +73,9 @@ def pan(
 
     floor, lip = wall / 2, height - wall / 2
     corners = np.array([[0, floor], [base_radius - wall / 2, floor], [radius - wall / 2, lip]])
-    middle = rounded_polyline(corners, np.array([rounding]))
-    shell = revolved(half_outline(soften(wall_about(middle, wall), convex=0.45 * wall), "pan"))
-    core = revolved(half_outline(round_solid(np.append(middle, [[0, lip]], axis=0)), "pan"))
+    middle = round_polyline(corners, np.array([rounding]))
+    shell = revolve_solid(half_outline(soften(wall_about(middle, wall), convex=0.45 * wall), "pan"))
+    core = revolve_solid(half_outline(round_solid(np.append(middle, [[0, lip]], axis=0)), "pan"))
 
     # The root is below the lip by the handle's thickness; the core cuts it off in the middle of the wall.
     root = height - wall - handle_thickness

@@ -6,12 +6,12 @@ from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import (
     half_outline,
     ring_under,
-    rounded_polyline,
+    round_polyline,
     soften,
     wall_about,
 )
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -66,7 +66,7 @@ def plate(
     if rim:
         corners.insert(2, [edge - rim, low + 0.72 * (top - low)])
     bend = 0.5 * (radius - well_radius)
-    middle = rounded_polyline(np.array(corners), np.array([bend] * (len(corners) - 2)))
+    middle = round_polyline(np.array(corners), np.array([bend] * (len(corners) - 2)))
     section = soften(
         wall_about(middle, wall) + ring_under(middle, 0.96 * well_radius, max(wall, 0.06 * well_radius)),
         concave=0.8 * foot_height,
@@ -77,5 +77,5 @@ def plate(
         return smoothstep(0.8 * well_radius, radius, np.hypot(points[:, 0], points[:, 1]))
 
     look = vessel_finish(finish, 2 * radius, height, 0.5 * foot_height, color, accent, seed)
-    warp = lobed(check, lobes, lobe_depth, weight)
-    return turned_vessel(half_outline(section, "plate"), look, texture_size, warp)
+    warp = lobe_warp(check, lobes, lobe_depth, weight)
+    return build_vessel(half_outline(section, "plate"), look, texture_size, warp)

@@ -19,7 +19,7 @@ COARSE = 4e-4  #: largest distance between chords and curve, in sizes of the sec
 STEP = 0.055  #: longest segment of a profile, in sizes of the section
 
 
-def rounded_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
+def round_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
     """Round the inner corners of a polyline ``corners`` (N, 2) with arcs of ``radii`` (N - 2,).
 
     An arc uses at most half of each adjacent segment.
@@ -46,7 +46,7 @@ def rounded_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
     return np.concatenate([*pieces, corners[-1:]])
 
 
-def evenly(curve: np.ndarray, pieces: int = 400) -> np.ndarray:
+def resample_evenly(curve: np.ndarray, pieces: int = 400) -> np.ndarray:
     """Resample a polyline (N, 2) at even distances; (pieces + 1, 2)."""
     return points_along(curve, np.linspace(0, arc_length(curve)[-1], pieces + 1))
 
@@ -65,7 +65,7 @@ def ring(corners: ArrayLike) -> manifold3d.CrossSection:
 
 def wall_about(middle: np.ndarray, thickness: float) -> manifold3d.CrossSection:
     """Build a wall of even thickness about a curve (N, 2) that starts on the axis, its free end round."""
-    middle = evenly(middle)
+    middle = resample_evenly(middle)
     whole = np.concatenate([middle[:0:-1] * [-1, 1], middle])
     along = np.gradient(whole, axis=0)
     normal = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1, keepdims=True)
@@ -124,10 +124,10 @@ def half_outline(section: manifold3d.CrossSection, generator: str) -> np.ndarray
 def split_at_lip(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Split a vessel's profile at the top of its lip into outside and inside, each with even rows."""
     lip = int(np.argmax(profile[:, 1]))
-    return even_rows(profile[: lip + 1], profile), even_rows(profile[lip:], profile)
+    return resample_rows(profile[: lip + 1], profile), resample_rows(profile[lip:], profile)
 
 
-def even_rows(part: np.ndarray, whole: np.ndarray, coarse: float = COARSE) -> np.ndarray:
+def resample_rows(part: np.ndarray, whole: np.ndarray, coarse: float = COARSE) -> np.ndarray:
     """Resample ``part`` (N, 2), denser where it bends, keeping its lowest and widest points; (M, 2).
 
     Chords deviate from the curve by about ``coarse`` times the size of ``whole``.
@@ -135,11 +135,11 @@ def even_rows(part: np.ndarray, whole: np.ndarray, coarse: float = COARSE) -> np
     size = np.ptp(whole * [2, 1], axis=0).max()
     stops = {0, len(part) - 1, int(np.argmin(part[:, 1])), int(np.argmax(part[:, 0]))}
     ends = sorted(stops)
-    pieces = [_even_piece(part[a : b + 1], size, coarse) for a, b in pairwise(ends)]
+    pieces = [_resample_piece(part[a : b + 1], size, coarse) for a, b in pairwise(ends)]
     return np.concatenate([pieces[0], *(piece[1:] for piece in pieces[1:])])
 
 
-def _even_piece(curve: np.ndarray, size: float, coarse: float) -> np.ndarray:
+def _resample_piece(curve: np.ndarray, size: float, coarse: float) -> np.ndarray:
     chord = np.diff(curve, axis=0)
     keep = np.append(True, np.linalg.norm(chord, axis=1) > 1e-9 * size)
     keep[-1] = True

@@ -4,7 +4,7 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import board, timber
-from objectfolder.mesh.procedural.extrusion import prism, regular
+from objectfolder.mesh.procedural.extrusion import polygon, prism
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -121,7 +121,7 @@ def _fronts(
         for k, (a, b) in enumerate(panels)
     ]
     radius = 0.75 * t
-    knob = prism([regular(20, radius)], 1.5 * t, spacing, 0.35 * radius, 2).rotate((90, 0, 0))
+    knob = prism([polygon(20, radius)], 1.5 * t, spacing, 0.35 * radius, 2).rotate((90, 0, 0))
     for k, (at, z) in enumerate(knobs):
         grain = timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius)
         parts.append(PaintedPart.of(knob.translate((at, near + 0.5 * t, z)), grain))

@@ -5,7 +5,7 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.mesh.procedural.boards import timber
-from objectfolder.mesh.procedural.extrusion import prism, regular
+from objectfolder.mesh.procedural.extrusion import polygon, prism
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import bar
 from objectfolder.mesh.textured import TexturedMesh
@@ -65,7 +65,7 @@ def stool(
     look = Look(finish, max(diameter, height), color, accent, seed)
     spacing = look.size / 30
     under = height - seat
-    plate = prism([regular(SIDES, diameter / 2)], seat, diameter / 24, 0.3 * seat)
+    plate = prism([polygon(SIDES, diameter / 2)], seat, diameter / 24, 0.3 * seat)
 
     def hollow(points: np.ndarray) -> np.ndarray:
         r = np.hypot(points[:, 0], points[:, 1]) / (0.45 * diameter)
@@ -88,18 +88,18 @@ def stool(
     for k in range(legs):
         ends = middle(k, -leg_diameter), middle(k, under + SUNK * seat - 0.75 * dish)
         post = bar(*ends, (0.75 * leg_diameter, leg_diameter), spacing, 24).trim_by_plane((0, 0, 1), 0)
-        parts.append(_turned(look, 1 + k, post, ends, leg_diameter))
+        parts.append(_place_bar(look, 1 + k, post, ends, leg_diameter))
     if rung_height > 0:
         for k in range(legs):
             # Staggered, so that neighbours meet a leg at different heights.
             z = rung_height * (1.0 + 0.18 * (k % 2))
             ends = middle(k, z), middle((k + 1) % legs, z)
             rung = bar(*ends, (0.55 * leg_diameter, 0.55 * leg_diameter), spacing, 20)
-            parts.append(_turned(look, 11 + k, rung, ends, leg_diameter))
+            parts.append(_place_bar(look, 11 + k, rung, ends, leg_diameter))
     return assemble(union(parts), parts, look, texture_size)
 
 
-def _turned(
+def _place_bar(
     look: Look, piece: int, solid: manifold3d.Manifold, ends: tuple[np.ndarray, np.ndarray], diameter: float
 ) -> PaintedPart:
     """Build the part of a bar between two ends, its grain along it."""

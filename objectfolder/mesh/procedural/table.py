@@ -4,7 +4,7 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import board, leg, timber
-from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
+from objectfolder.mesh.procedural.extrusion import polygon, prism, rectangle
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import bar
 from objectfolder.mesh.textured import TexturedMesh
@@ -76,7 +76,7 @@ def table(
         outline = rectangle(length, width, 4 * bevel)
         corner = np.array([length, width]) / 2 - overhang - leg_size / 2
     else:
-        outline = regular(SIDES, 0.5) * [length, width]
+        outline = polygon(SIDES, 0.5) * [length, width]
         # Legs stand on the oval's diagonal.
         corner = (np.array([length, width]) / 2 - overhang - leg_size / 2) / np.sqrt(2)
     plate = prism([outline], top, spacing, bevel, 1).translate((0, 0, height - top))
@@ -111,8 +111,8 @@ def _pillar(
     """Build a turned pillar on a round foot, with a collar under the top."""
     foot = 0.6 * top + 0.01 * across
     collar = 0.4 * foot
-    disc = prism([regular(SIDES, 0.30 * across)], foot, spacing, 4 * bevel)
-    plate = prism([regular(SIDES, 2.2 * radius)], 1.5 * collar, spacing, bevel)
+    disc = prism([polygon(SIDES, 0.30 * across)], foot, spacing, 4 * bevel)
+    plate = prism([polygon(SIDES, 2.2 * radius)], 1.5 * collar, spacing, bevel)
     pillar = bar((0, 0, 0.5 * foot), (0, 0, under + SUNK * top), (2.0 * radius, 1.7 * radius), spacing, 48)
     plate = plate.translate((0, 0, under - collar))
     level, upright = np.eye(3), np.eye(3)[:, [2, 0, 1]]

@@ -10,7 +10,7 @@ from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import half_outline, offset, ring, round_solid, soften
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import revolved
+from objectfolder.mesh.procedural.vessel import revolve_solid
 from objectfolder.mesh.textured import TexturedMesh
 
 BODY = 0.74  #: height of the body without lid, in heights of the teapot
@@ -95,7 +95,7 @@ def teapot(
 
     size = 2 * radius + spout_reach + handle_reach
     look = Look(finish, size, color, None if finish == "glaze" else accent, seed)
-    trim = look if finish != "glaze" or accent is None else look.dyed(accent)
+    trim = look if finish != "glaze" or accent is None else look.dye(accent)
     plain, second = look.paint(), trim.paint()
 
     def dipped(points: np.ndarray) -> np.ndarray:
@@ -105,9 +105,9 @@ def teapot(
         share = np.where(on_lid, 1.0, smoothstep(0.62, 0.64, (points[:, 0] - radius) / spout_reach))
         return plain(points) + share[:, None] * (second(points) - plain(points))
 
-    body = PaintedPart.of(revolved(half_outline(outline, "teapot")), dipped)
+    body = PaintedPart.of(revolve_solid(half_outline(outline, "teapot")), dipped)
     pipe, grip = PaintedPart.of(spout, dipped), PaintedPart.of(handle, second)
-    hollow = PaintedPart.of(revolved(half_outline(cavity, "teapot"), HIDDEN), plain)
+    hollow = PaintedPart.of(revolve_solid(half_outline(cavity, "teapot"), HIDDEN), plain)
     drill = PaintedPart.of(bore, plain)
     solid = body.solid + pipe.solid + grip.solid - hollow.solid - drill.solid
     return assemble(solid, [body, pipe, grip, hollow, drill], look, texture_size)

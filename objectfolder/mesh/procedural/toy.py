@@ -9,7 +9,7 @@ from skimage.measure import marching_cubes
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.boards import board
-from objectfolder.mesh.procedural.extrusion import across, prism, regular, rounded, solid
+from objectfolder.mesh.procedural.extrusion import extrude_y, polygon, prism, round_corners, solid
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
@@ -72,13 +72,13 @@ def _wheels(
 ) -> list[PaintedPart]:
     """Build pairs of wheels with hubs at positions along x; `width` is between their outer sides."""
     thick, hub = 0.5 * radius, 0.55 * radius
-    tyre = look.dyed(look.accent).paint((0, 1, 0), 1)
-    cap = look.dyed("ece7da").paint((0, 1, 0), 2)
+    tyre = look.dye(look.accent).paint((0, 1, 0), 1)
+    cap = look.dye("ece7da").paint((0, 1, 0), 2)
     parts = []
     for x in places:
         for sign in (-1, 1):
-            disc = across([regular(40, radius)], thick, spacing, 0.18 * radius)
-            boss = across([regular(24, hub)], thick, spacing, 0.12 * radius)
+            disc = extrude_y([polygon(40, radius)], thick, spacing, 0.18 * radius)
+            boss = extrude_y([polygon(24, hub)], thick, spacing, 0.12 * radius)
             y = sign * (width - thick) / 2
             parts.append(PaintedPart.of(disc.translate((x, y, radius)), tyre))
             parts.append(PaintedPart.of(boss.translate((x, y + sign * 0.14 * radius, radius)), cap))
@@ -88,14 +88,14 @@ def _wheels(
 def _lamps(
     look: Look, x: float, width: float, z: float, radius: float, code: str, spacing: float
 ) -> list[PaintedPart]:
-    lamp = prism([regular(24, radius)], 3 * radius, spacing, 0.5 * radius).rotate((0, 90, 0))
-    paint = look.dyed(code).paint()
+    lamp = prism([polygon(24, radius)], 3 * radius, spacing, 0.5 * radius).rotate((0, 90, 0))
+    paint = look.dye(code).paint()
     return [
         PaintedPart.of(lamp.translate((x - 2.5 * radius, sign * 0.32 * width, z)), paint) for sign in (-1, 1)
     ]
 
 
-def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar: float | None) -> Paint:
+def _paint_cabin(body: Paint, sides: np.ndarray, width: float, border: float, pillar: float | None) -> Paint:
     """Return the paint of a cabin with windows on all sides, inside a convex outline in x and z."""
     glass, edge = rgb("9fd3e6"), np.roll(sides, -1, axis=0) - sides
     inward = np.stack([-edge[:, 1], edge[:, 0]], 1) / np.linalg.norm(edge, axis=1, keepdims=True)
@@ -122,15 +122,15 @@ def _car(look: Look, span: float, plump: float) -> list[PaintedPart]:
     s, width = span, 0.46 * span * plump
     spacing, r = span / 36, 0.125 * span
     x, z = [-0.5, 0.5, 0.5, 0.46, -0.48, -0.5], [0.09, 0.09, 0.22, 0.27, 0.29, 0.26]
-    hull = rounded(s * np.stack([x, z], 1), 0.045 * s)
+    hull = round_corners(s * np.stack([x, z], 1), 0.045 * s)
     cabin_corners = s * np.array([(-0.36, 0.2), (0.29, 0.2), (0.13, 0.44), (-0.27, 0.44)])
     cabin_width = 0.86 * width
-    cabin = across([rounded(cabin_corners, 0.045 * s)], cabin_width, spacing, 0.03 * s)
-    body = look.dyed(look.color).paint((1, 0, 0))
+    cabin = extrude_y([round_corners(cabin_corners, 0.045 * s)], cabin_width, spacing, 0.03 * s)
+    body = look.dye(look.color).paint((1, 0, 0))
     windows = s * np.array([(-0.33, 0.27), (0.245, 0.27), (0.13, 0.44), (-0.27, 0.44)])
     return [
-        PaintedPart.of(across([hull], width, spacing, 0.032 * s), body),
-        PaintedPart.of(cabin, _glazed(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
+        PaintedPart.of(extrude_y([hull], width, spacing, 0.032 * s), body),
+        PaintedPart.of(cabin, _paint_cabin(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
         *_wheels(look, [-0.29 * s, 0.29 * s], r, 1.04 * width, spacing),
         *_lamps(look, 0.5 * s, width, 0.19 * s, 0.032 * s, "f6e9a8", spacing),
         *_lamps(look, -0.45 * s, width, 0.20 * s, 0.025 * s, "a01f1f", spacing),
@@ -140,11 +140,11 @@ def _car(look: Look, span: float, plump: float) -> list[PaintedPart]:
 def _truck(look: Look, span: float, plump: float) -> list[PaintedPart]:
     s, width = span, 0.40 * span * plump
     spacing, r = span / 36, 0.085 * span
-    frame = rounded(s * np.array([(-0.5, 0.08), (0.5, 0.08), (0.5, 0.16), (-0.5, 0.16)]), 0.02 * s)
+    frame = round_corners(s * np.array([(-0.5, 0.08), (0.5, 0.08), (0.5, 0.16), (-0.5, 0.16)]), 0.02 * s)
     cab_corners = s * np.array([(0.16, 0.12), (0.49, 0.12), (0.49, 0.27), (0.43, 0.45), (0.16, 0.45)])
     windows = s * np.array([(0.16, 0.255), (0.50, 0.255), (0.43, 0.45), (0.16, 0.45)])
-    body = look.dyed(look.color).paint((1, 0, 0))
-    load = look.dyed("f2c83b")
+    body = look.dye(look.color).paint((1, 0, 0))
+    load = look.dye("f2c83b")
     x, y, z, t = (-0.49 * s, 0.11 * s), width / 2, (0.14 * s, 0.35 * s), 0.025 * s
     boards = [
         ((x[0], -y, z[0]), (x[1], y, z[0] + 1.6 * t)),
@@ -154,12 +154,12 @@ def _truck(look: Look, span: float, plump: float) -> list[PaintedPart]:
         ((x[1] - t, 0.5 * t - y, z[0]), (x[1], y - 0.5 * t, z[1] - 0.1 * t)),
     ]
     tray = [board(load, 10 + k, low, high, spacing, 0.2 * t) for k, (low, high) in enumerate(boards)]
-    cab = across([rounded(cab_corners, 0.035 * s)], 0.96 * width, spacing, 0.025 * s)
-    under = across([frame], 0.8 * width, spacing, 0.012 * s)
+    cab = extrude_y([round_corners(cab_corners, 0.035 * s)], 0.96 * width, spacing, 0.025 * s)
+    under = extrude_y([frame], 0.8 * width, spacing, 0.012 * s)
     return [
         *tray,
-        PaintedPart.of(under, look.dyed("6b6e73").paint((1, 0, 0), 4)),
-        PaintedPart.of(cab, _glazed(body, windows, 0.96 * width, 0.03 * s, None)),
+        PaintedPart.of(under, look.dye("6b6e73").paint((1, 0, 0), 4)),
+        PaintedPart.of(cab, _paint_cabin(body, windows, 0.96 * width, 0.03 * s, None)),
         *_wheels(look, [-0.38 * s, -0.16 * s, 0.33 * s], r, 1.06 * width, spacing),
         *_lamps(look, 0.49 * s, width, 0.17 * s, 0.028 * s, "f6e9a8", spacing),
     ]
@@ -172,21 +172,21 @@ def _rings(look: Look, height: float, plump: float, count: int) -> list[PaintedP
     pitch = (height - foot - 1.75 * ball) / count
     thick = 1.12 * pitch  # rings overlap
     colours = ramp(look.color, look.accent, count + 2)
-    base = prism([regular(72, widest)], foot, height / 40, 0.3 * foot)
-    parts = [PaintedPart.of(base, look.dyed(colours[0]).paint((1, 0, 0)))]
-    post = prism([regular(48, 0.16 * widest)], height - foot - ball, height / 40)
+    base = prism([polygon(72, widest)], foot, height / 40, 0.3 * foot)
+    parts = [PaintedPart.of(base, look.dye(colours[0]).paint((1, 0, 0)))]
+    post = prism([polygon(48, 0.16 * widest)], height - foot - ball, height / 40)
     parts.append(PaintedPart.of(post.translate((0, 0, 0.5 * foot)), parts[0].paint))
     for k in range(count):
         outer = widest * (0.94 - 0.46 * k / (count - 1))
         half = min(0.8 * thick, 0.42 * outer)
-        oval = regular(22, 1.0) * [half, thick / 2] + [outer - half, 0]
+        oval = polygon(22, 1.0) * [half, thick / 2] + [outer - half, 0]
         ring = manifold3d.CrossSection([oval]).revolve(72)
-        disc = prism([regular(48, outer - half)], 1.02 * pitch, height / 40).translate((0, 0, -0.51 * pitch))
+        disc = prism([polygon(48, outer - half)], 1.02 * pitch, height / 40).translate((0, 0, -0.51 * pitch))
         place = (0, 0, foot + pitch * (k + 0.5))
-        paint = look.dyed(colours[k + 1]).paint(None, k)
+        paint = look.dye(colours[k + 1]).paint(None, k)
         parts.append(PaintedPart.of((ring + disc).translate(place), paint))
     top = manifold3d.Manifold.sphere(ball, 64).translate((0, 0, height - ball))
-    parts.append(PaintedPart.of(top, look.dyed(colours[-1]).paint(None, count)))
+    parts.append(PaintedPart.of(top, look.dye(colours[-1]).paint(None, count)))
     return parts
 
 
@@ -219,9 +219,9 @@ def _duck(look: Look, span: float, plump: float) -> list[PaintedPart]:
         torso = blend(blend(body, tail, 0.16), blend(neck, head, 0.05), 0.06)
         return blend(torso, wing, 0.02)
 
-    made = _drawn(distance, np.array([[-0.66, -0.44 * plump, -0.05], [0.5, 0.44 * plump, 0.85]]))
+    made = _extract_solid(distance, np.array([[-0.66, -0.44 * plump, -0.05], [0.5, 0.44 * plump, 0.85]]))
     made = made.trim_by_plane((0, 0, 1.0), 0.02).translate((0, 0, -0.02))
-    feathers = look.dyed(look.color).paint((1, 0, 0))
+    feathers = look.dye(look.color).paint((1, 0, 0))
 
     def paint(points: np.ndarray) -> np.ndarray:
         at = (points / span + [0, 0, 0.02]) / wide
@@ -232,7 +232,7 @@ def _duck(look: Look, span: float, plump: float) -> list[PaintedPart]:
     ball = manifold3d.Manifold.sphere(1.0, 64)
     upper = ball.scale((0.15, 0.105 * plump, 0.042)).rotate((0, -8, 0)).translate((0.40, 0, 0.565))
     lower = ball.scale((0.115, 0.085 * plump, 0.036)).rotate((0, 10, 0)).translate((0.39, 0, 0.525))
-    bill = look.dyed(look.accent).paint((1, 0, 0), 1)
+    bill = look.dye(look.accent).paint((1, 0, 0), 1)
     return [PaintedPart.of(made.scale([span] * 3), paint)] + [
         PaintedPart.of(p.scale([span] * 3), bill) for p in (upper, lower)
     ]
@@ -245,7 +245,7 @@ def _ellipsoid(at: np.ndarray, middle: tuple[float, ...], half: tuple[float, ...
     return radius * (radius - 1) / np.maximum(np.linalg.norm(scaled / half, axis=1), 1e-9)
 
 
-def _drawn(distance: Callable[[np.ndarray], np.ndarray], bounds: np.ndarray) -> manifold3d.Manifold:
+def _extract_solid(distance: Callable[[np.ndarray], np.ndarray], bounds: np.ndarray) -> manifold3d.Manifold:
     """Extract the solid where a distance is negative."""
     step = np.ptp(bounds, axis=0).max() / CELLS
     axes = [np.arange(a, b + step, step) for a, b in bounds.T]

@@ -6,7 +6,7 @@ from scipy.interpolate import PchipInterpolator
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import half_outline, ring_under, soften, wall_about
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -81,5 +81,5 @@ def vase(
         return smoothstep(0.05 * height, 0.4 * height, points[:, 2])
 
     look = vessel_finish(finish, height, height, recess, color, accent, seed)
-    warp = lobed(check, lobes, lobe_depth, weight, twist / height)
-    return turned_vessel(half_outline(section, "vase"), look, texture_size, warp)
+    warp = lobe_warp(check, lobes, lobe_depth, weight, twist / height)
+    return build_vessel(half_outline(section, "vase"), look, texture_size, warp)

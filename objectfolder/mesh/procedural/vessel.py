@@ -11,8 +11,8 @@ from objectfolder.mesh.procedural.extrusion import solid
 from objectfolder.mesh.procedural.finish import Finish, finish
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.revolution import revolve
-from objectfolder.mesh.procedural.section import COARSE, even_rows, split_at_lip
-from objectfolder.mesh.procedural.solid import coincident, textured, weld_patches
+from objectfolder.mesh.procedural.section import COARSE, resample_rows, split_at_lip
+from objectfolder.mesh.procedural.solid import bake_mesh, group_coincident, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -72,7 +72,7 @@ def vessel_finish(
     return VesselFinish(outside, body.roughness, body.metallic, inside)
 
 
-def lobed(
+def lobe_warp(
     check: Checks, lobes: int, depth: float, weight: Callable[[np.ndarray], np.ndarray], twist: float = 0.0
 ) -> Warp | None:
     """Return the warp of a round vessel into ``lobes`` lobes, or None without lobes.
@@ -95,7 +95,7 @@ def lobed(
     return warp
 
 
-def turned_vessel(
+def build_vessel(
     profile: np.ndarray, look: VesselFinish, texture_size: int, warp: Warp | None
 ) -> TexturedMesh:
     """Build the textured mesh of a vessel from a profile (N, 2) that starts and ends on the axis."""
@@ -106,21 +106,21 @@ def turned_vessel(
     patches = [patch for patch, _ in parts]
     if warp is not None:
         patches = [replace(patch, vertices=warp(patch.vertices)) for patch in patches]
-    return textured(weld_patches(patches, atlas), atlas, look.roughness, look.metallic)
+    return bake_mesh(weld_patches(patches, atlas), atlas, look.roughness, look.metallic)
 
 
-def revolved(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold:
+def revolve_solid(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold:
     """Revolve a dense profile (N, 2), m, that starts and ends on the axis, into an unpainted solid.
 
     ``coarse`` is the allowed deviation from the profile, in its sizes.
     """
     top = int(np.argmax(profile[:, 1]))
     halves = [half for half in (profile[: top + 1], profile[top:]) if len(half) > 1]
-    rows = [even_rows(half, profile, coarse) for half in halves]
+    rows = [resample_rows(half, profile, coarse) for half in halves]
     even = np.concatenate([rows[0], *(row[1:] for row in rows[1:])])
     patches = [patch for patch, _ in revolve(even, 0, lambda points: points)]
     vertices = np.concatenate([patch.vertices for patch in patches])
     starts = np.cumsum([0, *(len(patch.vertices) for patch in patches)])
     faces = np.concatenate([patch.faces + start for patch, start in zip(patches, starts)])
-    first, group = coincident(vertices)
+    first, group = group_coincident(vertices)
     return solid(vertices[first], group[faces])

@@ -4,7 +4,7 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
-from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
+from objectfolder.mesh.procedural.extrusion import polygon, prism, rectangle
 from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -62,7 +62,7 @@ def wrench(
     )
     shape = manifold3d.CrossSection([bar])
     for x, radius in zip(middles, radii):
-        shape += manifold3d.CrossSection([regular(72, radius) + np.array([x, 0])])
+        shape += manifold3d.CrossSection([polygon(72, radius) + np.array([x, 0])])
     fillet = 0.8 * flats
     shape = shape.offset(fillet, manifold3d.JoinType.Round, circular_segments=64)
     shape = shape.offset(-fillet, manifold3d.JoinType.Round, circular_segments=64).simplify(1e-3 * flats)
@@ -71,7 +71,7 @@ def wrench(
     metal = look.paint((1, 0, 0))
     parts, cuts = [PaintedPart.of(body, metal)], []
     for k, (kind, x, radius, s) in enumerate(zip(kinds, middles, radii, sizes)):
-        head = prism([regular(72, 1.03 * radius)], HEAD * thickness, spacing, 0.2 * thickness, 2)
+        head = prism([polygon(72, 1.03 * radius)], HEAD * thickness, spacing, 0.2 * thickness, 2)
         parts.append(PaintedPart.of(head.translate((x, 0, 0)), metal))
         outline = _jaws(s, radius, k) if kind == "open" else _star(s)
         bite = prism(_rings(outline), 2 * HEAD * thickness, spacing)
@@ -81,7 +81,7 @@ def wrench(
     span, across = ends_of_bar[1] - ends_of_bar[0], 0.8 * min(half)
     depth = RECESS * thickness
     panel = prism([rectangle(span, across, 0.45 * across)], 2 * depth, spacing)
-    dull = look.dyed(look.accent or "5f6468").paint((1, 0, 0), 1)
+    dull = look.dye(look.accent or "5f6468").paint((1, 0, 0), 1)
     for z in (lift - depth, lift + thickness - depth):
         cuts.append(PaintedPart.of(panel.translate((np.mean(ends_of_bar), 0, z)), dull))
     return assemble(union(parts) - union(cuts), [*parts, *cuts], look, texture_size)
@@ -96,11 +96,11 @@ def _jaws(size: float, radius: float, end: int) -> manifold3d.CrossSection:
     turn = np.pi * (1 - end) + JAW_ANGLE
     shift = np.array([1.25 * radius - 0.1 * size, 0])
     slot = manifold3d.CrossSection([rectangle(2.5 * radius, size) + shift])
-    seat = manifold3d.CrossSection([regular(6, size / np.sqrt(3))])
+    seat = manifold3d.CrossSection([polygon(6, size / np.sqrt(3))])
     return (slot + seat).rotate(np.rad2deg(turn))
 
 
 def _star(size: float) -> manifold3d.CrossSection:
     """Build a hole with twelve points, for hexagons in two orientations."""
-    hexagons = [manifold3d.CrossSection([regular(6, size / np.sqrt(3), k * np.pi / 6)]) for k in (0, 1)]
+    hexagons = [manifold3d.CrossSection([polygon(6, size / np.sqrt(3), k * np.pi / 6)]) for k in (0, 1)]
     return hexagons[0] + hexagons[1]

@@ -155,7 +155,7 @@ few = st.integers(1, 4)
 FAST = {
     "mug": (mug, st.floats(0.02, 0.08), unit, unit, unit, unit),
     "die": (die, st.floats(0.01, 0.2), st.floats(0.02, 0.16)),
-    "bell": (bell, st.floats(0.02, 0.15), st.floats(1.6, 3.0), st.floats(0.03, 0.08)),
+    "bell": (bell, st.floats(0.02, 0.15), st.floats(1.6, 3.0), st.floats(0.03, 0.07)),
     "bowl": (bowl, st.floats(0.02, 0.15), unit, unit, unit, st.floats(-0.4, 0.6), one_of([0, 3, 12])),
     "cup": (goblet, st.floats(0.02, 0.08), unit, unit, st.floats(-0.25, 0.4), st.floats(0.25, 0.6)),
     "bottle": (bottle, st.floats(0.02, 0.1), unit, unit, unit, st.floats(0, 0.35), one_of([0, 4])),

@@ -9,13 +9,13 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.mesh.procedural.extrusion import (
-    across,
     area,
+    extrude_y,
     inset,
+    polygon,
     prism,
     rectangle,
-    regular,
-    rounded,
+    round_corners,
     triangulate,
 )
 from objectfolder.mesh.procedural.shelf import shelf, shelf_levels
@@ -32,14 +32,14 @@ def test_a_board_of_another_seed_is_another_piece_of_wood():
 
 def test_rounded_square_has_arcs_in_its_corners():
     side, radius = 0.2, 0.05
-    outline = rounded(rectangle(side, side), radius)
-    circle = area(regular(32, radius))
+    outline = round_corners(rectangle(side, side), radius)
+    circle = area(polygon(32, radius))
     assert area(outline) == pytest.approx(side**2 - (2 * radius) ** 2 + circle, rel=1e-5)
     np.testing.assert_allclose(np.abs(outline).max(0), side / 2, atol=1e-9)
 
 
 def test_plate_across_stands_upright_between_its_faces():
-    low, high = np.reshape(across([rectangle(0.3, 0.2)], 0.05, 0.1).bounding_box(), (2, 3))
+    low, high = np.reshape(extrude_y([rectangle(0.3, 0.2)], 0.05, 0.1).bounding_box(), (2, 3))
     np.testing.assert_allclose(high, [0.15, 0.025, 0.1], atol=1e-12)
     np.testing.assert_allclose(low, -high, atol=1e-12)
 
@@ -63,8 +63,8 @@ def test_prism_has_the_volume_of_its_rounded_edges(steps):
 def test_prism_with_holes_has_their_genus_and_an_even_mesh():
     rings = [
         rectangle(0.3, 0.2, 0.02),
-        regular(32, 0.03)[::-1],
-        regular(6, 0.02)[::-1] + np.array([0.1, 0.03]),
+        polygon(32, 0.03)[::-1],
+        polygon(6, 0.02)[::-1] + np.array([0.1, 0.03]),
     ]
     plate = prism(rings, 0.02, 0.01)
     assert plate.genus() == 2
@@ -83,7 +83,7 @@ def test_triangulation_of_a_thin_web_keeps_the_outline():
 
 
 def test_inset_moves_every_side_by_the_distance():
-    moved = inset(regular(6, 1.0), 0.1)
+    moved = inset(polygon(6, 1.0), 0.1)
     assert np.linalg.norm(moved, axis=1) == pytest.approx(1 - 0.1 / np.cos(np.pi / 6))
     with pytest.raises(ObjectFolderError, match="shortest side"):
         inset(rectangle(1, 0.1), 0.06)

@@ -93,7 +93,7 @@ def test_spoon_is_an_open_bowl_on_a_slim_handle():
     assert mesh.bounds[0, 0] == pytest.approx(-a, abs=1e-9)
 
 
-def polygon(sides: int, diameter: float) -> float:
+def polygon_area(sides: int, diameter: float) -> float:
     return sides / 2 * np.sin(2 * np.pi / sides) * diameter**2 / 4
 
 
@@ -106,14 +106,14 @@ def test_block_lacks_the_volume_of_its_holes(hole, sides, depth):
     )
     np.testing.assert_allclose(mesh.bounds, [[-l / 2, -w / 2, 0], [l / 2, w / 2, h]], atol=1e-9)
     surface = welded(mesh)
-    assert surface.volume == pytest.approx(l * w * h - 6 * polygon(sides, d) * (depth or h), rel=1e-9)
+    assert surface.volume == pytest.approx(l * w * h - 6 * polygon_area(sides, d) * (depth or h), rel=1e-9)
     assert surface.euler_number == (2 if depth else 2 - 2 * 6)
 
 
 def test_brick_has_its_studs_on_top():
     l, w, h, d = 0.064, 0.032, 0.0192, 0.0098
     mesh = block(l, w, h, "studs", 2, 4, d, 0.004, rounding=0, finish="plastic", texture_size=SMALL)
-    assert welded(mesh).volume == pytest.approx(l * w * h + 8 * polygon(40, d) * 0.004, rel=1e-9)
+    assert welded(mesh).volume == pytest.approx(l * w * h + 8 * polygon_area(40, d) * 0.004, rel=1e-9)
     assert mesh.bounds[1, 2] == pytest.approx(h + 0.004, abs=1e-12)
 
 
