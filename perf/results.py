@@ -84,7 +84,7 @@ def render(page: str, records: Path = RECORDS) -> str:
     values = {path.stem: read_json(path) for path in sorted(records.glob("*.json"))}
     template = environment.get_template(f"{page}.j2")
     text = template.render(**values, records=values, query_figures=FIGURES, fitted=FITTED)
-    return re.sub(r"\n{3,}", "\n\n", text)
+    return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 
 def by_commit(objects: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
