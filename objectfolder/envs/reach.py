@@ -101,6 +101,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 80}  # noqa: RUF012 - as the base class has it
+    mj_step = staticmethod(mujoco.mj_step)  #: makes the steps, so that `objectfolder.envs.senses` can listen
 
     def __init__(
         self,
@@ -154,7 +155,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         target = self.data.mocap_pos[self._target] + ACTION_SCALE * action[:3]
         self.data.mocap_pos[self._target] = np.clip(target, HAND_LOW, HAND_HIGH)
         self.data.ctrl[:] = action[3], -action[3]
-        mujoco.mj_step(self.model, self.data, SUBSTEPS)
+        self.mj_step(self.model, self.data, SUBSTEPS)
         self._steps += 1
         distance = float(np.linalg.norm(self.data.qpos[self._hand] + TIP - self.goal))
         info = {"success": float(distance <= SUCCESS_RADIUS), "distance": distance}
