@@ -101,8 +101,8 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         if listener is not None and not own_step and not intercept:
             raise ObjectFolderError(
                 f"{type(inner).__name__} has no mj_step by which it could be heard: let it step by an "
-                "attribute of this name, mj_step = staticmethod(mujoco.mj_step); or if it calls mujoco.mj_step, give "
-                "intercept=True"
+                "attribute of this name, mj_step = staticmethod(mujoco.mj_step); or, if it calls "
+                "mujoco.mj_step, give intercept=True"
             )
         self._stepper: Any = inner if own_step else mujoco  #: whose ``mj_step`` is replaced during `step`
         model = inner.model
