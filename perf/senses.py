@@ -207,7 +207,7 @@ def tap(folder: str, train: str) -> dict:
     import numpy as np
     import torch
 
-    from objectfolder.envs.odd import SURE, OddEar, find_odd
+    from objectfolder.envs.ears import SURE, OddEar, find_odd
     from objectfolder.envs.tap import TapEnv
 
     torch.set_num_threads(1)
@@ -249,8 +249,7 @@ def touches(count: str, *files: str) -> dict:
     import torch
 
     from objectfolder import ObjectFile
-    from objectfolder.envs.explore import ExploreEnv
-    from objectfolder.envs.explorer import Explorer, explore
+    from objectfolder.envs.explore import ExploreEnv, Explorer, explore
 
     torch.set_num_threads(1)
     env = ExploreEnv([ObjectFile.load(file) for file in files] or KINDS)

@@ -20,7 +20,6 @@ from objectfolder.touch.friction import friction_of
 
 #: Folder in which convex hulls are cached, or the hulls, object frame, m; None: a folder of the user's.
 Hulls = str | Path | Sequence[trimesh.Trimesh] | None
-
 TORSIONAL, ROLLING = 0.005, 0.0001  #: friction, m: MuJoCo's defaults
 
 
@@ -287,3 +286,24 @@ def _check_fit(key: str, bounds: np.ndarray, hulls: Sequence[trimesh.Trimesh]) -
             f"surface from {bounds[0].round(4).tolist()} to {bounds[1].round(4).tolist()} m; they are of "
             "another object or frame: make them of this file's to_mesh()"
         )
+
+
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """Return the rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, np.float64))
+    return matrix.reshape(3, 3)
+
+
+def turn_poses(poses: np.ndarray, yaws: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+    """Rotate poses (N, 7) by yaws (N,) about the vertical through the origin, then shift them by (N, 2)."""
+    yaws = np.asarray(yaws, np.float64)
+    cos, sin = np.cos(yaws), np.sin(yaws)
+    x, y, z = poses[:, :3].T
+    moved = np.stack([cos * x - sin * y, sin * x + cos * y, z], 1)
+    moved[:, :2] += shifts
+    half = np.stack([np.cos(yaws / 2), 0 * yaws, 0 * yaws, np.sin(yaws / 2)], 1)
+    quaternions = np.empty((len(poses), 4))
+    for out, turn, pose in zip(quaternions, half, poses):
+        mujoco.mju_mulQuat(out, turn, pose[3:])
+    return np.c_[moved, quaternions]

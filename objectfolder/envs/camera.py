@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from objectfolder.envs.gripper import boxes
-from objectfolder.envs.poses import hand_axes, rotation
+from objectfolder.envs.body import rotation
+from objectfolder.envs.gripper import boxes, hand_axes
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white

@@ -10,10 +10,9 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.audio.synthesis import count_samples
-from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
+from objectfolder.envs.body import add_body, density, rigid_body, rotation, scaled_body
 from objectfolder.envs.calls import KEPT, material_names, no_options, opened, started
 from objectfolder.envs.hearing import Hearing
-from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import Sounding, require_audible
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import material

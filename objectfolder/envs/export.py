@@ -1,6 +1,7 @@
 """Export to physics engines: folders with MJCF (MuJoCo) or URDF (PyBullet, MuJoCo and others)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree as xml
 
@@ -9,15 +10,16 @@ import numpy as np
 import trimesh
 from trimesh.exchange.obj import export_obj
 
-from objectfolder.envs.body import ROLLING, TORSIONAL, RigidBody, add_body, density
-from objectfolder.envs.export_folder import export_folder
-from objectfolder.envs.hulls import MAX_HULLS
+from objectfolder.disk import new_folder
+from objectfolder.envs.body import ROLLING, TORSIONAL, RigidBody, add_body, density, rigid_body
+from objectfolder.envs.hulls import MAX_HULLS, convex_hulls
 from objectfolder.envs.visual import PLAIN, visual_mesh
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.io import write_text
 from objectfolder.objectfile.file import ObjectFile
 
 _VISUAL, _COLLISION = 2, 3  # groups of geoms; MuJoCo's viewer shows only the first
+_NEEDED = 8 * 2**20  # approximate size of a folder with mesh and texture, bytes
 
 
 def write_mjcf(
@@ -159,3 +161,28 @@ def _urdf(body: RigidBody, textured: bool) -> str:
 
 def _numbers(*values: float | np.floating) -> str:
     return " ".join(f"{float(value):.9g}" for value in values)
+
+
+@contextmanager
+def export_folder(
+    file: ObjectFile, out: str | Path, max_hulls: int, hulls: Sequence[trimesh.Trimesh] | None
+) -> Iterator[tuple[Path, RigidBody]]:
+    """Give a folder to fill, which becomes ``OUT/<key>`` if nothing fails, and the object's rigid body.
+
+    Parameters
+    ----------
+    file : ObjectFile
+    out : path
+        Parent of the new folder.
+    max_hulls : int
+        Of those that are computed.
+    hulls : sequence of trimesh.Trimesh, optional
+        Default: computed, which takes up to half a minute.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the folder exists already, the file holds no geometry, or an extra is not installed.
+    """
+    with new_folder(f"{file.key}: export", Path(out) / file.key, _NEEDED, "") as new:
+        yield new, rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import torch
 
+from objectfolder.envs.body import rotation
 from objectfolder.envs.fingers import COARSE, LEAST_DEPTH, sensor_angles
-from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import Objects, check_extent, placed_objects
 from objectfolder.envs.state import SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted

@@ -6,7 +6,7 @@ free. Each row is independent of the batch and of the number of threads.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +14,8 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from objectfolder.envs.body import RigidBody, add_body
-from objectfolder.envs.grasp_phases import LIFT, LIFTING, SQUEEZE, minimum_jerk, phase_targets
-from objectfolder.envs.grasp_state import StateLayout
-from objectfolder.envs.gripper import LAG, OPEN, SHUT, SPEED, STROKE, TIP, add_gripper
-from objectfolder.envs.poses import hand_axes, rotation
+from objectfolder.envs.body import RigidBody, add_body, rotation
+from objectfolder.envs.gripper import LAG, OPEN, SHUT, SPEED, STROKE, TIP, StateLayout, add_gripper, hand_axes
 from objectfolder.errors import ObjectFolderError
 
 HOLD_SHARE = 0.8  #: a held object rises by more than this share of the hand's way
@@ -31,6 +28,9 @@ SETTLING = 4.0  #: time that a dropped object gets to come to rest, s
 LOOK = 0.5  #: interval at which dropped objects are checked, s
 STILL = 0.01  #: below it an object is at rest, m/s and rad/s
 DROPS = 64  #: random orientations that resting poses come from
+LIFT = 0.1  #: height to which objects are lifted, m
+LIFTING = 0.5  #: duration of the lift, and of the hold after it, s
+SQUEEZE = 0.1  #: time in which closed jaws build up their force, s
 
 
 @dataclass(frozen=True)
@@ -385,3 +385,50 @@ def check_width(key: str, points: np.ndarray) -> None:
 def lowest_hand() -> float:
     """Return the least height of the pads' centres above the table: fingertips just clear it."""
     return float(TIP) + 0.001
+
+
+@dataclass(frozen=True)
+class PhaseTargets:
+    """Targets at T time steps."""
+
+    phases: list[str]  #: (T,) name of the phase
+    heights: np.ndarray  #: (T,) of the hand above the grasp, m
+    jaws: np.ndarray  #: (T,) of each jaw, m
+
+
+def minimum_jerk(share: np.ndarray) -> np.ndarray:
+    """Return positions from 0 to 1 of the smoothest motion, at shares of its duration in [0, 1]."""
+    return 10 * share**3 - 15 * share**4 + 6 * share**5
+
+
+def phase_targets(timestep: float, speed: float) -> PhaseTargets:
+    """Return the targets of a grasp that starts `LIFT` above it, with jaws that close at ``speed`` (m/s)."""
+    travel = OPEN / speed
+    closing = travel + SQUEEZE
+
+    def keep(position: float) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda share: np.full(len(share), position)
+
+    def close(share: np.ndarray) -> np.ndarray:
+        return np.where(share < travel / closing, OPEN - speed * closing * share, SHUT)
+
+    def release(share: np.ndarray) -> np.ndarray:
+        return OPEN * np.minimum(2 * share, 1)
+
+    # Name, seconds, height at the end, jaws over the phase.
+    phases = (
+        ("reach", 0.6, 0.0, keep(OPEN)),
+        ("close", closing, 0.0, close),
+        ("lift", LIFTING, LIFT, keep(SHUT)),
+        ("hold", LIFTING, LIFT, keep(SHUT)),
+        ("put back", LIFTING, 0.0, keep(SHUT)),
+        ("release", 0.5, 0.0, release),
+    )
+    start, names, heights, jaws = LIFT, [], [], []
+    for name, seconds, end, targets in phases:
+        share = np.linspace(0, 1, round(seconds / timestep) + 1)[1:]
+        names += [name] * len(share)
+        heights.append(start + (end - start) * minimum_jerk(share))
+        jaws.append(targets(share))
+        start = end
+    return PhaseTargets(names, np.concatenate(heights), np.concatenate(jaws))

@@ -4,12 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from objectfolder.envs.body import Hulls, RigidBody, as_rigid_body
+from objectfolder.envs.body import Hulls, RigidBody, as_rigid_body, rotation, turn_poses
 from objectfolder.envs.features import TouchBank, TouchFeatures
-from objectfolder.envs.fingers import require_pads
-from objectfolder.envs.first_contact import FirstContact, first_contact
+from objectfolder.envs.fingers import FirstContact, first_contact, require_pads
 from objectfolder.envs.grasp_scene import GraspScene, check_width, lowest_hand
-from objectfolder.envs.poses import relative_hands, rotation, turn_poses
+from objectfolder.envs.gripper import relative_hands
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 

@@ -13,14 +13,7 @@ from gymnasium.spaces import Box
 
 from objectfolder.checks import whole_number
 from objectfolder.envs.body import Hulls, RigidBody, add_body, as_rigid_body
-from objectfolder.envs.reach_scene import (
-    GOAL_HIGH,
-    GOAL_LOW,
-    OBJECT_HIGH,
-    OBJECT_LOW,
-    check_size,
-    lowest_point,
-)
+from objectfolder.envs.reach import GOAL_HIGH, GOAL_LOW, OBJECT_HIGH, OBJECT_LOW, check_size, lowest_point
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 

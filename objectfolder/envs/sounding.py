@@ -10,8 +10,7 @@ import scipy.linalg
 
 from objectfolder.audio.tuning import HEARING_HZ
 from objectfolder.checks import finite_number
-from objectfolder.envs.body import solid_moments
-from objectfolder.envs.poses import rotation
+from objectfolder.envs.body import rotation, solid_moments
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material, material
 from objectfolder.objectfile.file import ObjectFile

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from objectfolder.envs.body import RigidBody, density
-from objectfolder.envs.export_folder import export_folder
+from objectfolder.envs.export import export_folder
 from objectfolder.envs.hulls import MAX_HULLS
 from objectfolder.envs.visual import PLAIN, ROUGHNESS, texture_of, visual_mesh
 from objectfolder.mesh.srgb import decode

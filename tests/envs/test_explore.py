@@ -6,8 +6,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3 import PPO
 
-from objectfolder.envs.explore import AZIMUTHS, HEIGHTS, PRICE, ExploreEnv
-from objectfolder.envs.explorer import Explorer, explore
+from objectfolder.envs.explore import AZIMUTHS, HEIGHTS, PRICE, ExploreEnv, Explorer, explore
 from objectfolder.errors import ObjectFolderError
 
 PLACES = AZIMUTHS * HEIGHTS

@@ -12,8 +12,17 @@ from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.cli import app
 from objectfolder.envs import visual
 from objectfolder.envs.body import rigid_body
-from objectfolder.envs.glb import append, packed, unpacked, values_of
-from objectfolder.envs.gltf import AUDIO, PHYSICS, SAMPLES, sampled_surface, write_glb
+from objectfolder.envs.gltf import (
+    AUDIO,
+    PHYSICS,
+    SAMPLES,
+    append,
+    packed,
+    sampled_surface,
+    unpacked,
+    values_of,
+    write_glb,
+)
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.mesh.srgb import encode
 from objectfolder.mesh.textured import y_up, z_up

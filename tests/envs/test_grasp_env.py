@@ -11,10 +11,9 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 import objectfolder.envs  # noqa: F401, registers
 from objectfolder.envs import hulls as module
 from objectfolder.envs.body import as_rigid_body, rigid_body
-from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchBank, TouchFeatures
 from objectfolder.envs.fingers import Presses
-from objectfolder.envs.grasp import GraspEnv, GraspVectorEnv
+from objectfolder.envs.grasp import Episodes, GraspEnv, GraspVectorEnv
 from objectfolder.envs.grasp_scene import lowest_hand
 from objectfolder.envs.grasp_task import ACTION_SCALE, STEPS, GraspTask
 from objectfolder.envs.hulls import cached_hulls, convex_hulls

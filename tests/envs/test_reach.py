@@ -12,14 +12,17 @@ from stable_baselines3.common.env_checker import check_env as check_for_stable_b
 
 from objectfolder.benchmarks.tasks.reach import controller, run_episodes
 from objectfolder.envs.body import rigid_body
-from objectfolder.envs.reach import HAND_START, TIP, ReachEnv, reward
-from objectfolder.envs.reach_scene import (
+from objectfolder.envs.reach import (
     APART,
     GOAL_HIGH,
     GOAL_LOW,
+    HAND_START,
     OBJECT_HIGH,
     OBJECT_LOW,
+    TIP,
+    ReachEnv,
     draw_placement,
+    reward,
 )
 from objectfolder.errors import ObjectFolderError
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from objectfolder.envs.odd import OddEar, find_odd
+from objectfolder.envs.ears import OddEar, find_odd
 from objectfolder.envs.tap import COST, TapEnv
 from objectfolder.errors import ObjectFolderError
 

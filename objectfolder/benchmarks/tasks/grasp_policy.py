@@ -14,9 +14,8 @@ from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.robots import RobotJob
 from objectfolder.benchmarks.tasks.running import Task
 from objectfolder.envs.camera import ExternalCamera
-from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import FeatureFunction, TouchBank, TouchFeatures
-from objectfolder.envs.grasp import GraspVectorEnv
+from objectfolder.envs.grasp import Episodes, GraspVectorEnv
 from objectfolder.envs.grasp_task import FORCE, STEPS, GraspTask
 from objectfolder.seeding import numpy_generator
 
