@@ -30,8 +30,7 @@ OutArgument = Annotated[
     Path, typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write)
 ]
 FoldersArgument = Annotated[
-    list[Path],
-    typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below."),
+    list[Path], typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below.")
 ]
 FilesArgument = Annotated[
     list[Path],

@@ -21,8 +21,7 @@ def reconstruct(
         str | None, typer.Option(metavar="R,G,B", help="Colour of a plain background, 0 to 255 each.")
     ] = None,
     tolerance: Annotated[
-        int,
-        typer.Option(min=0, max=255, help="Smallest difference from the background, levels."),
+        int, typer.Option(min=0, max=255, help="Smallest difference from the background, levels.")
     ] = 30,
     encoder: Annotated[
         str | None,

@@ -11,7 +11,7 @@ import torch
 from gymnasium import spaces
 
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.calls import KEPT, discrete_action, no_options, opened, started
+from objectfolder.envs.calls import KEPT, check_action, open_files, refuse_options, require_reset
 from objectfolder.envs.drop import SIZES
 from objectfolder.envs.fingers import sensor_angles
 from objectfolder.errors import ObjectFolderError
@@ -22,11 +22,11 @@ from objectfolder.touch.simulate import press
 
 AZIMUTHS, HEIGHTS = 12, 6  #: directions and heights from which the gel comes
 DEPTH = 0.001  #: of a press, m
-PRICE = 0.05  #: of a touch
+COST = 0.05  #: of a touch
 SHAPES = 48  #: sizes and yaws of each object in the table
 COMPONENTS = 6  #: of tactile images
 BLOCK = 5  #: pixels of an image that are averaged, each way
-FAILS = 0.02  #: probability that a touch meets the object where the table says it does not, or the reverse
+MISMATCH = 0.02  #: probability that a touch meets the object where the table says it does not, or the reverse
 WIDTHS = (0.001, 0.002, 0.004), (0.15, 0.3, 0.6, 1.2)  #: of likelihoods that are tried: radius, m; components
 SAMPLES = 40  #: answers that an expected gain is a mean of
 HYPOTHESES = 1000  #: drawn from the belief, that it takes into account
@@ -34,7 +34,7 @@ _LOG_SIZES = math.log(SIZES[0]), math.log(SIZES[1])
 
 
 @dataclass(frozen=True)
-class Probed:
+class Probe:
     """What touches of one object give, before the noise of the hand."""
 
     images: np.ndarray  #: (N, H, W, 3) uint8; untouched ones where the gel meets nothing
@@ -86,7 +86,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         sensor: "str | SensorProfile" = "digit",
         reduction: int = 4,
     ):
-        self.files = opened(objects)
+        self.files = open_files(objects)
         self.noise, self.limit = finite_number("noise", noise), whole_number("limit", limit, 1)
         if self.noise < 0:
             raise ObjectFolderError(f"noise is {noise!r} m, expected a number of at least 0")
@@ -112,32 +112,32 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
             }
         )
         self.action_space = spaces.Discrete(self.places + len(self.files))  # type: ignore[assignment]
-        self._standing: dict[str, Any] = {}
+        self._episode: dict[str, Any] = {}
         self._touches = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Put an object on the table."""
-        no_options(options)
+        refuse_options(options)
         super().reset(seed=seed)
         rng = self.np_random
         kind = int(rng.integers(len(self.files)))
         scale = self.files[kind].scale * float(np.exp(rng.uniform(*np.log(SIZES))))
-        self._standing = {"object": kind, "scale": scale, "yaw": float(rng.uniform(0, 2 * np.pi))}
+        self._episode = {"object": kind, "scale": scale, "yaw": float(rng.uniform(0, 2 * np.pi))}
         self._touches = 0
-        return self._untouched(), dict(self._standing)
+        return self._empty_observation(), dict(self._episode)
 
     def step(self, action: int) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Touch the object, or name it."""
-        started(bool(self._standing))
-        chosen, info = discrete_action(action, int(self.action_space.n)), dict(self._standing)  # type: ignore[attr-defined]
+        require_reset(bool(self._episode))
+        chosen, info = check_action(action, int(self.action_space.n)), dict(self._episode)  # type: ignore[attr-defined]
         if chosen >= self.places:
-            self._standing = {}
-            return self._untouched(), float(chosen - self.places == info["object"]), True, False, info
+            self._episode = {}
+            return self._empty_observation(), float(chosen - self.places == info["object"]), True, False, info
         felt = self.feel(info["object"], info["scale"], info["yaw"], [chosen])
         error = self.np_random.normal(size=3) * self.noise
-        observation = self._untouched()
+        observation = self._empty_observation()
         if felt.touched[0]:
             azimuth, height = self._direction(np.array([chosen]))
             place = np.array([*(felt.radius[0] * azimuth[0, :2]), height[0]]) + error
@@ -150,10 +150,10 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         self._touches += 1
         cut = self._touches >= self.limit
         if cut:
-            self._standing = {}
-        return observation, -PRICE, False, cut, info
+            self._episode = {}
+        return observation, -COST, False, cut, info
 
-    def feel(self, kind: int, scale: float, yaw: float, places: "Sequence[int] | np.ndarray") -> Probed:
+    def feel(self, kind: int, scale: float, yaw: float, places: "Sequence[int] | np.ndarray") -> Probe:
         """Touch an object of a size (m) and yaw (radians) at places (N,), the numbers of actions."""
         file, rows = self.files[kind], np.asarray(places)
         azimuth, height = self._direction(rows)
@@ -175,7 +175,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
             caster, profile = file.surface.caster, self._profile
             pressed = press(caster, points, outward[near], angle, depth, profile, scale)
             images[near] = self._optics.render(torch.from_numpy(pressed.displacement)).numpy()
-        return Probed(images, np.where(touched, self._reach - distance, 0.0), touched)
+        return Probe(images, np.where(touched, self._reach - distance, 0.0), touched)
 
     def _direction(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the directions (N, 3) from which the gel comes, world frame, and its heights (N,), m."""
@@ -183,7 +183,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         height = (places // AZIMUTHS + 0.5) / HEIGHTS * self._tallest
         return np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1), height
 
-    def _untouched(self) -> dict[str, Any]:
+    def _empty_observation(self) -> dict[str, Any]:
         background = self._optics.background.numpy().reshape(self._profile.height, self._profile.width, 3)
         return {
             "touch": background.astype(np.uint8),
@@ -192,7 +192,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         }
 
     def __reduce__(self) -> tuple[Any, ...]:
-        state = {name: getattr(self, name) for name in ("_standing", "_touches", *KEPT)}
+        state = {name: getattr(self, name) for name in ("_episode", "_touches", *KEPT)}
         return type(self), self._arguments, state
 
 
@@ -233,9 +233,9 @@ class Explorer:
         table = np.zeros((len(felt), env.places, 1 + kept), np.float32)
         table[..., 0] = np.stack([one.radius for one in felt])
         table[touched, 1:] = (seen - self._mean) @ self._axes
-        self._answers, self._touched = _turned(table), _turned(touched)
+        self._answers, self._touched = _rotate(table), _rotate(touched)
         self._kinds = np.repeat(np.arange(len(env.files)), shapes * AZIMUTHS)
-        self.widths = self._chosen(episodes)
+        self.widths = self._fit_widths(episodes)
         self.restart()
 
     def restart(self) -> None:
@@ -254,13 +254,13 @@ class Explorer:
 
     def next_place(self) -> int:
         """Return the place whose touch is expected to tell most about which object it is."""
-        order, drawn = self._drawn(HYPOTHESES), self._drawn(SAMPLES)
+        order, drawn = self._draw(HYPOTHESES), self._draw(SAMPLES)
         is_kind = (self._kinds[order, None] == np.arange(len(self._env.files))).astype(float)
-        noise = self._rng.normal(size=(SAMPLES, self._answers.shape[2])) * self._sizes(self.widths)
+        noise = self._rng.normal(size=(SAMPLES, self._answers.shape[2])) * self._scales(self.widths)
         left = np.empty(self._env.places)
         for place in range(self._env.places):
             answers, touched = self._answers[drawn, place] + noise, self._touched[drawn, place]
-            log = self._compared(answers, touched, place, order, self.widths)
+            log = self._log_likelihoods(answers, touched, place, order, self.widths)
             joint = np.exp(log - log.max(1, keepdims=True))
             after = joint @ is_kind / joint.sum(1, keepdims=True)
             left[place] = -(after * np.log(after.clip(1e-12))).sum(1).mean()
@@ -272,21 +272,21 @@ class Explorer:
         radius = np.hypot(*observation["contact"][:2].astype(float))
         return np.concatenate([[radius], components[0]]), bool(observation["touched"])
 
-    def _drawn(self, count: int) -> np.ndarray:
+    def _draw(self, count: int) -> np.ndarray:
         """Draw hypotheses from the belief, evenly; (count,) rows."""
         marks = (np.arange(count) + self._rng.uniform()) / count
         return self._belief.cumsum().searchsorted(marks).clip(0, len(self._belief) - 1)
 
-    def _sizes(self, widths: tuple[float, float]) -> np.ndarray:
+    def _scales(self, widths: tuple[float, float]) -> np.ndarray:
         return np.array([widths[0]] + [widths[1]] * (self._answers.shape[2] - 1))
 
     def _likelihood(
         self, place: int, answer: np.ndarray, touched: bool, widths: tuple[float, float]
     ) -> np.ndarray:
         every = np.arange(len(self._kinds))
-        return self._compared(answer[None], np.array([touched]), place, every, widths)[0]
+        return self._log_likelihoods(answer[None], np.array([touched]), place, every, widths)[0]
 
-    def _compared(
+    def _log_likelihoods(
         self,
         answers: np.ndarray,
         touched: np.ndarray,
@@ -295,7 +295,7 @@ class Explorer:
         widths: tuple[float, float],
     ) -> np.ndarray:
         """Return logarithms of likelihoods of answers (M,), for hypotheses of some rows (R,); (M, R)."""
-        sizes = self._sizes(widths)
+        sizes = self._scales(widths)
         a, b = answers / sizes, self._answers[rows, place] / sizes
         squares = (a * a).sum(1)[:, None] - 2 * a @ b.T + (b * b).sum(1)
         both = touched[:, None] & self._touched[rows, place]
@@ -303,11 +303,11 @@ class Explorer:
         # A contact that the table does not know counts as one far from all others.
         far = -0.5 * 9 * len(sizes)
         log = np.where(
-            both, np.maximum(-0.5 * squares, far + np.log(FAILS)), np.where(touched, far, 0.0)[:, None]
+            both, np.maximum(-0.5 * squares, far + np.log(MISMATCH)), np.where(touched, far, 0.0)[:, None]
         )
-        return log + np.log(np.where(alike, 1 - FAILS, FAILS))
+        return log + np.log(np.where(alike, 1 - MISMATCH, MISMATCH))
 
-    def _chosen(self, episodes: int) -> tuple[float, float]:
+    def _fit_widths(self, episodes: int) -> tuple[float, float]:
         """Return the widths with the greatest likelihood of the right names in training episodes."""
         scores: dict[tuple[float, float], float] = {(a, b): 0.0 for a in WIDTHS[0] for b in WIDTHS[1]}
         env, count = self._env, len(self._env.files)
@@ -328,16 +328,16 @@ class Explorer:
 
 
 def explore(
-    env: ExploreEnv, explorer: Explorer, sure: float, seed: int, random: bool = False
+    env: ExploreEnv, explorer: Explorer, threshold: float, seed: int, random: bool = False
 ) -> dict[str, Any]:
     """Play one episode; return whether the name was ``right``, the number of ``touches`` and the ``reward``.
 
-    Touches until an object is as probable as ``sure``, where the explorer expects most, or at random.
+    Touches until an object is as probable as ``threshold``, where the explorer expects most, or at random.
     """
     env.reset(seed=seed)
     explorer.restart()
     rng, touches, reward = np.random.default_rng([seed, 1]), 0, 0.0
-    while explorer.chances.max() < sure and touches < env.limit - 1:
+    while explorer.chances.max() < threshold and touches < env.limit - 1:
         place = int(rng.integers(env.places)) if random else explorer.next_place()
         observation, earned, *_ = env.step(place)
         explorer.learn(place, observation)
@@ -353,7 +353,7 @@ def _blocks(images: np.ndarray) -> np.ndarray:
     return cut.mean((2, 4)).reshape(len(images), high * wide * 3) / 255
 
 
-def _turned(table: np.ndarray) -> np.ndarray:
+def _rotate(table: np.ndarray) -> np.ndarray:
     """Turn shapes of a table (P, places, ...) by all azimuths: (P AZIMUTHS, places, ...)."""
     grid = table.reshape(len(table), HEIGHTS, AZIMUTHS, *table.shape[2:])
     turned = np.stack([np.roll(grid, k, axis=2) for k in range(AZIMUTHS)], 1)

@@ -18,11 +18,11 @@ from objectfolder.checks import one_of, whole_number
 from objectfolder.envs.body import Hulls
 from objectfolder.envs.calls import (
     KEPT,
-    checked_render_mode,
-    finite_actions,
-    no_options,
+    check_actions,
+    check_render_mode,
     object_file,
-    started,
+    refuse_options,
+    require_reset,
 )
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.features import CONTRAST, FeatureFunction, TouchFeatures
@@ -79,7 +79,7 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         render_mode: str | None = None,
     ):
         self._arguments = (file, observation, hulls, render_mode)
-        self.render_mode = checked_render_mode(render_mode)
+        self.render_mode = check_render_mode(render_mode)
         one_of("observation", observation, OBSERVATIONS)  # before hulls are computed
         self._episodes = Episodes(make_task(object_file(file), hulls), observation)
         self.observation_space = self._episodes.space()
@@ -89,14 +89,14 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode with the object at a random place."""
-        no_options(options)
+        refuse_options(options)
         super().reset(seed=seed)
         return _first(self._episodes.begin(1, self.np_random)), {}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move the hand, and grasp after the last step."""
         self._episodes.check_running()
-        reward = float(self._episodes.act(finite_actions(action, (4,))[None])[0])
+        reward = float(self._episodes.act(check_actions(action, (4,))[None])[0])
         done = self._episodes.step >= STEPS
         info = {"success": bool(reward)} if done else {}
         return _first(self._episodes.observe()), reward, done, False, info
@@ -105,7 +105,7 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         """Return the external camera's picture, (256, 256, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None
-        started(len(self._episodes.hands) > 0)
+        require_reset(len(self._episodes.hands) > 0)
         return self._episodes.picture(0)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -160,7 +160,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         features: FeatureFunction | None = None,
         render_mode: str | None = None,
     ):
-        self.render_mode = checked_render_mode(render_mode)
+        self.render_mode = check_render_mode(render_mode)
         one_of("observation", observation, OBSERVATIONS)
         if task is None:
             if file is None:
@@ -187,7 +187,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         options : dict, optional
             There are none.
         """
-        no_options(options)
+        refuse_options(options)
         if isinstance(seed, list | tuple | np.ndarray):
             self._generators = self._seeded([*seed])
         elif seed is not None:
@@ -198,7 +198,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Move all hands; after the last step grasp, and start anew."""
         self._episodes.check_running()
-        rewards = self._episodes.act(finite_actions(actions, (self.num_envs, 4)))
+        rewards = self._episodes.act(check_actions(actions, (self.num_envs, 4)))
         ended = np.full(self.num_envs, self._episodes.step >= STEPS)
         observed, info = self._episodes.observe(), {}
         if ended.all():
@@ -214,7 +214,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         """Return the external camera's pictures, (256, 256, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None
-        started(len(self._episodes.hands) > 0)
+        require_reset(len(self._episodes.hands) > 0)
         return tuple(self._episodes.picture(row) for row in range(self.num_envs))
 
     def _begin(self) -> Any:
@@ -286,7 +286,7 @@ class Episodes:
 
     def check_running(self) -> None:
         """Raise ObjectFolderError unless the episodes have begun and not ended."""
-        started(len(self.hands) > 0)
+        require_reset(len(self.hands) > 0)
         if self.step >= STEPS:
             raise ObjectFolderError(f"the episode has ended after {STEPS} steps; call reset()")
 

@@ -25,8 +25,8 @@ CLOSED_SPEED = 0.005  #: below it a jaw has closed, m/s
 CLEARANCE = 0.002  #: between the object and jaws that start to close, m
 PENETRATION = 1e-4  #: depth from which two bodies collide, m
 SETTLING = 4.0  #: time that a dropped object gets to come to rest, s
-LOOK = 0.5  #: interval at which dropped objects are checked, s
-STILL = 0.01  #: below it an object is at rest, m/s and rad/s
+SETTLING_INTERVAL = 0.5  #: interval at which dropped objects are checked, s
+REST_SPEED = 0.01  #: below it an object is at rest, m/s and rad/s
 DROPS = 64  #: random orientations that resting poses come from
 LIFT = 0.1  #: height to which objects are lifted, m
 LIFTING = 0.5  #: duration of the lift, and of the hold after it, s
@@ -129,17 +129,8 @@ class ClosedGrasps:
 class GraspScene:
     """An object on a table under a gripper.
 
-    Parameters
-    ----------
-    body : RigidBody
-    physics : Physics
-    threads : int
-        Number of rows simulated at a time; results do not depend on it.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object is wider than the gripper opens, however it is grasped.
+    ``threads`` rows are simulated at a time; results do not depend on it. Raises ObjectFolderError if the
+    object is wider than the gripper opens, however it is grasped.
     """
 
     def __init__(self, body: RigidBody, physics: Physics | None = None, threads: int = 1):
@@ -159,16 +150,10 @@ class GraspScene:
         return type(self), (self.body, self.physics, len(self._data))  # threads cannot be copied
 
     def rests(self, rng: np.random.Generator, count: int = DROPS) -> np.ndarray:
-        """Drop the object in random orientations and return the poses in which it comes to rest.
+        """Drop the object in random orientations and return the poses in which it comes to rest; (R, 7).
 
-        Returns
-        -------
-        (R, 7) position above the origin and quaternion, one per drop that came to rest.
-
-        Raises
-        ------
-        ObjectFolderError
-            If none did.
+        These are position above the origin and quaternion, one per drop that came to rest. Raises
+        ObjectFolderError if none did.
         """
         orientations = rng.normal(size=(count, 4))
         orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
@@ -176,13 +161,13 @@ class GraspScene:
         places = np.c_[np.zeros((count, 2)), 0.002 - low, orientations]
         away = np.tile([0.0, 0.0, 1.0, 0.0], (count, 1))
         states = self.layout.states(places, away, np.full(count, OPEN))
-        controls = self.layout.constant_controls(away[:1], np.full(1, OPEN), self._steps(LOOK))
+        controls = self.layout.constant_controls(away[:1], np.full(1, OPEN), self._steps(SETTLING_INTERVAL))
         moving, speeds = np.arange(count), np.full(count, np.inf)
-        for _ in range(round(SETTLING / LOOK)):
+        for _ in range(round(SETTLING / SETTLING_INTERVAL)):
             states[moving], _ = self._advance([self.model] * len(moving), states[moving], controls)
             speeds[moving] = np.abs(states[moving][:, self.layout.object_speed]).max(1)
-            moving = np.flatnonzero(speeds > STILL)
-        still = np.flatnonzero(speeds < STILL)
+            moving = np.flatnonzero(speeds > REST_SPEED)
+        still = np.flatnonzero(speeds < REST_SPEED)
         if not len(still):
             raise ObjectFolderError(
                 f"{self.body.key}: none of {count} drops came to rest within {SETTLING:g} s, the slowest "
@@ -208,16 +193,9 @@ class GraspScene:
         return clear
 
     def close(self, objects: np.ndarray, hands: np.ndarray, forces: np.ndarray) -> ClosedGrasps:
-        """Close the jaws on objects.
+        """Close the jaws on objects (N, 7) at rest, with at most the forces (N,), N, of each jaw.
 
-        Parameters
-        ----------
-        objects : (N, 7) array
-            Position and quaternion at rest, world frame.
-        hands : (N, 4) array
-            x, y, z of the pads' centres and yaw, world frame.
-        forces : (N,) array
-            Greatest force of each jaw, N.
+        Hands (N, 4) are x, y, z of the pads' centres and yaw. All poses are in the world frame.
         """
         objects, hands = np.asarray(objects, np.float64), np.asarray(hands, np.float64)
         models = [self._with_force(force) for force in np.asarray(forces, np.float64)]
@@ -256,17 +234,9 @@ class GraspScene:
         return self.lift(self.close(objects, hands, forces))
 
     def watch(self, place: np.ndarray, hand: np.ndarray, force: float, every: float) -> list[GraspFrame]:
-        """Simulate one grasp through all its phases: reach, close, lift, hold, put back, release.
+        """Simulate one grasp through all its phases; a frame each ``every`` seconds.
 
-        Parameters
-        ----------
-        place : (7,) array
-            Pose of the object at rest.
-        hand : (4,) array
-        force : float
-            N.
-        every : float
-            Interval between frames, s.
+        Takes the pose (7,) of the object at rest, that of the hand (4,), and the force, N.
         """
         layout, targets = self.layout, phase_targets(self.physics.timestep, self.physics.speed)
         controls = layout.constant_controls(hand[None], np.full(1, OPEN), len(targets.phases))
@@ -364,11 +334,7 @@ class GraspScene:
 def check_width(key: str, points: np.ndarray) -> None:
     """Raise ObjectFolderError if an object is wider than the gripper opens, however it is grasped.
 
-    Parameters
-    ----------
-    key : str
-    points : (P, 3) array
-        Corners of the object, m.
+    ``points`` (P, 3) are corners of the object, m.
     """
     k = np.arange(400) + 0.5
     height, azimuth = k / len(k), k * np.pi * (3 - np.sqrt(5))

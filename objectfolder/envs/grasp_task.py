@@ -27,20 +27,9 @@ BANK_BATCH = 64  #: presses queried at once
 class GraspTask:
     """Physics and touches of an object on the table, for any number of episodes at a time.
 
-    All quantities are relative: results do not depend on where on the table the object lies.
-
-    Parameters
-    ----------
-    file : ObjectFile
-    body : RigidBody
-        Of the same object.
-    threads : int
-        Of the simulation.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object does not fit the gripper, or the file lacks touch.
+    All quantities are relative: results do not depend on where on the table the object lies, nor on the
+    number of threads. Raises ObjectFolderError if the object does not fit the gripper, or the file lacks
+    touch.
     """
 
     def __init__(self, file: ObjectFile, body: RigidBody, threads: int = 1):
@@ -104,20 +93,10 @@ class GraspTask:
 
 
 def make_task(file: ObjectFile, hulls: Hulls = None, threads: int = 1) -> GraspTask:
-    """Make the task of an Object File.
+    """Make the task of an Object File; hulls are those of `objectfolder.envs.body.as_rigid_body`.
 
-    Parameters
-    ----------
-    file : ObjectFile
-    hulls : path or sequence of trimesh.Trimesh, optional
-        As `objectfolder.envs.body.as_rigid_body`. Objects that do not fit are refused before.
-    threads : int
-        Of the simulation.
-
-    Raises
-    ------
-    ObjectFolderError
-        As `GraspTask`, and as `objectfolder.envs.body.as_rigid_body`.
+    Raises ObjectFolderError as `GraspTask` and as that function; objects that do not fit are refused before
+    hulls are computed.
     """
     require_pads(file)
     check_width(file.key, file.surface.vertices * file.scale)

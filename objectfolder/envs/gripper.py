@@ -52,16 +52,9 @@ def add_gripper(spec: mujoco.MjSpec, friction: float, reach: float = 0.0) -> Non
     """Add the gripper, its actuators and its contact sensors to a scene.
 
     Joints and position actuators ``x``, ``y``, ``z``, ``yaw`` move the hand, which is weightless; ``left``
-    and ``right`` the jaws, 0 closed, `OPEN` open.
-
-    Parameters
-    ----------
-    spec : MjSpec
-    friction : float
-        Sliding friction between pads and object.
-    reach : float
-        Upward extension of fingers and palm, metres: they then fill the volume that they sweep on the way
-        down.
+    and ``right`` the jaws, 0 closed, `OPEN` open. ``friction`` is the sliding friction of pads and object.
+    Fingers and palm are extended upward by ``reach``, metres: they then fill the volume that they sweep on
+    the way down.
     """
     box, slide = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtJoint.mjJNT_SLIDE
     up = np.array([0.0, 0.0, reach / 2])
@@ -148,14 +141,9 @@ def relative_hands(hands: np.ndarray, objects: np.ndarray) -> np.ndarray:
 
 
 class StateLayout:
-    """Indices of object, hand and jaws in full physics states and in controls.
+    """Indices of the free body ``object``, hand and jaws in full physics states and in controls of a model.
 
     A full physics state is the time, then positions (``qpos``), then velocities (``qvel``).
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        Contains the gripper and a free body ``object``.
     """
 
     def __init__(self, model: mujoco.MjModel):

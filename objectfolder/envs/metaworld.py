@@ -88,12 +88,7 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
 
     metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it
 
-    def __init__(
-        self,
-        file: "ObjectFile | RigidBody | str | Path",
-        hulls: Hulls = None,
-        horizon: int = 500,
-    ):
+    def __init__(self, file: "ObjectFile | RigidBody | str | Path", hulls: Hulls = None, horizon: int = 500):
         if whole_number("horizon", horizon, 1) > SawyerReachEnvV3.max_path_length:
             raise ObjectFolderError(f"horizon is {horizon}, expected 1 to {SawyerReachEnvV3.max_path_length}")
         body = as_rigid_body(file, hulls)

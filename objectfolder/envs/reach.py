@@ -16,11 +16,11 @@ from objectfolder.checks import whole_number
 from objectfolder.envs.body import Hulls, RigidBody, add_body, as_rigid_body
 from objectfolder.envs.calls import (
     KEPT,
-    checked_render_mode,
-    finite_actions,
-    no_options,
-    picture_size,
-    started,
+    check_actions,
+    check_render_mode,
+    check_resolution,
+    refuse_options,
+    require_reset,
 )
 from objectfolder.envs.drawing import draw_model, view_frame, view_rays
 from objectfolder.errors import ObjectFolderError
@@ -37,7 +37,7 @@ SIGMOID = np.sqrt(1 / 0.1 - 1)  #: makes the reward's long tail 0.1 at the margi
 #: Camera of `ReachEnv.render`: position and target, m; vertical field of view, degrees.
 EYE, TARGET, FOV = np.array([1.1, 0.05, 0.6]), np.array([0.0, 0.74, 0.12]), 26.0
 #: Attributes of an environment that change, beside its simulation.
-CHANGING = ("goal", "_margin", "_steps", "_previous", *KEPT)
+_STATE_ATTRIBUTES = ("goal", "_margin", "_steps", "_previous", *KEPT)
 _REACH_HIGH = np.array([0.525, 1.025, 0.7])
 _REACH_LOW = np.array([-0.525, 0.348, -0.0525])
 _STATE_LOW = np.concatenate([_REACH_LOW, [-1], np.full(3, -2.0), np.full(11, -1.0)])
@@ -45,10 +45,12 @@ _STATE_HIGH = np.concatenate([_REACH_HIGH, [1], np.full(3, 2.0), np.full(11, 1.0
 TIME_STEP = 0.0025  #: s
 OBJECT_LOW, OBJECT_HIGH = np.array([-0.1, 0.6]), np.array([0.1, 0.7])  #: range of the object's origin, m
 GOAL_LOW, GOAL_HIGH = np.array([-0.1, 0.8, 0.05]), np.array([0.1, 0.9, 0.3])  #: range of goals, m
-APART = 0.15  #: least horizontal distance of goal and object, m
+MIN_DISTANCE = 0.15  #: least horizontal distance of goal and object, m
 SUCCESS_RADIUS = 0.05  #: distance from the goal that counts as reached, m
-TALLEST = 0.15  #: height of an object that fits under the open gripper at its start, m
-WIDEST = APART - SUCCESS_RADIUS  #: radius of an object about its vertical axis that leaves goals free, m
+MAX_HEIGHT = 0.15  #: height of an object that fits under the open gripper at its start, m
+MAX_RADIUS = (
+    MIN_DISTANCE - SUCCESS_RADIUS
+)  #: radius of an object about its vertical axis that leaves goals free, m
 
 
 class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -109,8 +111,8 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         resolution: tuple[int, int] = (180, 240),
     ):
-        self.horizon, self.render_mode = whole_number("horizon", horizon, 1), checked_render_mode(render_mode)
-        self.resolution = picture_size(resolution)
+        self.horizon, self.render_mode = whole_number("horizon", horizon, 1), check_render_mode(render_mode)
+        self.resolution = check_resolution(resolution)
         body = as_rigid_body(file, hulls)
         self._arguments = (file, hulls, horizon, render_mode, resolution)
         self.model = reach_scene(body)
@@ -133,7 +135,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Reset the hand, and draw new places of the object and the goal."""
-        no_options(options)
+        refuse_options(options)
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         place, self.goal = draw_placement(self.np_random)
@@ -148,8 +150,8 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Simulate one control step, 12.5 ms."""
-        started(self._margin > 0)
-        action = np.clip(finite_actions(action, (4,)), -1, 1)
+        require_reset(self._margin > 0)
+        action = np.clip(check_actions(action, (4,)), -1, 1)
         target = self.data.mocap_pos[self._target] + ACTION_SCALE * action[:3]
         self.data.mocap_pos[self._target] = np.clip(target, HAND_LOW, HAND_HIGH)
         self.data.ctrl[:] = action[3], -action[3]
@@ -163,13 +165,13 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Return a picture of the scene, (height, width, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None
-        started(self._margin > 0)
+        require_reset(self._margin > 0)
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the previous step's positions
         rays = view_rays(view_frame(EYE, TARGET), FOV, *self.resolution)
         return draw_model(self.model, self.data, EYE, rays, *self.resolution)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept = {name: getattr(self, name) for name in CHANGING}
+        kept = {name: getattr(self, name) for name in _STATE_ATTRIBUTES}
         return type(self), self._arguments, (self.data, kept)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
@@ -192,15 +194,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 def reward(distance: float, margin: float) -> float:
-    """Return the reward of a step.
-
-    Parameters
-    ----------
-    distance : float
-        From the fingertips to the goal, m.
-    margin : float
-        From the hand's start to the goal, m.
-    """
+    """Return the reward of a step; ``margin`` is the distance of the hand's start from the goal, m."""
     beyond = max(distance - SUCCESS_RADIUS, 0.0) / margin
     return float(10 / (1 + (SIGMOID * beyond) ** 2))
 
@@ -208,10 +202,7 @@ def reward(distance: float, margin: float) -> float:
 def reach_scene(body: RigidBody) -> mujoco.MjModel:
     """Build the MuJoCo model of table, floating gripper, object and goal.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the object is too large, or MuJoCo is too old.
+    Raises ObjectFolderError if the object is too large, or MuJoCo is too old.
     """
     check_size(body)
     if int(mujoco.__version__.partition(".")[0]) < 4:
@@ -268,10 +259,10 @@ def _add_hand(spec: mujoco.MjSpec) -> None:
 
 
 def draw_placement(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Draw a place of the object (2,) and a goal (3,), m: uniform, and at least `APART` from each other."""
+    """Draw a place of the object (2,) and a goal (3,), m: uniform, at least `MIN_DISTANCE` apart."""
     while True:
         place, goal = rng.uniform(OBJECT_LOW, OBJECT_HIGH), rng.uniform(GOAL_LOW, GOAL_HIGH)
-        if np.linalg.norm(place - goal[:2]) >= APART:
+        if np.linalg.norm(place - goal[:2]) >= MIN_DISTANCE:
             return place, goal
 
 
@@ -284,8 +275,8 @@ def check_size(body: RigidBody) -> None:
     """Raise ObjectFolderError if an object does not fit under the gripper, or might cover a goal."""
     points = body.points
     height, radius = np.ptp(points[:, 2]), np.linalg.norm(points[:, :2], axis=1).max()
-    if height > TALLEST or radius > WIDEST:
+    if height > MAX_HEIGHT or radius > MAX_RADIUS:
         raise ObjectFolderError(
             f"{body.key} is {height:.3g} m tall and reaches {radius:.3g} m from its vertical axis; the scene "
-            f"takes {TALLEST:g} m and {WIDEST:g} m: build the object with a smaller scale"
+            f"takes {MAX_HEIGHT:g} m and {MAX_RADIUS:g} m: build the object with a smaller scale"
         )

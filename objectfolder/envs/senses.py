@@ -11,14 +11,14 @@ from gymnasium import spaces
 
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import finite_number, require_memory
+from objectfolder.envs.calls import MAX_PRESSURE
 from objectfolder.envs.feeling import Feeling, pad_names
 from objectfolder.envs.hearing import Hearing
-from objectfolder.envs.sounding import Objects, named_objects
+from objectfolder.envs.sounding import Objects, name_objects
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.touch.profiles import SensorProfile
 
-UNHEARD = 1e-6  # s, by which simulation and hearing differ by rounding
-LOUDEST = 1000.0  #: greatest sound pressure that is observed, Pa
+TIME_TOLERANCE = 1e-6  # s, by which simulation and hearing differ by rounding
 
 
 class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
@@ -81,7 +81,7 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         touch: str = "touch",
         intercept: bool = False,
     ):
-        objects, pads = named_objects(objects), pad_names(pads)
+        objects, pads = name_objects(objects), pad_names(pads)
         gymnasium.utils.RecordConstructorArgs.__init__(
             self, objects=objects, listener=listener, pads=pads, seconds=seconds, sample_rate=sample_rate,
             sensor=sensor, audio=audio, touch=touch, intercept=intercept, _disable_deepcopy=True,
@@ -116,7 +116,7 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         self._sound = np.zeros(samples, np.float32)
         added: list[tuple[str, spaces.Space[Any]]] = []
         if self._hearing:
-            added.append((audio, spaces.Box(-LOUDEST, LOUDEST, (samples,), np.float32)))
+            added.append((audio, spaces.Box(-MAX_PRESSURE, MAX_PRESSURE, (samples,), np.float32)))
         if self._feeling:
             shape = (len(pads), self._feeling.profile.height, self._feeling.profile.width, 3)
             added.append((touch, spaces.Box(0, 255, shape, np.uint8)))
@@ -140,7 +140,7 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         self._sound = np.zeros_like(self._sound)
         if self._hearing:
             self._hearing.reset(self._data)
-        return self._sensed(observation), info
+        return self._add_senses(observation), info
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
         """Step the environment, and hear each step of its simulation."""
@@ -149,13 +149,13 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         else:
             with _replaced_step(self._stepper, self._hear):
                 observation, *rest = self.env.step(action)
-            if abs(unheard := self._data.time - self._hearing.time) > UNHEARD:
+            if abs(unheard := self._data.time - self._hearing.time) > TIME_TOLERANCE:
                 raise ObjectFolderError(
                     f"{type(self.env.unwrapped).__name__} simulated {unheard:g} s that were not heard: step "
                     "by its mj_step, or with intercept=True by mujoco.mj_step, called by that name, or use "
                     "Hearing without this wrapper"
                 )
-        return self._sensed(observation), *rest  # type: ignore[return-value]
+        return self._add_senses(observation), *rest  # type: ignore[return-value]
 
     @property
     def _data(self) -> mujoco.MjData:
@@ -165,10 +165,10 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
             raise ObjectFolderError(f"data of {name} is {quoted(data)}, expected a mujoco.MjData")
         return data
 
-    def _sensed(self, observation: Any) -> dict[str, Any]:
+    def _add_senses(self, observation: Any) -> dict[str, Any]:
         seen = dict(observation) if isinstance(observation, dict) else {"observation": observation}
         if self._hearing:
-            seen[self._audio] = self._sound.clip(-LOUDEST, LOUDEST)
+            seen[self._audio] = self._sound.clip(-MAX_PRESSURE, MAX_PRESSURE)
         if self._feeling:
             seen[self._touch] = self._feeling.feel(self._data).images
         return seen

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import objectfolder.envs  # noqa: F401, registers
-from objectfolder.envs.calls import material_names, object_file, opened
+from objectfolder.envs.calls import material_names, object_file, open_files
 from objectfolder.envs.grasp import GraspEnv, GraspVectorEnv
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.reach import ReachEnv
@@ -136,16 +136,16 @@ def test_environments_run_in_spawned_processes(make, name):
 
 
 def test_objects_are_given_as_files_paths_or_names_of_samples(brick, brick_path):
-    assert opened(brick) == [brick]
-    assert [file.key for file in opened(str(brick_path))] == ["brick"]
-    assert [file.key for file in opened(["mug", brick_path])] == ["mug", "brick"]
+    assert open_files(brick) == [brick]
+    assert [file.key for file in open_files(str(brick_path))] == ["brick"]
+    assert [file.key for file in open_files(["mug", brick_path])] == ["mug", "brick"]
     with pytest.raises(ObjectFolderError, match=r"one object, and none twice, got \['brick', 'brick'\]"):
-        opened([brick_path, brick])
+        open_files([brick_path, brick])
     assert object_file("bell").key == "bell"
     with pytest.raises(ObjectFolderError, match="expected at least one object"):
-        opened([])
+        open_files([])
     with pytest.raises(ObjectFolderError, match=r"nothing\.safetensors does not exist"):
-        opened("nothing.safetensors")
+        open_files("nothing.safetensors")
 
 
 def test_a_single_material_stands_for_itself():

@@ -7,7 +7,7 @@ from gymnasium.utils.env_checker import check_env
 
 from objectfolder.envs import drop
 from objectfolder.envs.drop import DropEnv
-from objectfolder.envs.ears import BANDS, BINS, QUIETEST, Ear, features
+from objectfolder.envs.ears import BANDS, BINS, HEARING_THRESHOLD, Ear, features
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.tap import TapEnv
 from objectfolder.errors import ObjectFolderError
@@ -90,7 +90,7 @@ def test_hearing_begins_before_any_contact(env, monkeypatch):
     monkeypatch.setattr("objectfolder.envs.drop.Hearing", type("Watched", (Hearing,), {"reset": reset}))
     env.reset(seed=0)
     for speed in (3.0, 6.0, 12.0):
-        env._heard(1.0, 0.2, np.array([1.0, 0, 0, 0]), np.array([speed, speed, 0]))
+        env._simulate(1.0, 0.2, np.array([1.0, 0, 0, 0]), np.array([speed, speed, 0]))
     assert begun == [0] * 4
 
 
@@ -111,7 +111,7 @@ def test_features_are_levels_and_loss_factors_of_bands():
     assert histogram[0].argmax() == int((np.log10(0.004) + 4.5) / 4.5 * BINS)
     assert not known[1].any()
     assert not histogram[1].any()
-    assert loudest[1] == pytest.approx(np.log10(QUIETEST))
+    assert loudest[1] == pytest.approx(np.log10(HEARING_THRESHOLD))
     with pytest.raises(ObjectFolderError, match="have 100 samples, expected at least 2048"):
         features(np.zeros(100), 48000)
 

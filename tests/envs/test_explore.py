@@ -6,7 +6,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3 import PPO
 
-from objectfolder.envs.explore import AZIMUTHS, HEIGHTS, PRICE, ExploreEnv, Explorer, explore
+from objectfolder.envs.explore import AZIMUTHS, COST, HEIGHTS, ExploreEnv, Explorer, explore
 from objectfolder.errors import ObjectFolderError
 
 PLACES = AZIMUTHS * HEIGHTS
@@ -54,7 +54,7 @@ def test_above_a_low_object_nothing_is_felt(env, brick):
 def test_the_place_is_that_of_the_contact_but_for_noise_and_depends_on_the_seed_only(env):
     env.reset(seed=3)
     felt, reward, ended, cut, info = env.step(3)
-    assert (reward, ended, cut) == (-PRICE, False, False)
+    assert (reward, ended, cut) == (-COST, False, False)
     found = env.feel(info["object"], info["scale"], info["yaw"], [3])
     assert felt["touched"] == 1
     assert felt["contact"][1] == pytest.approx(found.radius[0], abs=5e-3)
@@ -123,7 +123,7 @@ def test_a_belief_names_objects_from_few_touches(env, explorer):
     played = [explore(env, explorer, 0.95, seed) for seed in range(12)]
     assert np.mean([one["right"] for one in played]) > 0.8
     assert np.mean([one["touches"] for one in played]) < 2.5
-    assert all(one["reward"] == pytest.approx(one["right"] - PRICE * one["touches"]) for one in played)
+    assert all(one["reward"] == pytest.approx(one["right"] - COST * one["touches"]) for one in played)
 
 
 def test_the_next_touch_is_where_objects_differ(env, explorer):

@@ -72,7 +72,7 @@ def test_detailed_surfaces_are_simplified_until_they_fit_their_texture(monkeypat
     drawn = visual.visual_mesh(bell)
     assert 1500 < len(drawn.faces) <= 288**2 // visual._ROOM
     assert drawn.area == pytest.approx(bell.to_mesh().area, rel=0.005)
-    assert visual.texture_of(drawn).size == (288, 288)
+    assert visual.texture_image(drawn).size == (288, 288)
 
 
 def test_surfaces_that_never_fit_their_texture_are_refused(brick, monkeypatch):

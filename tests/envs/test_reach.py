@@ -13,10 +13,10 @@ from stable_baselines3.common.env_checker import check_env as check_for_stable_b
 from objectfolder.benchmarks.tasks.reach import controller, run_episodes
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import (
-    APART,
     GOAL_HIGH,
     GOAL_LOW,
     HAND_START,
+    MIN_DISTANCE,
     OBJECT_HIGH,
     OBJECT_LOW,
     TIP,
@@ -125,8 +125,8 @@ def test_the_gripper_closes_at_positive_action_only(body):
         closed, *_ = env.step(_action(0, 0, 0, 1))
     np.testing.assert_allclose(closed[3], 0.3, atol=0.01)  # Meta-World's fingers move 40 and 30 mm
     for _ in range(60):
-        opened, *_ = env.step(_action(0, 0, 0, -1))
-    np.testing.assert_allclose(opened[3], 1, atol=0.01)
+        open_files, *_ = env.step(_action(0, 0, 0, -1))
+    np.testing.assert_allclose(open_files[3], 1, atol=0.01)
 
 
 def test_reward_by_hand():
@@ -163,7 +163,7 @@ def test_objects_and_goals_fill_their_ranges_and_keep_apart():
         assert (values <= high).all()
         np.testing.assert_allclose(values.min(0), low, atol=0.005)
         np.testing.assert_allclose(values.max(0), high, atol=0.005)
-    assert np.linalg.norm(places - goals[:, :2], axis=1).min() >= APART
+    assert np.linalg.norm(places - goals[:, :2], axis=1).min() >= MIN_DISTANCE
 
 
 def test_the_object_rests_until_it_is_hit(body):

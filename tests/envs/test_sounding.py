@@ -7,7 +7,7 @@ import pytest
 from objectfolder.envs.body import add_body, rigid_body, scaled_body
 from objectfolder.envs.feeling import Feeling
 from objectfolder.envs.hearing import Hearing
-from objectfolder.envs.sounding import Sounding, named_objects
+from objectfolder.envs.sounding import Sounding, name_objects
 from objectfolder.errors import ObjectFolderError
 
 EAR = [0.5, 0, 0.3]
@@ -40,7 +40,7 @@ def scene(body, *names):
 )
 def test_what_is_no_object_is_named(given, message):
     with pytest.raises(ObjectFolderError, match=message):
-        named_objects(given)
+        name_objects(given)
 
 
 @pytest.mark.parametrize(

@@ -205,10 +205,10 @@ def test_what_may_change_is_checked_as_at_first(stepped, field, factor, message)
 
 def test_gravity_may_change(stepped):
     model, data, sense, ask = stepped("Hearing")
-    before = sense._reader.slowest
+    before = sense._reader.min_speed
     model.opt.gravity *= 2
     ask(data)
-    assert sense._reader.slowest == pytest.approx(2 * before)
+    assert sense._reader.min_speed == pytest.approx(2 * before)
 
 
 @pytest.mark.parametrize(
