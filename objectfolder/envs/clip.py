@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.drawing import AMBIENT, LIGHT, SKY, geom_colours, view_frame, view_rays
+from objectfolder.envs.drawing import AMBIENT, LIGHT, SKY, cast_rays, geom_colours, view_frame, view_rays
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.sounding import body_number
 from objectfolder.errors import ObjectFolderError
@@ -115,15 +115,9 @@ class SceneCamera:
     def picture(self, data: mujoco.MjData) -> np.ndarray:
         """Draw a simulation with current positions; (height, width, 3) uint8, sRGB."""
         eye, rays = self._view_rays(data)
-        count = len(rays)
-        geom, distance, normal = np.zeros(count, np.int32), np.zeros(count), np.zeros(3 * count)
-        mujoco.mj_multiRay(
-            self._rest, data, eye, np.ascontiguousarray(rays).ravel(), self._visible_groups, True, -1, geom,
-            distance, normal, count, mujoco.mjMAXVAL,
-        )  # fmt: skip
+        geom, distance, normals = cast_rays(self._rest, data, eye, rays, self._visible_groups)
         hit = geom >= 0
-        distance = np.where(hit, distance, np.inf)
-        colours, normals = np.full((count, 3), SKY), normal.reshape(-1, 3)
+        distance, colours = np.where(hit, distance, np.inf), np.full((len(rays), 3), SKY)
         colours[hit] = self._colours[geom[hit]]
         for body, file in self._objects.items():
             turn, at = data.xmat[body].reshape(3, 3), data.xpos[body]

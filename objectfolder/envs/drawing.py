@@ -1,5 +1,7 @@
 """Pictures of a MuJoCo scene by ray casting: no OpenGL, no window, the same bytes everywhere."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -41,18 +43,27 @@ def draw_model(
 
     ``data`` has current positions (``mj_forward``); ``eye`` is in the world frame, m; `view_rays` makes rays.
     """
-    count = len(rays)
-    geom, distance, normal = np.zeros(count, np.int32), np.zeros(count), np.zeros(3 * count)
-    directions = np.ascontiguousarray(rays).ravel()
-    far = mujoco.mjMAXVAL
-    mujoco.mj_multiRay(
-        model, data, np.asarray(eye, float), directions, None, True, -1, geom, distance, normal, count, far
-    )
+    geom, _, normal = cast_rays(model, data, eye, rays)
     hit = geom >= 0
-    lit = AMBIENT + (1 - AMBIENT) * np.clip(normal.reshape(-1, 3)[hit] @ LIGHT, 0, 1)
-    colours = np.full((count, 3), SKY)
+    lit = AMBIENT + (1 - AMBIENT) * np.clip(normal[hit] @ LIGHT, 0, 1)
+    colours = np.full((len(rays), 3), SKY)
     colours[hit] = geom_colours(model)[geom[hit]] * lit[:, None]
     return np.rint(255 * colours).astype(np.uint8).reshape(height, width, 3)
+
+
+def cast_rays(
+    model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray, rays: np.ndarray, groups: Any = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the geoms that rays (N, 3) meet, -1 for none, the distances, m, and the normals (N, 3).
+
+    ``groups`` are six flags, uint8, of the groups of geoms that are seen; default: all.
+    """
+    count = len(rays)
+    geom, distance, normal = np.zeros(count, np.int32), np.zeros(count), np.zeros(3 * count)
+    directions, start = np.ascontiguousarray(rays).ravel(), np.asarray(eye, float)
+    far = mujoco.mjMAXVAL
+    mujoco.mj_multiRay(model, data, start, directions, groups, True, -1, geom, distance, normal, count, far)
+    return geom, distance, normal.reshape(-1, 3)
 
 
 def geom_colours(model: mujoco.MjModel) -> np.ndarray:

@@ -10,15 +10,8 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.audio.synthesis import count_samples
+from objectfolder.envs import calls
 from objectfolder.envs.body import add_body, density, rigid_body, rotation, scaled_body
-from objectfolder.envs.calls import (
-    KEPT,
-    MAX_PRESSURE,
-    material_names,
-    open_files,
-    refuse_options,
-    require_reset,
-)
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.sounding import Sounding, require_audible
 from objectfolder.errors import ObjectFolderError, quoted
@@ -70,13 +63,15 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         seconds: float = 0.5,
         sample_rate: float = 48000,
     ):
-        self.files = open_files(objects)
-        self.materials = material_names(materials)
+        self.files = calls.open_files(objects)
+        self.materials = calls.material_names(materials)
         self._arguments = (self.files, self.materials, seconds, sample_rate)
         self._rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
         require_audible(self.files, self.materials, SIZES[0], sample_rate)
         self._bodies = [rigid_body(file, [file.to_mesh().convex_hull]) for file in self.files]
-        self.observation_space = spaces.Box(-MAX_PRESSURE, MAX_PRESSURE, (self._samples,), np.float32)
+        self.observation_space = spaces.Box(
+            -calls.MAX_PRESSURE, calls.MAX_PRESSURE, (self._samples,), np.float32
+        )
         self.action_space = spaces.MultiDiscrete([len(self.files), len(self.materials)])
         self._episode: dict[str, Any] = {}
 
@@ -84,7 +79,7 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Let an object fall."""
-        refuse_options(options)
+        calls.refuse_options(options)
         super().reset(seed=seed)
         rng = self.np_random
         kind, stuff = int(rng.integers(len(self.files))), int(rng.integers(len(self.materials)))
@@ -100,7 +95,7 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Answer; the episode ends."""
-        require_reset(bool(self._episode))
+        calls.require_reset(bool(self._episode))
         if not self.action_space.contains(np.asarray(action)):
             raise ObjectFolderError(
                 f"action is {quoted(action)}, expected the numbers of an object below {len(self.files)} "
@@ -142,7 +137,7 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         start = np.flatnonzero(sound)[0]
         while len(sound) < start + self._samples:
             sound = np.concatenate([sound, hearing.simulate(data)])
-        return sound[start : start + self._samples].clip(-MAX_PRESSURE, MAX_PRESSURE)
+        return sound[start : start + self._samples].clip(-calls.MAX_PRESSURE, calls.MAX_PRESSURE)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._arguments, {name: getattr(self, name) for name in ("_episode", *KEPT)}
+        return type(self), self._arguments, {name: getattr(self, name) for name in ("_episode", *calls.KEPT)}

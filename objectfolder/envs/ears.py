@@ -94,6 +94,10 @@ def _histograms(loss: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     return (groups / (groups.sum(2, keepdim=True) + 5)).flatten(1)
 
 
+def _standardize(heard: np.ndarray, mean: np.ndarray, std: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(((heard - mean) / std).clip(-MAX_DEVIATION, MAX_DEVIATION)).float()
+
+
 class Ear:
     """Trained on sounds of falls, it answers with objects and materials.
 
@@ -116,7 +120,7 @@ class Ear:
         self._kinds, self._mean, self._std = kinds, heard.mean(0), heard.std(0) + 1e-4
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            x, y = self._standardize(heard), torch.from_numpy(np.asarray(answers)).long()
+            x, y = _standardize(heard, self._mean, self._std), torch.from_numpy(np.asarray(answers)).long()
             self.net = torch.nn.Sequential(
                 torch.nn.Linear(x.shape[1], WIDTH), torch.nn.ReLU(), torch.nn.Dropout(0.3),
                 torch.nn.Linear(WIDTH, WIDTH), torch.nn.ReLU(), torch.nn.Dropout(0.3),
@@ -138,13 +142,12 @@ class Ear:
     def __call__(self, heard: np.ndarray) -> np.ndarray:
         """Return the numbers of objects and materials (N, 2)."""
         return np.stack(
-            [of.argmax(1).numpy() for of in self.net(self._standardize(heard)).split(self._kinds, 1)], 1
+            [
+                of.argmax(1).numpy()
+                for of in self.net(_standardize(heard, self._mean, self._std)).split(self._kinds, 1)
+            ],
+            1,
         )
-
-    def _standardize(self, heard: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(
-            ((heard - self._mean) / self._std).clip(-MAX_DEVIATION, MAX_DEVIATION)
-        ).float()
 
 
 class OddEar:
@@ -172,7 +175,7 @@ class OddEar:
         self._mean, self._std = heard.mean(axes), heard.std(axes) + 1e-4
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            x = self._standardize(heard)
+            x = _standardize(heard, self._mean, self._std)
             right, made = torch.from_numpy(np.asarray(odd)).long(), torch.from_numpy(np.asarray(stuff)).long()
             rows, count, most = x.shape[:3]
             self.tap = torch.nn.Sequential(
@@ -209,7 +212,9 @@ class OddEar:
         count = [len(of) for of in taps]
         tapped = torch.arange(max(count)) < torch.tensor(count)[:, None]
         embedded = torch.zeros(len(taps), max(count), EMBEDDED)
-        embedded[tapped] = self.tap(self._standardize(np.stack([one for of in taps for one in of])))
+        embedded[tapped] = self.tap(
+            _standardize(np.stack([one for of in taps for one in of]), self._mean, self._std)
+        )
         scores = self._scores(embedded[None], tapped[None])
         found: np.ndarray = scores[0].softmax(0).numpy()
         return found
@@ -223,11 +228,6 @@ class OddEar:
         apart = torch.where((number > 0) & (others > 0), own - rest, 0.0)
         known = [own, rest, apart, apart.abs(), number / (1 + number), others / (1 + others)]
         return self.score(torch.cat(known, 2))[..., 0]
-
-    def _standardize(self, heard: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(
-            ((heard - self._mean) / self._std).clip(-MAX_DEVIATION, MAX_DEVIATION)
-        ).float()
 
 
 def find_odd(env: TapEnv, ear: OddEar, threshold: float, seed: int) -> dict[str, Any]:

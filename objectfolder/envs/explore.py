@@ -11,7 +11,7 @@ import torch
 from gymnasium import spaces
 
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.calls import KEPT, check_action, open_files, refuse_options, require_reset
+from objectfolder.envs import calls
 from objectfolder.envs.drop import SIZES
 from objectfolder.envs.fingers import sensor_angles
 from objectfolder.errors import ObjectFolderError
@@ -86,7 +86,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         sensor: "str | SensorProfile" = "digit",
         reduction: int = 4,
     ):
-        self.files = open_files(objects)
+        self.files = calls.open_files(objects)
         self.noise, self.limit = finite_number("noise", noise), whole_number("limit", limit, 1)
         if self.noise < 0:
             raise ObjectFolderError(f"noise is {noise!r} m, expected a number of at least 0")
@@ -119,7 +119,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Put an object on the table."""
-        refuse_options(options)
+        calls.refuse_options(options)
         super().reset(seed=seed)
         rng = self.np_random
         kind = int(rng.integers(len(self.files)))
@@ -130,8 +130,8 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
 
     def step(self, action: int) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Touch the object, or name it."""
-        require_reset(bool(self._episode))
-        chosen, info = check_action(action, int(self.action_space.n)), dict(self._episode)  # type: ignore[attr-defined]
+        calls.require_reset(bool(self._episode))
+        chosen, info = calls.check_action(action, int(self.action_space.n)), dict(self._episode)  # type: ignore[attr-defined]
         if chosen >= self.places:
             self._episode = {}
             return self._empty_observation(), float(chosen - self.places == info["object"]), True, False, info
@@ -192,7 +192,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         }
 
     def __reduce__(self) -> tuple[Any, ...]:
-        state = {name: getattr(self, name) for name in ("_episode", "_touches", *KEPT)}
+        state = {name: getattr(self, name) for name in ("_episode", "_touches", *calls.KEPT)}
         return type(self), self._arguments, state
 
 

@@ -166,7 +166,7 @@ class Feeling:
     def _find_contact(self, data: mujoco.MjData, site: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
         """Return the body that a pad touches most, the force, and the site's place and axes in its frame."""
         at, axes = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
-        finger, model = model_body(self._model, site), self._model
+        finger, model = int(self._model.site_bodyid[site]), self._model
         forces: dict[int, np.ndarray] = {}
         wrench = np.zeros(6)
         for k in range(data.ncon):
@@ -278,11 +278,6 @@ def pad_names(pads: object) -> list[str]:
     if len(names) < len(given):
         raise ObjectFolderError(f"pads is {quoted(pads)}, expected the names of sites on fingers")
     return names
-
-
-def model_body(model: mujoco.MjModel, site: int) -> int:
-    """Return the number of the body that carries a site."""
-    return int(model.site_bodyid[site])
 
 
 def _site(model: mujoco.MjModel, name: str) -> int:

@@ -15,15 +15,8 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.checks import one_of, whole_number
+from objectfolder.envs import calls
 from objectfolder.envs.body import Hulls
-from objectfolder.envs.calls import (
-    KEPT,
-    check_actions,
-    check_render_mode,
-    object_file,
-    refuse_options,
-    require_reset,
-)
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.features import CONTRAST, FeatureFunction, TouchFeatures
 from objectfolder.envs.fingers import Presses
@@ -79,9 +72,9 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         render_mode: str | None = None,
     ):
         self._arguments = (file, observation, hulls, render_mode)
-        self.render_mode = check_render_mode(render_mode)
+        self.render_mode = calls.check_render_mode(render_mode)
         one_of("observation", observation, OBSERVATIONS)  # before hulls are computed
-        self._episodes = Episodes(make_task(object_file(file), hulls), observation)
+        self._episodes = Episodes(make_task(calls.object_file(file), hulls), observation)
         self.observation_space = self._episodes.space()
         self.action_space = spaces.Box(-1, 1, (4,), np.float32)
 
@@ -89,14 +82,14 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode with the object at a random place."""
-        refuse_options(options)
+        calls.refuse_options(options)
         super().reset(seed=seed)
         return _first(self._episodes.begin(1, self.np_random)), {}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move the hand, and grasp after the last step."""
         self._episodes.check_running()
-        reward = float(self._episodes.act(check_actions(action, (4,))[None])[0])
+        reward = float(self._episodes.act(calls.check_actions(action, (4,))[None])[0])
         done = self._episodes.step >= STEPS
         info = {"success": bool(reward)} if done else {}
         return _first(self._episodes.observe()), reward, done, False, info
@@ -105,18 +98,18 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         """Return the external camera's picture, (256, 256, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None
-        require_reset(len(self._episodes.hands) > 0)
+        calls.require_reset(len(self._episodes.hands) > 0)
         return self._episodes.picture(0)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept = {name: getattr(self, name) for name in KEPT}
-        return type(self), self._arguments, (self._episodes.state(), kept)
+        kept, of = {name: getattr(self, name) for name in calls.KEPT}, self._episodes
+        # Places and hands are never changed in place, so that a copy may share them.
+        return type(self), self._arguments, (kept, (of.objects, of.hands, of.step))
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         """Restore the episode and the random generator of a pickle."""
-        episode, kept = state
+        kept, (self._episodes.objects, self._episodes.hands, self._episodes.step) = state
         self.__dict__ |= kept
-        self._episodes.restore(episode)
 
 
 class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
@@ -160,12 +153,12 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         features: FeatureFunction | None = None,
         render_mode: str | None = None,
     ):
-        self.render_mode = check_render_mode(render_mode)
+        self.render_mode = calls.check_render_mode(render_mode)
         one_of("observation", observation, OBSERVATIONS)
         if task is None:
             if file is None:
                 raise ObjectFolderError("Grasp-v0 needs an Object File: file=...")
-            task = make_task(object_file(file), hulls)
+            task = make_task(calls.object_file(file), hulls)
         self.num_envs = whole_number("num_envs", num_envs, 1)
         self._generators: list[np.random.Generator] = []  #: one for each environment, or none
         self._episodes = Episodes(task, observation, features)
@@ -179,15 +172,10 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
     ) -> tuple[Any, dict[str, Any]]:
         """Start all episodes anew.
 
-        Parameters
-        ----------
-        seed : int or list of int or None, optional
-            One of all environments, whose generator serves them all; or one for each, which then draws what
-            `GraspEnv` draws with that seed. None leaves generators as they are.
-        options : dict, optional
-            There are none.
+        A seed is one of all environments, whose generator serves them all; or one for each, which then draws
+        what `GraspEnv` draws with that seed. None leaves generators as they are.
         """
-        refuse_options(options)
+        calls.refuse_options(options)
         if isinstance(seed, list | tuple | np.ndarray):
             self._generators = self._seeded([*seed])
         elif seed is not None:
@@ -198,7 +186,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Move all hands; after the last step grasp, and start anew."""
         self._episodes.check_running()
-        rewards = self._episodes.act(check_actions(actions, (self.num_envs, 4)))
+        rewards = self._episodes.act(calls.check_actions(actions, (self.num_envs, 4)))
         ended = np.full(self.num_envs, self._episodes.step >= STEPS)
         observed, info = self._episodes.observe(), {}
         if ended.all():
@@ -214,7 +202,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         """Return the external camera's pictures, (256, 256, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None
-        require_reset(len(self._episodes.hands) > 0)
+        calls.require_reset(len(self._episodes.hands) > 0)
         return tuple(self._episodes.picture(row) for row in range(self.num_envs))
 
     def _begin(self) -> Any:
@@ -276,17 +264,9 @@ class Episodes:
         self.step = 0
         return self.observe()
 
-    def state(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """Return what changes in an episode, for `restore`."""
-        return self.objects, self.hands, self.step
-
-    def restore(self, state: tuple[np.ndarray, np.ndarray, int]) -> None:
-        """Go on from a `state`; places and hands are never changed in place, so that it can be shared."""
-        self.objects, self.hands, self.step = state
-
     def check_running(self) -> None:
         """Raise ObjectFolderError unless the episodes have begun and not ended."""
-        require_reset(len(self.hands) > 0)
+        calls.require_reset(len(self.hands) > 0)
         if self.step >= STEPS:
             raise ObjectFolderError(f"the episode has ended after {STEPS} steps; call reset()")
 
@@ -313,12 +293,11 @@ class Episodes:
         features = self._features(rows, pressed)
         return features if self.observation == "tactile" else np.concatenate([features, state], 1)
 
-    def picture(self, row: int, resolution: int = 256) -> np.ndarray:
-        """Draw an episode as seen by the external camera; (resolution, resolution, 3) uint8."""
+    def picture(self, row: int) -> np.ndarray:
+        """Draw an episode as seen by the external camera; (256, 256, 3) uint8."""
         place, hand = self.objects[row], self.hands[row]
-        width = self.task.touch(place[None], hand[None]).width[0]
-        camera = ExternalCamera(resolution)
-        return camera.picture(self.task.file, self.task.placed(place), hand, width or STROKE)
+        width = self.task.touch(place[None], hand[None]).width[0] or STROKE
+        return ExternalCamera(256).picture(self.task.file, self.task.place_object(place), hand, width)
 
     def _state(self, width: np.ndarray) -> np.ndarray:
         """Return step, height of the hand and opening of the jaws in contact, scaled; (N, 3) float32."""

@@ -70,7 +70,7 @@ class GraspTask:
         """Return whether the open gripper can come down there; (N,) bool."""
         return self.scene.free(np.tile(self.rest, (len(hands), 1)), relative_hands(hands, objects))
 
-    def placed(self, place: np.ndarray) -> np.ndarray:
+    def place_object(self, place: np.ndarray) -> np.ndarray:
         """Return the pose (7,) of an object at ``place``: x, y, yaw."""
         x, y, yaw = place
         return turn_poses(self.rest[None], np.array([yaw]), np.array([[x, y]]))[0]

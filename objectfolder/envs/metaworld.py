@@ -71,19 +71,7 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
     Like `objectfolder.envs.reach.ReachEnv`, but with the Sawyer arm. ``reset`` honours its seed, which
     Meta-World ignores, and goals are part of the observation, as in MT1.
 
-    Parameters
-    ----------
-    file : ObjectFile, path or RigidBody
-    hulls : path or sequence of trimesh.Trimesh, optional
-        Folder in which convex hulls are cached, or the hulls, object frame, m; default: a folder of the
-        user's.
-    horizon : int
-        Control steps (12.5 ms) of an episode, at most 500.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object is too large for the scene.
+    Arguments are as there, but ``horizon`` is at most 500 control steps (12.5 ms).
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it

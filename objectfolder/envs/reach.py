@@ -13,15 +13,8 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from objectfolder.checks import whole_number
+from objectfolder.envs import calls
 from objectfolder.envs.body import Hulls, RigidBody, add_body, as_rigid_body
-from objectfolder.envs.calls import (
-    KEPT,
-    check_actions,
-    check_render_mode,
-    check_resolution,
-    refuse_options,
-    require_reset,
-)
 from objectfolder.envs.drawing import draw_model, view_frame, view_rays
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
@@ -36,8 +29,8 @@ OPENING = 0.1  #: opening of the fingers that is observed as 1, m
 SIGMOID = np.sqrt(1 / 0.1 - 1)  #: makes the reward's long tail 0.1 at the margin
 #: Camera of `ReachEnv.render`: position and target, m; vertical field of view, degrees.
 EYE, TARGET, FOV = np.array([1.1, 0.05, 0.6]), np.array([0.0, 0.74, 0.12]), 26.0
-#: Attributes of an environment that change, beside its simulation.
-_STATE_ATTRIBUTES = ("goal", "_margin", "_steps", "_previous", *KEPT)
+#: Attributes of an environment that change.
+_STATE_ATTRIBUTES = ("data", "goal", "_margin", "_steps", "_previous", *calls.KEPT)
 _REACH_HIGH = np.array([0.525, 1.025, 0.7])
 _REACH_LOW = np.array([-0.525, 0.348, -0.0525])
 _STATE_LOW = np.concatenate([_REACH_LOW, [-1], np.full(3, -2.0), np.full(11, -1.0)])
@@ -111,8 +104,11 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         resolution: tuple[int, int] = (180, 240),
     ):
-        self.horizon, self.render_mode = whole_number("horizon", horizon, 1), check_render_mode(render_mode)
-        self.resolution = check_resolution(resolution)
+        self.horizon, self.render_mode = (
+            whole_number("horizon", horizon, 1),
+            calls.check_render_mode(render_mode),
+        )
+        self.resolution = calls.check_resolution(resolution)
         body = as_rigid_body(file, hulls)
         self._arguments = (file, hulls, horizon, render_mode, resolution)
         self.model = reach_scene(body)
@@ -135,7 +131,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Reset the hand, and draw new places of the object and the goal."""
-        refuse_options(options)
+        calls.refuse_options(options)
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         place, self.goal = draw_placement(self.np_random)
@@ -150,8 +146,8 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Simulate one control step, 12.5 ms."""
-        require_reset(self._margin > 0)
-        action = np.clip(check_actions(action, (4,)), -1, 1)
+        calls.require_reset(self._margin > 0)
+        action = np.clip(calls.check_actions(action, (4,)), -1, 1)
         target = self.data.mocap_pos[self._target] + ACTION_SCALE * action[:3]
         self.data.mocap_pos[self._target] = np.clip(target, HAND_LOW, HAND_HIGH)
         self.data.ctrl[:] = action[3], -action[3]
@@ -165,19 +161,13 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Return a picture of the scene, (height, width, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None
-        require_reset(self._margin > 0)
+        calls.require_reset(self._margin > 0)
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the previous step's positions
         rays = view_rays(view_frame(EYE, TARGET), FOV, *self.resolution)
         return draw_model(self.model, self.data, EYE, rays, *self.resolution)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept = {name: getattr(self, name) for name in _STATE_ATTRIBUTES}
-        return type(self), self._arguments, (self.data, kept)
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        """Restore the simulation, the episode and the random generator of a pickle."""
-        self.data, kept = state
-        self.__dict__ |= kept
+        return type(self), self._arguments, {name: getattr(self, name) for name in _STATE_ATTRIBUTES}
 
     def _state(self) -> np.ndarray:
         qpos = self.data.qpos

@@ -11,15 +11,7 @@ from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.audio.stream import ModalStream, Pulse
 from objectfolder.audio.synthesis import count_samples
 from objectfolder.checks import whole_number
-from objectfolder.envs.calls import (
-    KEPT,
-    MAX_PRESSURE,
-    check_action,
-    material_names,
-    open_files,
-    refuse_options,
-    require_reset,
-)
+from objectfolder.envs import calls
 from objectfolder.envs.drop import MATERIALS, SIZES
 from objectfolder.envs.sounding import require_audible
 from objectfolder.errors import ObjectFolderError
@@ -84,8 +76,8 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         sample_rate: float = 48000,
         limit: int = 20,
     ):
-        self.files = open_files(objects)
-        self.materials = material_names(materials, 2)
+        self.files = calls.open_files(objects)
+        self.materials = calls.material_names(materials, 2)
         self.count, self.limit = whole_number("count", count), whole_number("limit", limit)
         if self.count < 3 or self.limit < 1:
             raise ObjectFolderError(
@@ -97,7 +89,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         self._arguments = (self.files, self.materials, self.count, seconds, sample_rate, self.limit)
         self.observation_space = spaces.Dict(
             {
-                "sound": spaces.Box(-MAX_PRESSURE, MAX_PRESSURE, (self._samples,), np.float32),
+                "sound": spaces.Box(-calls.MAX_PRESSURE, calls.MAX_PRESSURE, (self._samples,), np.float32),
                 "tapped": spaces.Discrete(self.count + 1),
                 "taps": spaces.Box(0, self.limit, (self.count,), np.int64),
             }
@@ -111,7 +103,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Set up a row."""
-        refuse_options(options)
+        calls.refuse_options(options)
         super().reset(seed=seed)
         rng = self.np_random
         kind, odd = int(rng.integers(len(self.files))), int(rng.integers(self.count))
@@ -124,8 +116,8 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
 
     def step(self, action: int) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Tap an object, or declare one."""
-        require_reset(bool(self._episode))
-        chosen = check_action(action, 2 * self.count)
+        calls.require_reset(bool(self._episode))
+        chosen = calls.check_action(action, 2 * self.count)
         info = self._info()
         if chosen >= self.count:
             right, self._episode = chosen - self.count == info["odd"], {}
@@ -156,7 +148,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         stream.listen(0, voice.weights(_EAR))
         stream.strike(0, Pulse(0, lasting * self.sample_rate, gains))
         sound = stream.play(self._samples)
-        return sound.astype(np.float32).clip(-MAX_PRESSURE, MAX_PRESSURE)
+        return sound.astype(np.float32).clip(-calls.MAX_PRESSURE, calls.MAX_PRESSURE)
 
     def _voice(self, number: int) -> Voice:
         """Return the voice of an object of the row, made when it is first tapped."""
@@ -171,5 +163,5 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         return (
             type(self),
             self._arguments,
-            {name: getattr(self, name) for name in ("_episode", "_taps", *KEPT)},
+            {name: getattr(self, name) for name in ("_episode", "_taps", *calls.KEPT)},
         )

@@ -70,7 +70,7 @@ def test_detailed_surfaces_are_simplified_until_they_fit_their_texture(monkeypat
     bell = ObjectFile.sample("bell")
     monkeypatch.setattr(visual, "TEXELS", 288)  # the first tolerance leaves 16,650 triangles, 3190 have room
     drawn = visual.visual_mesh(bell)
-    assert 1500 < len(drawn.faces) <= 288**2 // visual._ROOM
+    assert 1500 < len(drawn.faces) <= 288**2 // visual._TEXELS_PER_FACE
     assert drawn.area == pytest.approx(bell.to_mesh().area, rel=0.005)
     assert visual.texture_image(drawn).size == (288, 288)
 

@@ -125,8 +125,8 @@ def test_the_gripper_closes_at_positive_action_only(body):
         closed, *_ = env.step(_action(0, 0, 0, 1))
     np.testing.assert_allclose(closed[3], 0.3, atol=0.01)  # Meta-World's fingers move 40 and 30 mm
     for _ in range(60):
-        open_files, *_ = env.step(_action(0, 0, 0, -1))
-    np.testing.assert_allclose(open_files[3], 1, atol=0.01)
+        opened, *_ = env.step(_action(0, 0, 0, -1))
+    np.testing.assert_allclose(opened[3], 1, atol=0.01)
 
 
 def test_reward_by_hand():

@@ -263,6 +263,7 @@ class Pressed(gymnasium.Env):
 
     observation_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
     action_space = gymnasium.spaces.Discrete(1)
+    mj_step = staticmethod(mujoco.mj_step)
 
     def __init__(self, body):
         self.body, self.model = body, scene(body)
@@ -273,7 +274,7 @@ class Pressed(gymnasium.Env):
         return np.zeros(1, np.float32), {}
 
     def step(self, action):
-        mujoco.mj_step(self.model, self.data, nstep=3)
+        self.mj_step(self.model, self.data, nstep=3)
         return np.zeros(1, np.float32), 0.0, False, False, {}
 
 

@@ -115,14 +115,14 @@ def test_an_ear_learns_to_tell_the_odd_one(rng):
     heard = rng.normal(size=(140, 3, 4, 5)).astype(np.float32)
     heard[..., 2] += 3 * stuff[:, :, None]
     ear = OddEar(heard[:100], odd[:100], stuff[:100], epochs=10)
-    right, threshold = [], []
+    right, chances = [], []
     for taps in (1, 4):
         found = np.stack([ear([of[:taps] for of in row]) for row in heard[100:]])
         right.append((found.argmax(1) == odd[100:]).mean())
-        threshold.append(found.max(1).mean())
+        chances.append(found.max(1).mean())
     assert found.sum(1) == pytest.approx(1)
     assert right[1] > 0.9
-    assert threshold[1] > threshold[0]
+    assert chances[1] > chances[0]
 
 
 def test_episodes_are_played_until_the_ear_is_sure(env):

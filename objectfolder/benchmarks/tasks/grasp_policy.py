@@ -148,7 +148,7 @@ def grasp_frames(task: GraspTask, bank: TouchBank, actor: Actor, count: int, see
     shown = [*np.flatnonzero(held)[:1], *np.flatnonzero(~held & free)[:1]]
     camera, frames = ExternalCamera(PIXELS), []
     for row in shown:
-        place = task.placed(episodes.objects[row])
+        place = task.place_object(episodes.objects[row])
         for moment in task.scene.watch(place, episodes.hands[row], FORCE, FRAME):
             frame = camera.picture(task.file, moment.place, moment.hand, moment.width)
             frames.append(mark_outcome(frame, held[row]))
