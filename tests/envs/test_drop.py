@@ -1,9 +1,5 @@
-import pickle
-
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from objectfolder.envs import drop
 from objectfolder.envs.drop import DropEnv
@@ -18,13 +14,6 @@ from objectfolder.touch.friction import friction_of
 @pytest.fixture(scope="module")
 def env(brick):
     return DropEnv([brick], ["plastic", "wood"], seconds=0.05)
-
-
-def test_the_checker_passes(brick):
-    made = gymnasium.make(
-        "objectfolder.envs:ObjectFolder/Drop-v0", objects=[brick], materials=["plastic"], seconds=0.03
-    )
-    check_env(made.unwrapped)
 
 
 def test_a_fall_is_heard_from_its_first_contact_and_depends_on_the_seed_only(env, brick):
@@ -42,41 +31,6 @@ def test_rewards_are_half_for_the_object_and_half_for_the_material(env):
         answer = np.array([info["object"], (info["material"] + wrong) % 2])
         _, reward, ended, cut, after = env.step(answer)
         assert (reward, ended, cut, after) == (expected, True, False, info)
-
-
-def test_environments_side_by_side_and_copies_agree(env, brick):
-    def made():
-        return DropEnv([brick], ["plastic", "wood"], seconds=0.05)
-
-    many = gymnasium.vector.SyncVectorEnv([made, made])
-    together, _ = many.reset(seed=[3, 4])
-    assert together[1].tobytes() == env.reset(seed=4)[0].tobytes()
-    env.reset(seed=6)
-    copied = pickle.loads(pickle.dumps(env))
-    assert copied.np_random_seed == 6
-    assert copied.reset()[0].tobytes() == env.reset()[0].tobytes()
-
-
-def test_wrong_calls_are_refused(brick):
-    env = DropEnv([brick], ["wood"], seconds=0.02)
-    with pytest.raises(ObjectFolderError, match="was not reset"):
-        env.step(np.array([0, 0]))
-    with pytest.raises(ObjectFolderError, match="has options"):
-        env.reset(options={"height": 1})
-    env.reset(seed=0)
-    with pytest.raises(ObjectFolderError, match=r"numbers of an object below 1 and of a material below 1"):
-        env.step(np.array([0, 3]))
-    with pytest.raises(ObjectFolderError, match="unknown material 'cheese'"):
-        DropEnv([brick], ["cheese"])
-    with pytest.raises(ObjectFolderError, match="at least one object"):
-        DropEnv([])
-    for given, message in (
-        ({"seconds": 0}, "give no samples"),
-        ({"seconds": float("nan")}, "duration is nan, expected a finite number"),
-        ({"sample_rate": "x"}, "sample rate is 'x', expected a finite number"),
-    ):
-        with pytest.raises(ObjectFolderError, match=message):
-            DropEnv([brick], **given)
 
 
 def test_hearing_begins_before_any_contact(env, monkeypatch):

@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.cli import app
 from objectfolder.envs import visual
-from objectfolder.envs.body import rigid_body
 from objectfolder.envs.gltf import (
     AUDIO,
     PHYSICS,
@@ -22,22 +21,11 @@ from objectfolder.envs.gltf import (
     unpack_glb,
     write_glb,
 )
-from objectfolder.envs.hulls import convex_hulls
 from objectfolder.mesh.srgb import encode
 from objectfolder.mesh.textured import y_up, z_up
 from objectfolder.objectfile.file import ObjectFile
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _small_textures():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(visual, "TEXELS", 64)
-        yield
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, convex_hulls(brick.to_mesh()))
+pytestmark = pytest.mark.usefixtures("small_textures")
 
 
 @pytest.fixture(scope="module")
@@ -184,10 +172,6 @@ def test_a_texture_is_read_without_mipmaps(glb):
     document, _ = glb
     (texture,) = document["textures"]
     assert document["samplers"][texture["sampler"]]["minFilter"] == 9729  # LINEAR
-
-
-def test_the_same_object_gives_the_same_bytes(brick, body, path, tmp_path):
-    assert write_glb(brick, tmp_path, hulls=body.hulls).read_bytes() == path.read_bytes()
 
 
 def test_arrays_come_back_from_a_buffer_of_any_length():

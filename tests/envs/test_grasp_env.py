@@ -28,14 +28,6 @@ def task(brick):
     return GraspTask(brick, rigid_body(brick, convex_hulls(brick.to_mesh())))
 
 
-@pytest.fixture(scope="module")
-def hulls(brick, tmp_path_factory):
-    """Cached hulls, so that environments need not compute them."""
-    folder = tmp_path_factory.mktemp("hulls")
-    cached_hulls(brick, folder)
-    return folder
-
-
 def made(path, hulls, observation):
     name = "ObjectFolder/Grasp-v0"
     return gymnasium.make(

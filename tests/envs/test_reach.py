@@ -11,7 +11,6 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
 from objectfolder.benchmarks.tasks.reach import controller, run_episodes
-from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import (
     GOAL_HIGH,
     GOAL_LOW,
@@ -25,11 +24,6 @@ from objectfolder.envs.reach import (
     reward,
 )
 from objectfolder.errors import ObjectFolderError
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, [brick.to_mesh().convex_hull])
 
 
 def _action(*values):

@@ -4,18 +4,12 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from objectfolder.envs.body import rigid_body
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.reach import SUBSTEPS, ReachEnv
 from objectfolder.envs.senses import Senses
 from objectfolder.errors import ObjectFolderError
 
 EAR = [0.0, 0.4, 0.4]
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, [brick.to_mesh().convex_hull])
 
 
 def lifted(env):

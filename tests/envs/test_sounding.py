@@ -4,18 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from objectfolder.envs.body import add_body, rigid_body, scaled_body
+from objectfolder.envs.body import add_body, scaled_body
 from objectfolder.envs.feeling import Feeling
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.sounding import Sounding, name_objects
 from objectfolder.errors import ObjectFolderError
 
 EAR = [0.5, 0, 0.3]
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, [brick.to_mesh().convex_hull])
 
 
 def scene(body, *names):

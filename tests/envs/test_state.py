@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from objectfolder.envs import feeling, hearing, impacts, sounding, state
-from objectfolder.envs.body import add_body, rigid_body
+from objectfolder.envs.body import add_body
 from objectfolder.envs.feeling import Feeling
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.senses import Senses
@@ -23,11 +23,6 @@ CALLED = {"mj_step": (), "mj_jac": ("cdof", "subtree_com"), "mj_solveM": ("qLD",
           "mj_contactForce": ("efc_force",)}  # fmt: skip
 #: Sizes and names of a model, and functions of its arrays, which MuJoCo keeps from being changed.
 SIZES = {"nbody", "nsite", "nv", "nmocap", "opt", "body", "geom", "pair", "site"}
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, [brick.to_mesh().convex_hull])
 
 
 def scene(body):
