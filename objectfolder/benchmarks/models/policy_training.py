@@ -13,7 +13,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.settings import GraspPolicyConfig, ReachConfig
 from objectfolder.nets.checkpoint import Checkpoint, Training, TrainingState, run_training
-from objectfolder.seeding import drawn_seed
+from objectfolder.seeding import draw_seed
 
 Figures = tuple[float, ...]
 
@@ -52,7 +52,7 @@ def model_settings(
         "batch_size": params.batch,
         "gamma": params.discount,
         "policy_kwargs": {"net_arch": [params.width] * 2, "log_std_init": params.log_deviation},
-        "seed": drawn_seed(seed, *purpose, "0"),
+        "seed": draw_seed(seed, *purpose, "0"),
         "device": "cpu",  # two small layers: a GPU is slower
     }
 
@@ -85,7 +85,7 @@ def train_policy(
         part, rate = state.units + 1, training.learning_rate(state.units * training.done_per_part)
         # Stable-Baselines3 tells the progress of a part, which is not that of the training.
         model.lr_schedule = lambda _: rate
-        model.set_random_seed(drawn_seed(identity["seed"], identity["purpose"], str(part)))
+        model.set_random_seed(draw_seed(identity["seed"], identity["purpose"], str(part)))
         model.learn(training.steps)
         figures = training.measure(training.actor())
         return PolicyPoint(part * training.done_per_part, figures, state.seconds)
