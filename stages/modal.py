@@ -4,13 +4,12 @@ from contextlib import suppress
 from dataclasses import asdict
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.certainty import solver_warning, uncertainty_warning
 from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.fem.modal import (
     refined_analysis,
     shape_points,
     solved_band,
-    solver_warning,
-    uncertainty_warning,
 )
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.fem.settings import ModalConfig

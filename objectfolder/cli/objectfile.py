@@ -330,7 +330,7 @@ def _contact_summary(rows: np.ndarray) -> str:
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:
     """Describe a part in a line, reading no tensors but the modes."""
-    from objectfolder.fem.modal import MAX_UNWARNED_ERROR
+    from objectfolder.fem.certainty import MAX_UNWARNED_ERROR
 
     if part not in obj.header:
         return "none"

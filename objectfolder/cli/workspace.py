@@ -161,7 +161,7 @@ def inspect(
 
 def _print_metrics(keys: list[str]) -> None:
     """Print the metrics of objects, what is uncertain, and the paths of Object Files and pictures."""
-    from objectfolder.fem.modal import uncertainty_warning
+    from objectfolder.fem.certainty import uncertainty_warning
     from objectfolder.io import read_json
     from objectfolder.objectfile.evaluation import summary_row
     from objectfolder.workspace.layout import Build

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 HOUR = 3600.0
 #: Share of the available memory for stages; the rest is for the engine and the system.
 MEMORY_SHARE = 0.9
@@ -86,6 +84,8 @@ def cores() -> int:
 
 def free_memory() -> int:
     """Return the bytes that can be taken now, in a container or job at most what its limit leaves."""
+    import psutil  # a build with nothing to do needs none
+
     return int(min(psutil.virtual_memory().available, memory_left()))
 
 

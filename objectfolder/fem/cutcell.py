@@ -20,6 +20,7 @@ from numpy.polynomial import legendre
 from scipy.spatial import cKDTree
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.certainty import CUT_CELLS
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
@@ -38,7 +39,6 @@ from objectfolder.mesh.topology import components, signed_volume
 MIN_FULL_FILL = 1 - 1e-5  # fill of a cell that counts as full
 EMPTY_FILL = 1e-3  # parts with a smaller fill are dropped
 VOID_STIFFNESS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material
-CUT_CELLS = "hex20 cut cells"  #: name of the element
 MAX_VOLUME_ERROR = 0.05  #: accepted relative volume error of the cells, before its correction
 
 

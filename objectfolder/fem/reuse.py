@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.fem.modal import MIN_FREQUENCY, ModalData, solver_checks
+from objectfolder.fem.certainty import solver_checks
+from objectfolder.fem.modal import MIN_FREQUENCY, ModalData
 from objectfolder.fem.similarity import similarity
 from objectfolder.io import file_digest
 from objectfolder.materials import Material

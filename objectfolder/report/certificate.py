@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.fem.modal import MAX_RESIDUAL, MAX_UNWARNED_ERROR, rigid_limit
+from objectfolder.fem.certainty import MAX_RESIDUAL, MAX_UNWARNED_ERROR, rigid_limit
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.report.pictures import playing_rate

@@ -10,7 +10,7 @@ import numpy as np
 
 from objectfolder.engine.records import recall_costs
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.modal import uncertainty_warning
+from objectfolder.fem.certainty import uncertainty_warning
 from objectfolder.io import file_digest, read_json, read_npz
 from objectfolder.metrics import psnr
 from objectfolder.objectfile.evaluation import Strikes, shown_views, strike_sounds, view_answers

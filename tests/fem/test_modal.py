@@ -6,8 +6,9 @@ from solids import box
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem import modal
+from objectfolder.fem.certainty import solver_warning, uncertainty_warning
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis, shape_points, solver_warning, uncertainty_warning
+from objectfolder.fem.modal import modal_analysis, shape_points
 from objectfolder.materials import Material, material
 
 SOLID = box((1, 0.5, 0.2))

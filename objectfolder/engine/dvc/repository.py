@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import psutil
 from dvc.config import Config
 from dvc.dirs import site_cache_dir
 from dvc.exceptions import DvcException, NotDvcRepoError
@@ -303,6 +302,8 @@ def _refuse_if_busy(repo: Repo) -> None:
         return
     readers = itertools.chain.from_iterable(entries["read"].values())
     for holder in (*entries["write"].values(), *readers):
+        import psutil  # DVC commands that run beside a build are rare
+
         pid = int(holder["pid"])
         if pid != os.getpid() and psutil.pid_exists(pid):
             raise _Busy(
