@@ -26,6 +26,7 @@ from objectfolder.benchmarks.tasks.running import machine
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_text
 from objectfolder.workspace.layout import Benchmarks
+from objectfolder.workspace.presets import read_preset
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"
@@ -167,7 +168,7 @@ def shared_tables(
     folder: Benchmarks, preset: str, keys: dict[str, None], options: str = ""
 ) -> Iterator[dict]:
     """Yield the tables of tasks over many objects, and add these objects to `keys`."""
-    sections = read_yaml(f"params/{preset}.yaml")
+    sections = read_preset(preset)[0]
     for task, command in COMMANDS.items():
         for split in splits_of(task):
             if folder.result(task, split).is_file():
@@ -188,7 +189,7 @@ def shared_tables(
 
 def object_tables(folder: Benchmarks, preset: str, options: str = "") -> Iterator[dict]:
     """Yield the tables of grasp stability and of tasks on single objects."""
-    sections = read_yaml(f"params/{preset}.yaml")
+    sections = read_preset(preset)[0]
     for split in splits_of("grasp_stability"):
         if folder.result("grasp_stability", split).is_file():
             scores = read_json(folder.result("grasp_stability", split))
@@ -239,7 +240,7 @@ def seeds_option(score: dict, section: dict) -> str:
 def preset_of(values: dict) -> str:
     """Return the preset whose sections all agree with the parameters, but for `EXEMPT`."""
     for name in PRESETS:
-        sections = read_yaml(f"params/{name}.yaml")
+        sections = read_preset(name)[0]
         if all(scored(key, values.get(key)) == scored(key, sections[key]) for key in sections):
             return name
     return "custom"

@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import fields
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +11,7 @@ import torch
 from objectfolder import materials
 from objectfolder.audio.bank import Bank
 from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
-from objectfolder.audio.contact import STRIKERS, Striker, contact_time
+from objectfolder.audio.contact import Striker, contact_time, load_striker
 from objectfolder.audio.synthesis import (
     gains,
     half_sine,
@@ -21,7 +20,7 @@ from objectfolder.audio.synthesis import (
 )
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import Material
+from objectfolder.materials import Material, stored_material
 from objectfolder.objectfile.radiation import Listening, Radiation
 from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
 from objectfolder.objectfile.sound_settings import SoundSettings, finite_sounds
@@ -183,9 +182,7 @@ class ModalSense:
                 "answers in its own material and size only"
             )
         with report_damage(key, "description of the sound"):
-            stored = header["material_properties"]
-            known = {field.name: stored[field.name] for field in fields(Material) if field.name in stored}
-            return Material(header["material"], **known), self._band()
+            return stored_material(header["material"], header["material_properties"]), self._band()
 
     def _band(self) -> tuple[float, float]:
         """Band of natural frequencies (Hz) in which every mode is stored; all of them if it is not known."""
@@ -280,7 +277,7 @@ class ModalSense:
         ObjectFolderError
             If it is not known and a striker is given.
         """
-        lasting = self.contact_time(striker or STRIKERS["steel"], material, scale)
+        lasting = self.contact_time(striker or load_striker("steel"), material, scale)
         if lasting is None and striker is not None:
             raise ObjectFolderError(
                 f"{self._stored.key}: the file does not say what its modes are of, so how long a striker "

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from objectfolder.audio.contact import Striker, as_striker
+from objectfolder.audio.contact import Striker, load_striker
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.audio.tuning import Tuning
 from objectfolder.checks import real_array, require_memory, whole_number
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.io import open_safetensors, safetensors_bytes, write_safetensors
-from objectfolder.materials import Material
+from objectfolder.materials import Material, friction_of
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.arguments import (
     Answer,
@@ -47,7 +47,6 @@ from objectfolder.objectfile.touch import (
 )
 from objectfolder.objectfile.vision import BaseColors, render_views, view_images
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
-from objectfolder.touch.friction import friction_of
 from objectfolder.touch.markers import Markers
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
@@ -221,6 +220,12 @@ class ObjectFile:
     def material(self) -> str:
         """Material name."""
         return self._header["material"]
+
+    @property
+    def friction(self) -> float:
+        """Coefficient of dry sliding friction of the object's material, against a table or an elastomer."""
+        stored = self._header.get("material_properties", {})
+        return float(stored.get("friction", friction_of(self.material)))
 
     @property
     def scale(self) -> float:
@@ -442,8 +447,8 @@ class ObjectFile:
             Longest side of the struck object, metres; ``points`` are metres of that object. A warning names
             the band where modes are missing.
         striker : str or Striker, optional
-            What strikes the object; a name is one of `objectfolder.audio.contact.STRIKERS`. Default: steel,
-            or an ideal impulse where the contact time is not known.
+            What strikes the object: a name of `objectfolder.audio.contact.striker_names`, or a file.
+            Default: steel, or an ideal impulse where the contact time is not known.
         listener : (N, 3) array, optional
             Where the strikes are heard, object frame, metres; outside the ball about the origin that holds
             the object. The answer is then the sound pressure there, in pascals, of the modes and of the
@@ -533,11 +538,11 @@ class ObjectFile:
         Parameters
         ----------
         striker : str or Striker
-            A name is one of `objectfolder.audio.contact.STRIKERS`.
+            One of `objectfolder.audio.contact.striker_names`, or a file with a striker.
         material, scale
             As in `impact`.
         """
-        tip, struck = as_striker(striker), struck_object(material, scale)
+        tip, struck = load_striker(striker), struck_object(material, scale)
         return self._parts.audio.contact_time(tip, *struck) or 0.0
 
     @usual_modes()
@@ -677,7 +682,7 @@ class ObjectFile:
             half a turn, or a friction is negative.
         """
         profile, dots = _profile(sensor), _dots(markers)
-        rubbing = friction_of(self.material) if friction is None else friction
+        rubbing = self.friction if friction is None else friction
         moved = max(
             1 if shear is None else len(finite_rows("shear", shear, 2)),
             real_array("twist", twist).size,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from objectfolder import materials
-from objectfolder.audio.contact import Striker, as_striker
+from objectfolder.audio.contact import Striker, load_striker
 from objectfolder.audio.synthesis import RESPONSES, checked_contact_time, count_samples
 from objectfolder.checks import finite_number, one_of, require_memory
 from objectfolder.errors import ObjectFolderError, quoted
@@ -75,7 +75,7 @@ class SoundSettings:
             None if contact_time is None else checked_contact_time(contact_time),
             stuff,
             size,
-            None if striker is None else as_striker(striker),
+            None if striker is None else load_striker(striker),
             heard,
         )
 
@@ -90,8 +90,9 @@ def struck_object(
     ObjectFolderError
         If the material is not known, or the size is not a number.
     """
-    known = material if isinstance(material, Material | None) else materials.material(material).name
-    return known, None if scale is None else finite_number("scale", scale)
+    if not isinstance(material, Material | None):
+        materials.material(material)
+    return material, None if scale is None else finite_number("scale", scale)
 
 
 def finite_sounds(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
