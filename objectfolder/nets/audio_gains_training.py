@@ -41,8 +41,6 @@ def train_gains(
 
     Losses of the curve are relative squared errors of the gains.
 
-    Notes
-    -----
     The loss is a weighted mean of the two relative squared errors of `gain_errors`, of energy and of gain;
     weighting by energy alone leaves weak modes 50 % wrong. It is computed on the principal components of the
     weighted shapes, without the weakest; see `DROPPED`. The net has as many features as there are components

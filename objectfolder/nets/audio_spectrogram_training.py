@@ -22,8 +22,6 @@ def train_spectrogram(
 
     Losses of the curve are squared errors relative to silence.
 
-    Notes
-    -----
     The loss is the paper's mean squared error over all bins, of spectrograms that are scaled to [0, 1] for
     each axis. Most bins are nearly silent, so a share of a batch (``loud``; none in the paper) may be
     importance-sampled by loudness and weighted by inverse probability: the same mean with less noise.

@@ -16,8 +16,7 @@ class PapersNetConfig:
     depth: Count = 8
     point_octaves: Octaves = 10
     steps: Count = 500_000
-    #: rays of ``osf``, pixels of ``image``, bins of ``spectrogram``, each for all three axes
-    batch: Count = 16_384
+    batch: Count = 16_384  #: pixels of ``image``; bins of ``spectrogram``, each for all three force axes
     learning_rate: Positive = 0.0005
     final_rate: Share = 0.01  #: of the learning rate, at the end of a cosine; 1: constant, as the paper's
     precision: Precision = "float32"  #: of the hidden layers in training
@@ -54,7 +53,7 @@ class OsfConfig(PapersNetConfig):
     hull_cells: Annotated[int, Interval(ge=0, le=256)] = 64
     """Along each axis of the cube. Nothing is computed in cells that the views to learn from show to be
     empty; 0: everything is computed, as in the paper."""
-    batch: Count = 1024
+    batch: Count = 1024  #: rays
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -141,11 +141,8 @@ def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn
 def check_encoder(encode: EncodeConfig, modalities: Iterable[str], weights: Weights | None = None) -> None:
     """Make an encoder for some modalities, and let it answer two blank inputs of each: before any work.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such encoder, it fails, lacks the attribute ``features``, answers in another shape than
-        (B, features), or the weights do not fit it.
+    Raises ObjectFolderError if there is no such encoder, it fails, lacks the attribute ``features``, answers
+    in another shape than (B, features), or the weights do not fit it.
     """
     name = registered(encode.encoder)
     for modality in modalities:
@@ -175,12 +172,7 @@ def read_weights(path: str | Path) -> Weights:
     """Read an encoder's weights from a ``torch.save`` file, such as torchvision's ImageNet weights.
 
     The last layer (``fc``) and the prefix ``module.`` of parallel training are dropped. Nothing in the file
-    is executed.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing or is no checkpoint of tensors.
+    is executed. Raises ObjectFolderError if it is missing or is no checkpoint of tensors.
     """
     path = Path(path)
     expected = "expected a dictionary of tensors by name, such as torchvision's resnet18 file"

@@ -49,14 +49,6 @@ def test_spectrogram_is_relative_to_the_sounds_own_maximum(rng):
     torch.testing.assert_close(pooled, nn.functional.adaptive_avg_pool2d(full, (64, 50)))
 
 
-def test_touches_are_normalised_and_averaged(rng):
-    raw = rng.integers(256, size=(2, 128, 96, 3), dtype=np.uint8)
-    x = encoder_inputs("touch", raw, SIZES)
-    means = raw.reshape(2, 64, 2, 48, 2, 3).mean((2, 4))
-    expected = (means / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
-    np.testing.assert_allclose(x, expected.transpose(0, 3, 1, 2), atol=1e-5)
-
-
 def test_the_ground_of_touches_is_the_sensors_picture_without_an_object(rng):
     """Each of 41 touches covers a third of the picture, with slopes of either sign."""
     background = torch.from_numpy(rng.standard_normal((3, 8, 9))).float()
