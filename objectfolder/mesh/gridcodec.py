@@ -32,6 +32,16 @@ def band_width(resolution: int) -> float:
     return max(BAND_VOXELS * 2 * BOUND / (resolution - 1), LEAST_BAND)
 
 
+def enclosing_box(marked: np.ndarray) -> list[slice]:
+    """Return the box of a grid's marked samples and one beyond on each side; all if none is."""
+    sides = []
+    for axis, count in enumerate(marked.shape):
+        found = np.flatnonzero(marked.any(tuple({0, 1, 2} - {axis})))
+        first, last = (int(found[0]), int(found[-1])) if len(found) else (0, count - 1)
+        sides.append(slice(max(first - 1, 0), min(last + 2, count)))
+    return sides
+
+
 def pack_grid(values: np.ndarray) -> tuple[np.ndarray, str]:
     """Compress a grid (R, R, R) int8, -127 to 127; return the stream, uint8, and its predictor."""
     forms = {"none": values, "planes": _residuals(values)}

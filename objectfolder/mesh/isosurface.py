@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _NEAR = 0.5  # voxels, within which the gradient of the grid points to the nearest side of a wall
 _ASTRAY = 0.1  # voxels by which Newton steps may lead farther than the grid's distance
+_NEWTON_STEPS = 3
 _VERTICES = 8  # nearest vertices, one of which the nearest triangle has
 _PART = 4096  # points that are compared with triangles at a time
 
@@ -120,7 +121,7 @@ class Isosurface:
 
         return cKDTree(self.vertices)
 
-    def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project points (N, 3), unit frame, to the surface; return them and their distances, (N,).
 
         Within half a voxel of the surface, takes Newton steps along the gradient of the distance. For
@@ -136,7 +137,7 @@ class Isosurface:
         far |= (np.abs(points) > BOUND).any(1)  # the grid is clamped beyond its border
         if self.grid.features is not None:
             far |= self._beside_features(points)
-        for step in range(steps):
+        for step in range(_NEWTON_STEPS):
             if step:
                 distance, normals = self.grid.distance_and_normals(position)
             position = position - (distance[:, None] * normals).to(torch.float64)

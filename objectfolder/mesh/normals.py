@@ -61,11 +61,11 @@ def replace_bad_normals(
     return np.where(wrong[..., None], own[:, None], corners), bad
 
 
-def crease_normals(vertices: np.ndarray, faces: np.ndarray, angle: float = CREASE) -> np.ndarray:
+def crease_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Compute smooth unit normals of the faces' corners, (F, 3, 3), with creases at sharp edges.
 
     The normal of a corner is the area-weighted mean over the faces around its point whose normals differ
-    from its own face's by less than an angle, rad. Coincident vertices count as one point, so that texture
+    from its own face's by less than `CREASE`. Coincident vertices count as one point, so that texture
     seams do not show.
     """
     _, point = np.unique(vertices, axis=0, return_inverse=True)
@@ -78,7 +78,7 @@ def crease_normals(vertices: np.ndarray, faces: np.ndarray, angle: float = CREAS
     one = np.repeat(np.arange(len(corner)), partners)
     step = np.arange(len(one)) - np.repeat(np.cumsum(partners) - partners, partners)
     other = np.argsort(corner, kind="stable")[np.repeat(first, partners) + step]
-    near = np.einsum("ij,ij->i", flat[one // 3], flat[other // 3]) > math.cos(angle)
+    near = np.einsum("ij,ij->i", flat[one // 3], flat[other // 3]) > math.cos(CREASE)
     near |= np.logical_not(flat.any(1))[one // 3]  # degenerate faces take the mean of all
     added = np.where(near[:, None], areas[other // 3], 0)
     total = np.stack([np.bincount(one, column, len(corner)) for column in added.T], 1)

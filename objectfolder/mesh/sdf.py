@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 
-import igl
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
@@ -14,7 +13,7 @@ from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.scanline import inside
 from objectfolder.mesh.settings import FINEST
 from objectfolder.mesh.sharpen import extract_triangles
-from objectfolder.mesh.topology import Mesh, signed_volume
+from objectfolder.mesh.topology import Mesh, distance, signed_volume
 
 REFINEMENTS = (1.0, 4 / 3, 5 / 3, 2.0)  #: of the asked resolution, where walls are thin
 #: Walls have at least this many voxels, up to ``FINEST``. Distances are interpolated linearly, with a kink
@@ -79,7 +78,7 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> t
     for start in range(0, len(near), _CHUNK):
         index = near[start : start + _CHUNK]
         cell = tuple(index.T)
-        values[cell] = np.sign(values[cell]) * quantise(_distance(mesh, spacing * index - BOUND), band)
+        values[cell] = np.sign(values[cell]) * quantise(distance(mesh, spacing * index - BOUND), band)
     return values, band
 
 
@@ -125,14 +124,9 @@ def _near_surface(mesh: Mesh, resolution: int, band: float) -> np.ndarray:
     while True:
         half = (side - 1) / 2  # the block's centre lies so far from its corners along each axis
         reach = band + math.sqrt(3) * half * spacing + 1e-6
-        corners = corners[_distance(mesh, spacing * (corners + half) - BOUND) <= reach]
+        corners = corners[distance(mesh, spacing * (corners + half) - BOUND) <= reach]
         side //= 2
         corners = (corners[:, None] + side * children).reshape(-1, 3)
         corners = corners[(corners < resolution).all(1)]
         if side == 1:
             return corners
-
-
-def _distance(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """Return the distance of points (N, 3) from a surface; (N,)."""
-    return np.sqrt(igl.point_mesh_squared_distance(points, *mesh)[0])

@@ -1,4 +1,4 @@
-"""Triangle meshes as vertices and faces: volumes, edges, connected pieces, boundary loops."""
+"""Triangle meshes as vertices and faces: volumes, edges, connected pieces, boundary loops, distances."""
 
 import igl
 import numpy as np
@@ -107,3 +107,8 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
         # Start at the lowest vertex, independent of the order of faces.
         loops.append(np.roll(loop, -int(np.argmin(loop))))
     return sorted(loops, key=lambda loop: int(loop[0]))
+
+
+def distance(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Compute exact unsigned distances of points (N, 3) to a surface; (N,)."""
+    return np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(points), *mesh)[0])

@@ -15,6 +15,7 @@ from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sdf import VOLUME_ERROR, WALL_VOXELS, distance_grid, fit_grid, kept_volume
 from objectfolder.mesh.settings import FINEST
+from objectfolder.mesh.topology import distance
 from objectfolder.touch.contact import NORMAL_RADIUS
 
 RESOLUTION = 64
@@ -163,7 +164,7 @@ def test_no_sign_of_a_real_object_is_wrong(name, rng):
     step = grid.band / 127
 
     points = rng.uniform(-0.5, 0.5, (10_000, 3)) * np.ptp(vertices, axis=0)
-    far = distance_to_mesh(points, vertices, faces) > 3**0.5 / 2 * grid.spacing + step
+    far = distance((vertices, faces), points) > 3**0.5 / 2 * grid.spacing + step
     assert far.sum() > 7000
     answer = grid.distance(torch.from_numpy(points)).numpy() < 0
     np.testing.assert_array_equal(answer[far], winding(points, vertices, faces)[far] > 0.5)
@@ -174,11 +175,7 @@ def test_no_sign_of_a_real_object_is_wrong(name, rng):
     points = -BOUND + grid.spacing * index
     signed = values != 0
     np.testing.assert_array_equal((values < 0)[signed], winding(points, vertices, faces)[signed] > 0.5)
-    assert distance_to_mesh(points[~signed], vertices, faces).max(initial=0) <= step / 2 * (1 + 1e-6)
-
-
-def distance_to_mesh(points, vertices, faces):
-    return np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
+    assert distance((vertices, faces), points[~signed]).max(initial=0) <= step / 2 * (1 + 1e-6)
 
 
 def winding(points, vertices, faces):

@@ -7,7 +7,7 @@ import numpy as np
 from objectfolder.mesh.closing.contour import BLOCK, block_centres, contour
 from objectfolder.mesh.closing.joints import make_joint
 from objectfolder.mesh.scanline import winding_certificate
-from objectfolder.mesh.topology import Mesh, compact, face_components, face_volumes, signed_volume
+from objectfolder.mesh.topology import Mesh, compact, distance, face_components, face_volumes, signed_volume
 
 SPECKS = 1e-3  #: volume fraction below which small bodies are dropped (broken-off rims of scans)
 TOUCHING = 1e-3  #: pieces so near to each other, unit frame, are meant to touch: 1 mm of a cupboard
@@ -171,8 +171,3 @@ def _filler(a: Mesh, b: Mesh, gap: float) -> Mesh:
     return contour(
         lambda points: distance(a, points) + distance(b, points) - near, lower, spacing, blocks, chosen, near
     )
-
-
-def distance(piece: Mesh, points: np.ndarray) -> np.ndarray:
-    """Compute exact unsigned distances of points (N, 3) to a surface; (N,)."""
-    return np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(points), *piece)[0])

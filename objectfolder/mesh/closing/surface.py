@@ -11,17 +11,9 @@ import igl
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError, plural
+from objectfolder.mesh.closing.contour import RESOLUTION, remesh_on_grid
 from objectfolder.mesh.closing.holes import close_piece, visible_loops
-from objectfolder.mesh.closing.remesh import RESOLUTION, remesh_on_grid
-from objectfolder.mesh.closing.solids import (
-    SPECKS,
-    bridge,
-    distance,
-    drop_specks,
-    label_bodies,
-    unite,
-    untangle,
-)
+from objectfolder.mesh.closing.solids import SPECKS, bridge, drop_specks, label_bodies, unite, untangle
 from objectfolder.mesh.closing.weld import clean, opposite_pairs
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface
@@ -30,6 +22,7 @@ from objectfolder.mesh.topology import (
     Mesh,
     compact,
     connected_pieces,
+    distance,
     edge_defects,
     face_areas,
     face_components,

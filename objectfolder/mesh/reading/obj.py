@@ -17,7 +17,7 @@ from objectfolder.mesh.reading.objlines import COORDINATE, NORMAL, NOT_NUMBERS, 
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial, color_unit
 from objectfolder.mesh.textured import PLAIN
 
-MAX_MATERIALS = 4096  # the texture of more has no room for them
+MAX_MATERIALS = 4096  # each becomes a part, and may take a window of the texture
 
 
 def read_obj(path: Path) -> MeshContent:

@@ -1,5 +1,6 @@
 """Lines of a Wavefront ``.obj``, by their keywords."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -125,19 +126,22 @@ class ObjLines:
     def _parse(self, rows: np.ndarray, data: np.ndarray, dtype: type, problem: str) -> np.ndarray:
         """Parse the numbers of some lines, given their bytes."""
         text = data.tobytes()
+        values = _to_numbers(text, dtype)
+        if values is None:
+            lines = zip(rows, text.splitlines())
+            self.refuse(np.array([row for row, line in lines if _to_numbers(line, dtype) is None]), problem)
+        assert values is not None
+        return values
+
+
+def _to_numbers(text: bytes, dtype: type) -> np.ndarray | None:
+    """Parse numbers apart by white space; None if there are other words."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)  # of NumPy before 2.3, in place of the error
         try:
             return np.fromstring(text, dtype, sep=" ")
-        except ValueError:
-            lines = zip(rows, text.splitlines())
-            self.refuse(np.array([next(row for row, line in lines if not _is_numeric(line, dtype))]), problem)
-            raise
-
-
-def _is_numeric(line: bytes, dtype: type) -> bool:
-    try:
-        return np.fromstring(line, dtype, sep=" ").size > 0
-    except ValueError:
-        return False
+        except (ValueError, DeprecationWarning):
+            return None
 
 
 def _starts(apart: np.ndarray) -> np.ndarray:

@@ -63,7 +63,7 @@ def read_polygons(path: Path) -> MeshContent:
         mesh = scene.to_mesh()
     if kind == "stl":
         _check_facets(path, data, len(mesh.faces))
-    visual = mesh.visual
+    visual: Any = mesh.visual
     vertices, faces = _as_points(mesh.vertices), _fan_triangles(mesh.faces)
     normals = None
     if len(sources) == 1:

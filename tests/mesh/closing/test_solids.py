@@ -4,17 +4,9 @@ import pytest
 from solids import TURN, box, flipped, join, pretzel, sphere
 
 from objectfolder.mesh.closing.joints import DEPTH
-from objectfolder.mesh.closing.solids import (
-    bridge,
-    distance,
-    drop_specks,
-    find_gaps,
-    label_bodies,
-    unite,
-    untangle,
-)
+from objectfolder.mesh.closing.solids import bridge, drop_specks, find_gaps, label_bodies, unite, untangle
 from objectfolder.mesh.scanline import winding_certificate
-from objectfolder.mesh.topology import is_closed, signed_volume
+from objectfolder.mesh.topology import distance, is_closed, signed_volume
 
 
 def test_a_body_that_overlaps_itself_encloses_space_once():

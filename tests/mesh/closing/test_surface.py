@@ -274,7 +274,7 @@ def test_a_jittered_soup_is_welded(mug, rng, jitter):
 
 @pytest.mark.slow
 def test_a_soup_that_welding_cannot_close_is_remeshed_with_a_warning(mug, rng, monkeypatch):
-    monkeypatch.setattr("objectfolder.mesh.closing.remesh.RESOLUTION", 64)
+    monkeypatch.setattr("objectfolder.mesh.closing.contour.RESOLUTION", 64)
     vertices, faces = soup(mug)
     surface = close_surface(vertices + rng.normal(size=vertices.shape) * 1e-3, faces)
     assert surface.last_step == "grid"
@@ -284,7 +284,7 @@ def test_a_soup_that_welding_cannot_close_is_remeshed_with_a_warning(mug, rng, m
 
 
 def test_an_inside_out_soup_that_is_remeshed_is_turned_outward(rng, monkeypatch):
-    monkeypatch.setattr("objectfolder.mesh.closing.remesh.RESOLUTION", 32)
+    monkeypatch.setattr("objectfolder.mesh.closing.contour.RESOLUTION", 32)
     vertices, faces = soup(sphere(0.5, 2))
     torn = vertices + rng.normal(size=vertices.shape) * 1e-3
     surface, same = (close_surface(torn, way) for way in (faces[:, ::-1], faces))
@@ -518,7 +518,7 @@ def test_garbage_is_refused_or_becomes_a_closed_outward_surface(seed):
     vertices = rng.uniform(-0.5, 0.5, (6, 3))
     faces = np.stack([rng.permutation(6)[:3] for _ in range(8)])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("objectfolder.mesh.closing.remesh.RESOLUTION", 24)
+        patch.setattr("objectfolder.mesh.closing.contour.RESOLUTION", 24)
         try:
             surface = close_surface(vertices, faces)
         except ObjectFolderError:
