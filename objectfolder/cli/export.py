@@ -26,6 +26,8 @@ export_app = typer.Typer(
     "OpenUSD (`usd`), and for game engines and browsers (`glb`).",
 )
 
+SIMULATION = ("mujoco", "coacd", "manifold3d")  #: libraries of rigid bodies
+
 OutArgument = Annotated[
     Path, typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write)
 ]
@@ -87,7 +89,7 @@ def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 
     Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Half a minute per object.
     """
-    _require("rl", "mujoco", "coacd", "manifold3d")
+    _require("rl", *SIMULATION)
     from objectfolder.envs.export import write_mjcf
 
     _export_objects(out, files, hulls, write_mjcf)
@@ -100,7 +102,7 @@ def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
     Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Half a minute per
     object.
     """
-    _require("rl", "mujoco", "coacd", "manifold3d")
+    _require("rl", *SIMULATION)
     from objectfolder.envs.export import write_urdf
 
     _export_objects(out, files, hulls, write_urdf)
@@ -113,7 +115,7 @@ def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
     Any glTF reader draws it. Rigid body and sound are the draft extensions KHR_physics_rigid_bodies and
     KHR_audio_rigid_bodies (docs/robots.md). Half a minute per object.
     """
-    _require("rl", "mujoco", "coacd", "manifold3d")
+    _require("rl", *SIMULATION)
     from objectfolder.envs.gltf import write_glb
 
     _export_objects(out, files, hulls, write_glb)
@@ -126,7 +128,7 @@ def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
     Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Half a minute per object.
     """
     _require("usd", "pxr")
-    _require("rl", "mujoco", "coacd", "manifold3d")
+    _require("rl", *SIMULATION)
     from objectfolder.envs.usd import write_usd
 
     _export_objects(out, files, hulls, write_usd)
@@ -193,8 +195,7 @@ def lerobot(
             seed=seed,
             report=lambda done, total: status.update(f"{done} of {total} episodes"),
         )
-    count = f"{plural(len(objects), 'object')} in {out}/: {plural(episodes, 'episode')} of each"
-    print_line(count)
+    print_line(f"{plural(len(objects), 'object')} in {out}/: {plural(episodes, 'episode')} of each")
 
 
 def _export_objects(

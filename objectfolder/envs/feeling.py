@@ -9,7 +9,7 @@ import torch
 
 from objectfolder.envs.body import rotation
 from objectfolder.envs.fingers import GRID_REDUCTION, LEAST_DEPTH, sensor_angles
-from objectfolder.envs.sounding import Objects, check_extent, find_bodies
+from objectfolder.envs.sounding import Objects, check_extent, find_bodies, site_number
 from objectfolder.envs.state import SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
@@ -98,7 +98,7 @@ class Feeling:
                 "with gel: soft"
             )
         self._model, self._optics = model, Optics(self.profile)
-        self._sites = [_site(model, name) for name in pad_names(pads)]
+        self._sites = [site_number(model, name, "pads") for name in pad_names(pads)]
         if not self._sites:
             raise ObjectFolderError("pads is empty: expected the names of sites on fingers")
         self._files: dict[int, ObjectFile] = {}
@@ -277,14 +277,6 @@ def pad_names(pads: object) -> list[str]:
     if len(names) < len(given):
         raise ObjectFolderError(f"pads is {quoted(pads)}, expected the names of sites on fingers")
     return names
-
-
-def _site(model: mujoco.MjModel, name: str) -> int:
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
-    if number < 0:
-        names = [model.site(i).name for i in range(model.nsite)]
-        raise ObjectFolderError(f"pads: the scene has no site {name!r}, but {quoted(names)}")
-    return number
 
 
 def _interpolate(wanted: np.ndarray, found: np.ndarray, levels: np.ndarray) -> np.ndarray:

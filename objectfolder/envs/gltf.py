@@ -205,7 +205,11 @@ def add_accessor(document: dict[str, Any], buffer: bytearray, values: np.ndarray
     document["bufferViews"].append({"buffer": 0, "byteOffset": len(buffer), "byteLength": values.nbytes})
     buffer.extend(values.tobytes())
     rows, kind = values.reshape(len(values), -1), _COMPONENTS[values.dtype.str]
-    accessor = {"bufferView": len(document["bufferViews"]) - 1, "componentType": kind, "count": len(values)}
+    accessor: dict[str, Any] = {
+        "bufferView": len(document["bufferViews"]) - 1,
+        "componentType": kind,
+        "count": len(values),
+    }
     accessor |= {"type": _TYPES[rows.shape[1]], "min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
     document["accessors"].append(accessor)
     return len(document["accessors"]) - 1

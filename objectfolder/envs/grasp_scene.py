@@ -238,20 +238,22 @@ class GraspScene:
 
         Takes the pose (7,) of the object at rest, that of the hand (4,), and the force, N.
         """
-        layout, targets = self.layout, phase_targets(self.physics.timestep, self.physics.speed)
-        controls = layout.constant_controls(hand[None], np.full(1, OPEN), len(targets.phases))
-        controls[0, :, layout.height_motor] += targets.heights
-        controls[0][:, layout.jaw_motors] = targets.jaws[:, None]
+        layout, (phases, heights, jaws) = (
+            self.layout,
+            phase_targets(self.physics.timestep, self.physics.speed),
+        )
+        controls = layout.constant_controls(hand[None], np.full(1, OPEN), len(phases))
+        controls[0, :, layout.height_motor] += heights
+        controls[0][:, layout.jaw_motors] = jaws[:, None]
         start = layout.states(place[None], hand[None] + [0, 0, LIFT, 0], np.full(1, OPEN))
-        states, _ = self._pool.rollout([self._with_force(force)], self._data, start, control=controls)
+        (states,), _ = self._pool.rollout([self._with_force(force)], self._data, start, control=controls)
+        moments = range(0, len(phases), max(self._steps(every), 1))
+        poses = [
+            (states[k, layout.object_pose], states[k, layout.hand], states[k, layout.jaws]) for k in moments
+        ]
         return [
-            GraspFrame(
-                targets.phases[row],
-                states[0, row, layout.object_pose],
-                states[0, row, layout.hand],
-                float(states[0, row, layout.jaws].sum()),
-            )
-            for row in range(0, len(targets.phases), max(self._steps(every), 1))
+            GraspFrame(phases[k], place, hand, float(jaws.sum()))
+            for k, (place, hand, jaws) in zip(moments, poses)
         ]
 
     def _compile(self, reach: float = 0.0) -> mujoco.MjModel:
@@ -353,42 +355,28 @@ def lowest_hand() -> float:
     return float(TIP) + 0.001
 
 
-@dataclass(frozen=True)
-class PhaseTargets:
-    """Targets at T time steps."""
-
-    phases: list[str]  #: (T,) name of the phase
-    heights: np.ndarray  #: (T,) of the hand above the grasp, m
-    jaws: np.ndarray  #: (T,) of each jaw, m
-
-
 def minimum_jerk(share: np.ndarray) -> np.ndarray:
     """Return positions from 0 to 1 of the smoothest motion, at shares of its duration in [0, 1]."""
     return 10 * share**3 - 15 * share**4 + 6 * share**5
 
 
-def phase_targets(timestep: float, speed: float) -> PhaseTargets:
-    """Return the targets of a grasp that starts `LIFT` above it, with jaws that close at ``speed`` (m/s)."""
+def phase_targets(timestep: float, speed: float) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Return the targets at T time steps of a grasp that starts `LIFT` above it.
+
+    These are the phase's name, the height of the hand above the grasp, m, and the place of each jaw, m, of
+    which both close at ``speed``, m/s.
+    """
     travel = OPEN / speed
     closing = travel + SQUEEZE
-
-    def keep(position: float) -> Callable[[np.ndarray], np.ndarray]:
-        return lambda share: np.full(len(share), position)
-
-    def close(share: np.ndarray) -> np.ndarray:
-        return np.where(share < travel / closing, OPEN - speed * closing * share, SHUT)
-
-    def release(share: np.ndarray) -> np.ndarray:
-        return OPEN * np.minimum(2 * share, 1)
-
-    # Name, seconds, height at the end, jaws over the phase.
-    phases = (
-        ("reach", 0.6, 0.0, keep(OPEN)),
-        ("close", closing, 0.0, close),
-        ("lift", LIFTING, LIFT, keep(SHUT)),
-        ("hold", LIFTING, LIFT, keep(SHUT)),
-        ("put back", LIFTING, 0.0, keep(SHUT)),
-        ("release", 0.5, 0.0, release),
+    Jaws = Callable[[np.ndarray], np.ndarray]  # over the share of a phase
+    opened, shut = (lambda share: np.full(len(share), OPEN)), (lambda share: np.full(len(share), SHUT))
+    phases: tuple[tuple[str, float, float, Jaws], ...] = (  # name, seconds, height at the end, jaws
+        ("reach", 0.6, 0.0, opened),
+        ("close", closing, 0.0, lambda t: np.where(t < travel / closing, OPEN - speed * closing * t, SHUT)),
+        ("lift", LIFTING, LIFT, shut),
+        ("hold", LIFTING, LIFT, shut),
+        ("put back", LIFTING, 0.0, shut),
+        ("release", 0.5, 0.0, lambda t: OPEN * np.minimum(2 * t, 1)),
     )
     start, names, heights, jaws = LIFT, [], [], []
     for name, seconds, end, targets in phases:
@@ -397,4 +385,4 @@ def phase_targets(timestep: float, speed: float) -> PhaseTargets:
         heights.append(start + (end - start) * minimum_jerk(share))
         jaws.append(targets(share))
         start = end
-    return PhaseTargets(names, np.concatenate(heights), np.concatenate(jaws))
+    return names, np.concatenate(heights), np.concatenate(jaws)

@@ -92,7 +92,7 @@ class GraspTask:
         return TouchBank(pressed, np.concatenate(features))
 
 
-def make_task(file: ObjectFile, hulls: Hulls = None, threads: int = 1) -> GraspTask:
+def make_task(file: ObjectFile, hulls: Hulls = None) -> GraspTask:
     """Make the task of an Object File; hulls are those of `objectfolder.envs.body.as_rigid_body`.
 
     Raises ObjectFolderError as `GraspTask` and as that function; objects that do not fit are refused before
@@ -100,7 +100,7 @@ def make_task(file: ObjectFile, hulls: Hulls = None, threads: int = 1) -> GraspT
     """
     require_pads(file)
     check_width(file.key, file.surface.vertices * file.scale)
-    return GraspTask(file, as_rigid_body(file, hulls), threads)
+    return GraspTask(file, as_rigid_body(file, hulls))
 
 
 def _lowest_rest(scene: GraspScene, rng: np.random.Generator) -> np.ndarray:

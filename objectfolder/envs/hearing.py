@@ -13,7 +13,7 @@ from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import finite_number, real_array, require_memory, whole_number
 from objectfolder.envs.impacts import ContactReader, Impact, Loads
-from objectfolder.envs.sounding import Objects, Sounding, check_body, find_bodies
+from objectfolder.envs.sounding import Objects, Sounding, check_body, find_bodies, site_number
 from objectfolder.envs.state import DYNAMICS, SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material, material
@@ -310,11 +310,7 @@ def _listener(model: mujoco.MjModel, listener: object) -> "int | np.ndarray":
     """Return the number of a site, or a place (3,)."""
     advice = "give the name of one site, or one place; two ears need a Hearing each"
     if isinstance(listener, str):
-        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, listener)
-        if number < 0:
-            names = [model.site(i).name for i in range(model.nsite)]
-            raise ObjectFolderError(f"listener: the scene has no site {listener!r}, but {quoted(names)}")
-        return number
+        return site_number(model, listener, "listener")
     if isinstance(listener, list | tuple) and any(isinstance(one, str) for one in listener):
         raise ObjectFolderError(f"listener is {quoted(listener)}, expected one; {advice}")
     place = real_array("listener", listener)

@@ -126,6 +126,15 @@ def body_number(model: mujoco.MjModel, name: str) -> int:
     return number
 
 
+def site_number(model: mujoco.MjModel, name: str, argument: str) -> int:
+    """Return the number of a site, or raise ObjectFolderError that names the argument."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    if number < 0:
+        names = [model.site(i).name for i in range(model.nsite)]
+        raise ObjectFolderError(f"{argument}: the scene has no site {name!r}, but {quoted(names)}")
+    return number
+
+
 def require_audible(
     files: Sequence[ObjectFile], materials: Sequence[str], ratio: float, sample_rate: float
 ) -> None:

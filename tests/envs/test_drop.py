@@ -92,17 +92,6 @@ def test_the_friction_of_a_fall_is_that_of_the_drawn_material(brick, monkeypatch
     assert friction_of(brick.material) != friction_of("steel")
 
 
-def test_what_an_environment_is_asked_for_is_there_once(brick):
-    env = DropEnv("bell", "steel", seconds=0.02)
-    assert [file.key for file in env.files] == ["bell"]
-    assert env.materials == ["steel"]
-    for make in (DropEnv, TapEnv):
-        with pytest.raises(ObjectFolderError, match=r"none twice, got \['brick', 'brick'\]"):
-            make([brick, brick])
-        with pytest.raises(ObjectFolderError, match=r"none twice, got \['wood', 'steel', 'wood'\]"):
-            make([brick], ["wood", "steel", "wood"])
-
-
 @pytest.mark.parametrize("make", [DropEnv, TapEnv])
 def test_objects_that_would_only_click_are_refused_at_once(make):
     with pytest.raises(ObjectFolderError, match=r"die of ceramic and 0\.1\d* m has its lowest mode at 12"):

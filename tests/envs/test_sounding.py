@@ -30,6 +30,7 @@ def scene(body, *names):
         (3, "objects is 3, expected Object Files"),
         ([], "objects is empty"),
         (["brick"], "'brick' is of type str, expected an ObjectFile"),
+        ({"cup": None}, "'cup' is of type NoneType"),
         ({1: None}, "objects: 1 is no name of a body"),
     ],
 )
