@@ -36,26 +36,35 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
-    """Return a mapping as YAML; lists of texts take one line.
+    """Return a mapping as YAML; see `inline_lists`.
 
     ``*in_quotes``: names of texts that are written in quotes whether they need them or not.
     """
     from ruamel.yaml import YAML
-    from ruamel.yaml.comments import CommentedSeq
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
     written: dict[str, Any] = {}
     for name, value in values.items():
-        if name in in_quotes:
-            value = DoubleQuotedScalarString(visible(value))
-        elif isinstance(value, list) and all(isinstance(each, str) for each in value):
-            value = CommentedSeq(value)
-            value.fa.set_flow_style()
+        value = DoubleQuotedScalarString(visible(value)) if name in in_quotes else inline_lists(value)
         written[name] = value
     yaml, stream = YAML(), io.StringIO()
     yaml.width = MAX_YAML  # a line is never broken
     yaml.dump(written, stream)
     return stream.getvalue()
+
+
+def inline_lists(value: Any) -> Any:
+    """Return nested values whose lists take one line in YAML, if they hold no mapping."""
+    from ruamel.yaml.comments import CommentedSeq
+
+    if isinstance(value, Mapping):
+        return {name: inline_lists(each) for name, each in value.items()}
+    if not isinstance(value, list):
+        return value
+    written = CommentedSeq(map(inline_lists, value))
+    if not any(isinstance(each, Mapping) for each in value):
+        written.fa.set_flow_style()
+    return written
 
 
 def check_yaml(path: str | Path) -> str:

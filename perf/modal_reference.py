@@ -36,9 +36,9 @@ from objectfolder.materials import material
 from objectfolder.mesh.closing.piercing import self_intersections
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import generate
+from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh, signed_volume
 from objectfolder.workspace import params
 

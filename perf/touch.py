@@ -39,7 +39,8 @@ from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image_training import train_image
@@ -201,7 +202,7 @@ def accuracy(source: str, scale: str, count: str, picture: str) -> dict:
         return row
     truth, contact = reference.render(*touched.contacts)
     drawn, _ = TactoRays(touched.vertices, touched.faces, profile, touched.scale).render(*touched.contacts)
-    heights, obstructed = heightmaps(touched.caster, *touched.contacts, profile, touched.scale)
+    heights, obstructed, _ = heightmaps(touched.caster, *touched.contacts, profile, touched.scale)
     flat = Optics(profile).render(torch.from_numpy(deform(heights, profile)[0])).numpy()
     free = obstructed == 0
     row |= {"unobstructed": int(free.sum()), "contact_pixels": float(contact.mean())}
@@ -298,7 +299,7 @@ def image(source: str, scale: str, count: str, steps: str) -> dict:
     config = replace(IMAGE, steps=int(steps))
     some = {name: values[:16] for name, values in known.items()}  # the paper stops at no held-out loss
     generator = torch.Generator().manual_seed(0)
-    trained, _ = train_image(known, some, scale_m, SOFT, config, generator)
+    trained, _ = train_image(known, some, scale_m, SOFT, config, Session(generator))
     row = {"contacts": int(count), "steps": int(steps), "seconds": time.process_time() - start}
     mean = known["images"].mean(axis=0).round()
     for name, contacts in (("known", known), ("unknown", unknown)):

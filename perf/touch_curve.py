@@ -25,8 +25,8 @@ from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.observe_config import ObserveConfig
 from objectfolder.benchmarks.datasets.sampling import ask, draw_queries
 from objectfolder.benchmarks.models.classifier import Classifier
-from objectfolder.benchmarks.models.encode_config import InputSizes
-from objectfolder.benchmarks.models.inputs import encoder_inputs, shifted
+from objectfolder.benchmarks.models.inputs import encoder_inputs, shift_each
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.run import BenchmarkOptions
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognition import FLAT, RECOGNIZE
@@ -102,7 +102,7 @@ class Learnt:
         for some in np.split(order[: steps * batch], steps):
             plain = torch.from_numpy(self._inputs[rows[some]]).float()
             yield (
-                shifted(self.job.ground.subtracted(plain), self.job.shift, rng),
+                shift_each(self.job.ground.subtracted(plain), self.job.shift, rng),
                 torch.from_numpy(labels[some]),
             )
 

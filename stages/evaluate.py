@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from objectfolder.audio.figures import show_sounds
+from objectfolder.audio.spectrogram import show_sounds
 from objectfolder.figures import page, save_page, show_views
 from objectfolder.io import file_digest, read_json, read_npz, write_json
 from objectfolder.objectfile.evaluation import (

@@ -1,6 +1,6 @@
 """grasp_policy: Object File, hulls -> benchmarks/grasp_policy_<object>.json, .csv, .safetensors, .gif."""
 
-from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
+from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.params import robot_params
 from objectfolder.benchmarks.tasks.grasp_policy import GRASP_POLICY
 from objectfolder.benchmarks.tasks.robots import ObjectRun

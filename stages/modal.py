@@ -4,9 +4,14 @@ from contextlib import suppress
 from dataclasses import asdict
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.band import solved_band
 from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.fem.modal import refined_analysis, shape_points, solver_warning, uncertainty_warning
+from objectfolder.fem.modal import (
+    refined_analysis,
+    shape_points,
+    solved_band,
+    solver_warning,
+    uncertainty_warning,
+)
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.fem.settings import ModalConfig
 from objectfolder.io import keep, read_npz, write_json, write_npz

@@ -1,6 +1,6 @@
 """reach: Object File and its hulls -> benchmarks/reach_<key>.json, .csv, .safetensors, .gif: PPO on reach."""
 
-from objectfolder.benchmarks.models.ppo_config import ReachConfig
+from objectfolder.benchmarks.models.settings import ReachConfig
 from objectfolder.benchmarks.params import robot_params
 from objectfolder.benchmarks.tasks.reach import REACH
 from objectfolder.benchmarks.tasks.robots import ObjectRun

@@ -15,7 +15,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 
 from objectfolder import io
@@ -107,7 +106,6 @@ EXCEPTIONS = {
     "objectfolder/fetch/run.py:_fetch": "temporary folders; those that were left, under a lock",
     "objectfolder/workspace/creation.py:_create": "removes what it has made under the lock of the folder",
     "objectfolder/workspace/objects.py:add_mesh": "removes the folder that it has placed",
-    "objectfolder/touch/taxim.py:export_taxim": "to the stream that its _write gives",
     "objectfolder/cli/__init__.py:main": "opens the null device",
     "objectfolder/engine/warm.py:serve": "opens the null device",
 }
@@ -325,7 +323,7 @@ WRITERS = {
     "cost": lambda given: record_cost(Path("logs"), "a@b", CommandResult(0, 1.0, 1.0)),
     "failure": lambda given: record_failure(Path("logs"), StageResult("a@b", StageOutcome.FAILED), {}),
     "log": log,
-    "checkpoint": lambda given: Checkpoint(Path("a.pt"), "x", torch.Generator()).save({}, {}),
+    "checkpoint": lambda given: Checkpoint(Path("a.pt"), "x").save({}),
     "results": results,
     "workspace": lambda given: create_workspace(Path("new"), lambda root: None),
     "observations": lambda given: sample_observations(given.brick, 10, 8, 0, "out"),

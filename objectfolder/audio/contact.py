@@ -87,18 +87,8 @@ def _read_striker(path: Path) -> Striker:
 
 
 def contact_time(striker: Striker, material: Material, mass: float) -> float:
-    """Return how long a striker and an object touch, seconds.
+    """Return how long a striker and an object of some mass, kg, which may be infinite, touch; seconds.
 
-    Parameters
-    ----------
-    striker : Striker
-    material : Material
-        Of the object.
-    mass : float
-        Of the object, kg; may be infinite.
-
-    Notes
-    -----
     The object counts as flat where it is struck, and moves as a whole. Both matter little: the time goes with
     the fifth root of the radius, and the lighter of two bodies dominates their reduced mass.
     """
@@ -118,20 +108,9 @@ def effective_modulus(one: tuple[float, float], other: tuple[float, float]) -> f
 def hertz_time(modulus: float, radius: float, mass: float, speed: float) -> float:
     """Return the duration of an elastic collision of two spheres, seconds.
 
-    Parameters
-    ----------
-    modulus : float
-        Of the contact, Pa; see `effective_modulus`.
-    radius : float
-        1 / (1 / R1 + 1 / R2), m; a flat body's own is infinite.
-    mass : float
-        Reduced, m1 m2 / (m1 + m2), kg.
-    speed : float
-        Of approach, m/s.
-
-    Notes
-    -----
-    K. L. Johnson, Contact Mechanics, 1985, section 11.4.
+    K. L. Johnson, Contact Mechanics, 1985, section 11.4: from the modulus of the contact, Pa, see
+    `effective_modulus`; the radius 1 / (1 / R1 + 1 / R2), m, where a flat body's own is infinite; the reduced
+    mass m1 m2 / (m1 + m2), kg; and the speed of approach, m/s.
     """
     indentation = (15 * mass * speed**2 / (16 * math.sqrt(radius) * modulus)) ** 0.4
     return _DURATION * indentation / speed

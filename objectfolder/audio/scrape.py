@@ -25,17 +25,8 @@ def scrape_force(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the forces of contacts' roughness, N root mean square, and the frequencies where they fade, Hz.
 
-    Parameters
-    ----------
-    load : (K,) array
-        N.
-    slip, rolling : (K,) array
-        Speeds at which surfaces slide, and at which the contact moves over them as they roll, m/s; one is
-        positive.
-    rough : (K,) array
-        Combined roughness, m.
-    radius, modulus : (K,) array
-        Of the contacts, m and Pa.
+    Of K contacts: load, N; speeds at which surfaces slide, and at which the contact moves over them as they
+    roll, m/s, one of them positive; combined roughness, m; radius and modulus of the contact, m and Pa.
     """
     depth = (9 * load**2 / (16 * radius * modulus**2)) ** (1 / 3)  # Hertz's indentation by a static load
     speed = slip + rolling
@@ -44,13 +35,7 @@ def scrape_force(
 
 
 class Scrapes:
-    """Noise of contacts, whose filters go on from block to block.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Draws the noise.
-    """
+    """Noise of contacts, drawn by a generator, whose filters go on from block to block."""
 
     def __init__(self, rng: np.random.Generator):
         self._rng = rng

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-from objectfolder.benchmarks.models.encode_config import EncodeConfig
+from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.workspace.params import PARAMS_FILE, read, settings, shared
 
 Config = TypeVar("Config")

@@ -34,9 +34,9 @@ EXTRAS = {
 # In a process of its own, because Dr.Jit prints, and a library that it cannot use may end the process.
 LLVM_PROBE = """
 import drjit
-from objectfolder.vision.renderers.mitsuba import OLDEST_LLVM
+from objectfolder.vision.renderers.mitsuba import MIN_LLVM
 found = drjit.detail.llvm_version()
-print("" if found[0] < 0 else ".".join(map(str, found)) + ("" if found >= OLDEST_LLVM else ", too old"))
+print("" if found[0] < 0 else ".".join(map(str, found)) + ("" if found >= MIN_LLVM else ", too old"))
 """
 
 

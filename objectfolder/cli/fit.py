@@ -44,7 +44,7 @@ def sound(
     again.
     """
     from objectfolder.audio.fitting import fit_sound
-    from objectfolder.audio.recordings import at_one_rate, read_recording
+    from objectfolder.audio.recordings import read_recording, resample_to_lowest
     from objectfolder.audio.ringdown import LN_1000
     from objectfolder.checks import one_of
     from objectfolder.io import check_output, read_json, read_npz
@@ -60,7 +60,7 @@ def sound(
         check_output(params.PARAMS_FILE)
     build = Build(key)
     report, modes = read_json(build.modal), read_npz(build.modes, "eigenvalues")
-    sounds, rate = at_one_rate([read_recording(path) for path in recordings], recordings)
+    sounds, rate = resample_to_lowest([read_recording(path) for path in recordings], recordings)
     computed = np.sqrt(modes["eigenvalues"]) / (2 * np.pi)
     solid = Material(report["material"], **report["material_properties"])
     fit = fit_sound(computed, solid, sounds, rate, law)

@@ -101,12 +101,12 @@ def vision(
     from objectfolder.io import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.objectfile.vision import poses_and_lights
-    from objectfolder.vision.environment import all_lamps
+    from objectfolder.vision.environment import gather_lamps
 
     given = lights is not None or environment is not None
     hint = ", cameras, beside --lights or --environment" if given else ", or give --lights"
     obj, rows = ObjectFile.load(file), read_rows(queries, 3 if given else 6, hint)
-    lamps = all_lamps(_lamps(lights), environment)
+    lamps = gather_lamps(_lamps(lights), environment)
     # Checked together, so that a bad row leaves no files; drawn one by one, which takes less memory.
     poses, lamps_of = poses_and_lights(rows[:, :3], None if given else rows[:, 3:], lamps)
     for i, (pose, lit_by) in enumerate(zip(poses, lamps_of), 1):
@@ -330,7 +330,7 @@ def _contact_summary(rows: np.ndarray) -> str:
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:
     """Describe a part in a line, reading no tensors but the modes."""
-    from objectfolder.fem.modal import CERTAIN
+    from objectfolder.fem.modal import MAX_UNWARNED_ERROR
 
     if part not in obj.header:
         return "none"
@@ -350,7 +350,7 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     described = obj.header[part]
     error = described.get("frequency_uncertainty")
     certain = ""
-    if error is not None and error > CERTAIN:
+    if error is not None and error > MAX_UNWARNED_ERROR:
         certain = f", uncertain: the lowest ten may be {error:.0%} wrong"
     elif error is not None:
         certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")

@@ -33,7 +33,7 @@ class Needs:
 
 
 #: Keys: stage, or stage and its net or renderer (``train_vision/osf``). Memory is above the largest peaks in
-#: docs/results.md. One core each, because outputs must not depend on the number of threads. Timeouts are an
+#: docs/measurements. One core each, because outputs must not depend on the number of threads. Timeouts are an
 #: order of magnitude above the longest run. The paper's nets train for days, and a CPU answers with its
 #: VisionNet for as long: these have none.
 NEEDS = {

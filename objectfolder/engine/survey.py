@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from objectfolder.engine.dvc.changes import differences
 from objectfolder.engine.dvc.recorded import (
     RecordedFile,
     cache_hash_name,
@@ -22,6 +21,7 @@ from objectfolder.engine.dvc.runcache import hashes_in, maker, outputs_of, read_
 from objectfolder.engine.process import process_pool
 from objectfolder.engine.resources import cores
 from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import differences
 from objectfolder.workspace.validate import find_problem, readers
 
 #: Number of artifacts from which validation uses processes.

@@ -19,12 +19,7 @@ FeatureFunction = Callable[[Presses], np.ndarray]  #: M presses -> (M, F) float3
 
 
 class TouchFeatures:
-    """Features of tactile images: their difference from the untouched sensor's image, averaged.
-
-    Parameters
-    ----------
-    file : ObjectFile
-    """
+    """Features of tactile images: their difference from the untouched sensor's image, averaged."""
 
     size = 3 * FEATURES[0] * FEATURES[1]
 
@@ -41,25 +36,18 @@ class TouchFeatures:
         """Return features of presses; (M, size) float32."""
         if not len(pressed.points):
             return np.zeros((0, self.size), np.float32)
-        change = _averaged(self.images(pressed)) - _averaged(self.untouched[None])
+        change = _average(self.images(pressed)) - _average(self.untouched[None])
         return (CONTRAST * change).clamp(-CONTRAST, CONTRAST).numpy()
 
 
-def _averaged(images: np.ndarray) -> torch.Tensor:
+def _average(images: np.ndarray) -> torch.Tensor:
     """Average images of any size; (M, H, W, 3) uint8 -> (M, size), 0 to 1."""
     channels = torch.from_numpy(images).permute(0, 3, 1, 2).float() / 255
     return torch.nn.functional.adaptive_avg_pool2d(channels, FEATURES).flatten(1)
 
 
 class TouchBank:
-    """Stored features of many presses; a query gets those of the nearest press, a thousand times faster.
-
-    Parameters
-    ----------
-    pressed : Presses
-        M rows.
-    features : (M, F) array
-    """
+    """Stored features (M, F) of M presses; a query gets those of the nearest, a thousand times faster."""
 
     _POINT, _OUTWARD = 0.002, 0.05  # differences that count as equally far: m, and of unit vectors
 

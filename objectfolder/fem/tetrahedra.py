@@ -17,12 +17,12 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    main_piece,
     mix_nodes,
     scatter,
     strain_displacement,
     upper_blocks,
 )
-from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.topology import components, signed_volume
 
@@ -112,21 +112,10 @@ class Tetrahedra:
 
 
 def tetrahedra(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> Tetrahedra:
-    """Fill a closed surface with tetrahedra.
+    """Fill a closed surface, (V, 3) in the unit frame and (F, 3), with tetrahedra.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolution : int
-        Longest side divided by the edge length.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If pytetwild is not installed, or the solid is in several pieces.
+    The resolution is the longest side divided by the edge length. Raises ObjectFolderError, with the object's
+    name, if pytetwild is not installed, or the solid is in several pieces.
     """
     try:
         import pytetwild

@@ -15,6 +15,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    main_piece,
     mix_nodes,
     scatter,
     strain_displacement,
@@ -22,7 +23,6 @@ from objectfolder.fem.elasticity import (
 )
 from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.occupancy import MARGIN
-from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.scanline import inside
 from objectfolder.mesh.topology import signed_volume
@@ -101,23 +101,11 @@ class Voxels:
 def voxels(
     vertices: np.ndarray, faces: np.ndarray, resolution: int, incompatible: bool, name: str = "mesh"
 ) -> Voxels:
-    """Fill the cells of a grid whose centres are inside a closed surface.
+    """Fill the grid's cells whose centres are inside a closed surface, (V, 3), unit frame, and (F, 3).
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolution : int
-        Cells along the longest side.
-    incompatible : bool
-        Whether the elements have Wilson's incompatible modes.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If no cell centre is inside, or the voxels are in several pieces.
+    The resolution is the number of cells along the longest side; elements may have Wilson's incompatible
+    modes. Raises ObjectFolderError, with the object's name, if no cell centre is inside, or the voxels are in
+    several pieces.
     """
     side = 1 + MARGIN
     spacing = side / resolution
@@ -133,9 +121,7 @@ def voxels(
     index = index[main]
     solid = Voxels(index, lattice_connectivity(index, CORNERS), resolution, incompatible)
     return replace(
-        solid,
-        dropped_volume=dropped,
-        volume_error=solid.volume / signed_volume(vertices, faces) - 1,
+        solid, dropped_volume=dropped, volume_error=solid.volume / signed_volume(vertices, faces) - 1
     )
 
 

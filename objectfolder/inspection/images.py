@@ -14,7 +14,7 @@ from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw_scene, triangles
 from objectfolder.io import read_json, read_npz
 from objectfolder.mesh.ply import read_surface
 from objectfolder.vision.cameras import image_intrinsics, project
-from objectfolder.vision.color import COVERED, lit_foreground, on_white
+from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
 from objectfolder.workspace.layout import SPLITS, Build
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def inspect_render_touch(build: Build) -> Inspection:
 
 def _view_rows(split: str, views: dict[str, np.ndarray], size: str) -> list[tuple[str, str]]:
     rgba = views["rgba"].astype(np.float32)
-    covered, lit = rgba[..., 3] >= COVERED, lit_foreground(rgba)
+    covered, lit = rgba[..., 3] >= MIN_FOREGROUND_ALPHA, find_lit_foreground(rgba)
     broken = np.count_nonzero(~np.isfinite(rgba))
     return [
         (split, f"{len(rgba)} {_kind(views)}, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {size}"),
@@ -125,7 +125,7 @@ def _show_views(panels: np.ndarray, views: dict[str, np.ndarray]) -> None:
     rgba = views["rgba"]
     intrinsics = image_intrinsics(views)
     azimuth, elevation = _angles(views["camera_to_world"][:, :3, 3])
-    best_lit = np.argsort(-lit_foreground(rgba).mean((1, 2)), kind="stable").tolist()
+    best_lit = np.argsort(-find_lit_foreground(rgba).mean((1, 2)), kind="stable").tolist()
     for axes, index in zip_longest(panels.flat, best_lit[: panels.size]):
         axes.set_axis_off()
         if index is None:

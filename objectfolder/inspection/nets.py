@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.audio.figures import show_spectrogram
+from objectfolder.audio.spectrogram import show_spectrogram
 from objectfolder.figures import page, page_rows, save_page, show_image
 from objectfolder.inspection.record import Inspection, in_kilobytes, kilobytes, picture_path, require, span
 from objectfolder.io import read_json, read_safetensors

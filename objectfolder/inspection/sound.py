@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from objectfolder.audio.figures import show_spectrogram
-from objectfolder.audio.spectrogram import SAMPLE_RATE
+from objectfolder.audio.spectrogram import SAMPLE_RATE, show_spectrogram
 from objectfolder.audio.synthesis import gains, sinusoid_bank
 from objectfolder.figures import page, page_rows, save_page, show_image
 from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span

@@ -6,19 +6,9 @@ import numpy as np
 def zero_level(values: np.ndarray, zero: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Extract the zero level set by marching cubes (Lewiner et al. 2003).
 
-    Parameters
-    ----------
-    values : (R, R, R) int8 array, negative inside
-        Some are negative or 0, and some positive.
-    zero : float
-        Taken for values of 0; not positive.
-
-    Returns
-    -------
-    vertices : (V, 3) float64
-        In units of samples.
-    faces : (F, 3) int64
-        Counter-clockwise seen from outside.
+    Of the values (R, R, R) int8, negative inside, some are negative or 0, and some positive. ``zero``,
+    which is not positive, is taken for those of 0. Returns vertices (V, 3) float64 in units of samples, and
+    faces (F, 3) int64, counter-clockwise seen from outside.
     """
     from skimage.measure import marching_cubes
 

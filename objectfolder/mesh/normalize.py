@@ -26,7 +26,7 @@ class Normalized:
     source_centre: np.ndarray  #: (3,) centre of the bounding box, in the z-up source's units
     source_size: float  #: longest side of the bounding box, in the source's units
 
-    def seen(self, bridge: str) -> Mesh:
+    def select_visible(self, bridge: str) -> Mesh:
         """Return the surface to see and touch; it lacks the bridges that are for sound only."""
         return (bridge == "fem" and self.surface.unbridged) or self.surface.mesh
 
@@ -121,13 +121,9 @@ def _check_box(done: Normalized, name: str) -> None:
 
 
 def mass_properties(surface: Mesh) -> dict[str, Any]:
-    """Compute volume, centre of mass and inertia of a closed surface, at density 1.
+    """Compute the mass properties of a closed surface, at density 1, in its frame.
 
-    Returns
-    -------
-    dict
-        ``volume``, ``centre`` [x, y, z] and ``inertia`` [xx, yy, zz, xy, xz, yz] about the centre, in the
-        frame of the surface.
+    ``volume``, ``centre`` [x, y, z], and ``inertia`` [xx, yy, zz, xy, xz, yz] about the centre.
     """
     found = trimesh.Trimesh(*surface, process=False).mass_properties
     inertia = np.asarray(found.inertia)

@@ -13,9 +13,9 @@ from objectfolder.audio.bank import Bank
 from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
 from objectfolder.audio.contact import Striker, contact_time, load_striker
 from objectfolder.audio.synthesis import (
+    force_factors,
     gains,
     half_sine,
-    pressing,
     response_at,
 )
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
@@ -360,7 +360,7 @@ def _press(
     """
     time = torch.arange(min(sounds.shape[1], math.ceil(contact_time * rate)), dtype=torch.float64) / rate
     by_force, by_change = (
-        (phasors * turn / s.imag).imag.sum(1, keepdim=True) for turn in pressing(s, contact_time)
+        (phasors * turn / s.imag).imag.sum(1, keepdim=True) for turn in force_factors(s, contact_time)
     )
     time, first = time[time < contact_time], 0
     for piece in time.split(_PIECE):

@@ -9,7 +9,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
-from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
+from objectfolder.audio.synthesis import gains, is_audible, sinusoid_bank
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.metrics import SpectrogramErrors, gain_errors, psnr, ssim
@@ -17,7 +17,7 @@ from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.truncation import lost_energy
 from objectfolder.vision.cameras import image_intrinsics
-from objectfolder.vision.color import lit_foreground, on_white
+from objectfolder.vision.color import find_lit_foreground, on_white
 
 BATCH = 16  # sounds per spectrogram batch
 MIN_PIXELS = 50  #: contact pixels that a touch needs to count in ``psnr_contact``
@@ -48,7 +48,7 @@ def evaluate_vision(view: Callable[..., np.ndarray], views: dict[str, np.ndarray
         errors.append(squared.mean())
         white.append(((1 - truth) ** 2).mean())
         similarity.append(ssim(image, truth))
-        lit_errors.append(squared[lit_foreground(rgba)].ravel())
+        lit_errors.append(squared[find_lit_foreground(rgba)].ravel())
     scores = {
         "psnr": float(np.mean(psnr(np.array(errors)))),
         "psnr_pooled": float(psnr(np.mean(errors))),
@@ -174,7 +174,7 @@ def evaluate_sounds(
     The baselines are silence, and white Gaussian noise with the energy of each true sound.
     """
     frequency = torch.from_numpy(modes["damped_frequency"])
-    heard = int(audible(frequency, SAMPLE_RATE).sum())
+    heard = int(is_audible(frequency, SAMPLE_RATE).sum())
     counts = {"modes": len(frequency), "modes_heard": heard, "impacts": len(strikes.rows)}
     if heard == 0:
         return counts

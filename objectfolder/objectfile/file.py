@@ -50,10 +50,10 @@ from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.markers import Markers
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
-from objectfolder.touch.sheared import sheared
+from objectfolder.touch.sheared import shear_touches
 from objectfolder.touch.simulate import Touches
 from objectfolder.vision.cameras import Intrinsics
-from objectfolder.vision.environment import all_lamps
+from objectfolder.vision.environment import gather_lamps
 from objectfolder.vision.lighting import Lamp
 from objectfolder.vision.picture import Views
 
@@ -377,7 +377,7 @@ class ObjectFile:
             position, there is no light, or the images do not fit into memory.
         """
         smooth, seen_by = _flag("supersample", supersample), Intrinsics.given(intrinsics, resolution)
-        lamps = all_lamps(lights, environment)
+        lamps = gather_lamps(lights, environment)
         images = view_images(lambda: self._parts.vision.drawer(smooth), camera, light, seen_by, lamps)
         return like_first(images, camera)
 
@@ -400,7 +400,7 @@ class ObjectFile:
             Of numpy arrays.
         """
         smooth, seen_by = _flag("supersample", supersample), Intrinsics.given(intrinsics, resolution)
-        lamps = all_lamps(lights, environment)
+        lamps = gather_lamps(lights, environment)
         return render_views(
             lambda: self._parts.vision.drawer(smooth), self.scale, camera, light, seen_by, lamps
         )
@@ -694,7 +694,7 @@ class ObjectFile:
         found = concatenate_touches(self._parts.touch.touches(contacts, tolerance, profile), count)
         if shear is None and not motion.twist.any() and dots is None:
             return found
-        return sheared(
+        return shear_touches(
             found,
             motion.shear,
             motion.twist,

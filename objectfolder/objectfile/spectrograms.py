@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from objectfolder.audio.contact import Striker
-from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE, sounds_of
+from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE, invert_spectrogram
 from objectfolder.audio.tuning import Tuning
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
@@ -87,7 +87,7 @@ class SpectrogramSense:
             if not spectra.isfinite().all():
                 raise damaged_net(self._key, "audio")
             spectrum = (spectra * force[:, None, None]).sum(0)
-            sound[:] = sounds_of(spectrum[None])[0, :samples].numpy()
+            sound[:] = invert_spectrogram(spectrum[None])[0, :samples].numpy()
         return finite_sounds(sounds, impulses)
 
     def heard(

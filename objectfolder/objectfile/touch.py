@@ -12,7 +12,7 @@ from objectfolder.checks import real_array, require_memory
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.arguments import Rows, Scalars, finite_rows, finite_scalars
 from objectfolder.objectfile.reading import StoredNet, report_damage
-from objectfolder.touch.contact import leaned_normals
+from objectfolder.touch.contact import lean_normals
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.simulate import Touches
 
@@ -78,7 +78,7 @@ class ContactPoses:
         """Return the sensor's outward axes (N, 3) at points with these contact normals (N, 3)."""
         if not self.tilt.any():
             return normals
-        leaned: np.ndarray = leaned_normals(normals, self.angle, self.tilt, self.azimuth)
+        leaned: np.ndarray = lean_normals(normals, self.angle, self.tilt, self.azimuth)
         return leaned
 
 

@@ -17,7 +17,7 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
 from objectfolder.objectfile.reading import StoredNet, damaged_net, once, report_damage
 from objectfolder.objectfile.torch_modes import usual_modes
-from objectfolder.vision.cameras import FARTHEST, Intrinsics, look_at, require_rigid
+from objectfolder.vision.cameras import MAX_COORDINATE, Intrinsics, look_at, require_rigid
 from objectfolder.vision.color import on_white
 from objectfolder.vision.lighting import Lamp, PointLight
 from objectfolder.vision.picture import Drawer, Picture, Views
@@ -281,9 +281,10 @@ def _poses(places: np.ndarray) -> np.ndarray:
 
 
 def _require_near(name: str, positions: np.ndarray) -> None:
-    wrong = np.flatnonzero(~(np.abs(positions) <= FARTHEST).all(1))
+    wrong = np.flatnonzero(~(np.abs(positions) <= MAX_COORDINATE).all(1))
     if len(wrong):
         raise ObjectFolderError(
-            f"{name}: row {wrong[0]} is at {positions[wrong[0]].tolist()}, expected finite coordinates of at "
-            f"most {FARTHEST:g}: positions are in the unit frame, in which the object's longest side is 1"
+            f"{name}: row {wrong[0]} is at {positions[wrong[0]].tolist()}, expected finite coordinates of "
+            f"at most {MAX_COORDINATE:g}: positions are in the unit frame, in which the object's longest "
+            "side is 1"
         )

@@ -9,7 +9,7 @@ import torch
 
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.audio.contact import effective_modulus
-from objectfolder.audio.synthesis import audible, gains
+from objectfolder.audio.synthesis import gains, is_audible
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
@@ -73,7 +73,7 @@ class Voice:
         self.material, self.scale = sense.struck(material, scale)
         self._resized = self.scale / self._surface.scale
         tuning = sense.tuning(material, scale)
-        heard = audible(tuning.damped_frequency, sample_rate)
+        heard = is_audible(tuning.damped_frequency, sample_rate)
         self._rows, self._factor = tuning.modes[heard].numpy(), tuning.shape_factor
         modal = torch.complex(-tuning.damping.double(), tuning.damped_frequency.double())[heard].numpy()
         if len(tuning.modes) and not len(modal):

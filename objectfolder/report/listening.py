@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from objectfolder.audio.recordings import at_rate, loudest_channel, opened_sound, read_channels
+from objectfolder.audio.recordings import loudest_channel, open_sound, read_channels, resample_sound
 from objectfolder.checks import whole_number
 from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.text import from_csv, in_script
@@ -270,7 +270,7 @@ def _drawn(names: list[str], count: int, seed: int) -> list[str]:
 
 def _levelled(path: Path) -> tuple[np.ndarray, int]:
     """Read a sound, (samples,), whose loudest part has a root mean square of 1, and its sample rate."""
-    with opened_sound(path) as file:
+    with open_sound(path) as file:
         rate = file.samplerate
         if rate > MOST:
             raise ObjectFolderError(f"{path} has {rate} Hz, expected at most {MOST} Hz; resample it")
@@ -281,7 +281,7 @@ def _levelled(path: Path) -> tuple[np.ndarray, int]:
             f"{path} is silent in its first {LONGEST:g} s, expected a sound; remove the silence before it"
         )
     played = min(rate, PLAYED)
-    sound = at_rate(sound / peak, rate, played)
+    sound = resample_sound(sound / peak, rate, played)
     power = np.concatenate([[0.0], np.square(sound).cumsum()])
     window = max(min(int(WINDOW * played), len(sound)), 1)
     loudest = (power[window:] - power[:-window]).max() / window

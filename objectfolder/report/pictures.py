@@ -7,8 +7,7 @@ import numpy as np
 import soundfile
 from PIL import Image
 
-from objectfolder.audio.figures import DYNAMIC_RANGE, magnitudes
-from objectfolder.audio.spectrogram import HOP, SAMPLE_RATE
+from objectfolder.audio.spectrogram import DYNAMIC_RANGE, HOP, SAMPLE_RATE, magnitudes
 from objectfolder.figures import ENLARGED
 from objectfolder.objectfile.file import ObjectFile
 

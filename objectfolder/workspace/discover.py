@@ -274,7 +274,7 @@ def examine(
             break
         size = reached
     config = settings(VoxelizeConfig, values)
-    voxelize(normalized.seen(bridge), normalized.surface.mesh, config, key)  # raises
+    voxelize(normalized.select_visible(bridge), normalized.surface.mesh, config, key)  # raises
     report = normalized.report(size, up or default_up(mesh))
     notes = [*report["warnings"], *report["appearance"].get("notes", [])]
     if size > LARGE:

@@ -25,12 +25,16 @@ def editable(path: Path) -> tuple[Any, dict[str, Any]]:
 
 
 @contextmanager
-def edited(path: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield ``params.yaml`` to edit, and its values; then write it. Other processes that edit it wait."""
+def edited(path: Path, dry_run: bool = False) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Yield ``params.yaml`` to edit, and its values; then write it. Other processes that edit it wait.
+
+    A dry run writes nothing.
+    """
     with exclusive(path.parent):
         document, values = editable(path)
         yield document, values
-        write_params(path, document)
+        if not dry_run:
+            write_params(path, document)
 
 
 def write_params(path: Path, document: Any) -> None:

@@ -63,7 +63,7 @@ class Build:
 
     def checkpoint(self, modality: str) -> Path:
         """State of an unfinished training; undeclared: it outlives a killed stage."""
-        return self.dir / f".{modality}_checkpoint.safetensors"
+        return self.dir / f".{modality}_checkpoint.pt"
 
     def artifacts(self) -> list[Path]:
         """List every file that the pipeline writes for the object, existing or not, except its metrics."""

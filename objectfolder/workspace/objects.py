@@ -13,8 +13,7 @@ from objectfolder.disk import new_folder
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_text
 from objectfolder.materials import own_material
-from objectfolder.mesh.reading.load import default_up, load_mesh
-from objectfolder.mesh.reading.references import references
+from objectfolder.mesh.reading.load import default_up, load_mesh, references
 from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_object
@@ -35,6 +34,7 @@ def add_mesh(
     attachments: Sequence[Path] = (),
     wall: float | None = None,
     bridge: str = "all",
+    examined: bool = False,
     *,
     track: Callable[[Path, Path], None],
 ) -> dict[str, Any]:
@@ -58,6 +58,8 @@ def add_mesh(
         Thickness that open sheets get, metres.
     bridge : {"all", "fem", "off"}
         Where to fill small gaps.
+    examined : bool
+        Whether the mesh is known to load; it is not loaded again if its scale is given too.
     track : callable
         Puts a folder of a workspace under version control, with all its files, or raises; takes both paths.
 
@@ -76,9 +78,11 @@ def add_mesh(
     values = params.read(params_path)
     home = check_new(key, values, root, mesh)
     up = up or default_up(mesh)
-    most = params.settings(NormalizeConfig, values, params_path).texture_size
-    lower, upper = load_mesh(mesh, up, most).bounds
-    size = float(f"{(upper - lower).max():.6g}") if scale is None else scale
+    size = scale
+    if size is None or not examined:
+        most = params.settings(NormalizeConfig, values, params_path).texture_size
+        lower, upper = load_mesh(mesh, up, most).bounds
+        size = float(f"{(upper - lower).max():.6g}") if size is None else size
     if not MIN_SCALE <= size <= MAX_SCALE:
         raise ObjectFolderError(
             f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "

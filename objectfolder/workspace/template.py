@@ -24,7 +24,8 @@ from objectfolder.workspace.installed import (
 )
 from objectfolder.workspace.layout import code_list
 from objectfolder.workspace.params import PARAMS_FILE
-from objectfolder.yamlfile import read_yaml
+from objectfolder.workspace.presets import default_sections
+from objectfolder.yamlfile import read_yaml, yaml_text
 
 REQUIREMENTS = "requirements.txt"
 #: Files that a clone does not have, by the name that they get.
@@ -145,18 +146,13 @@ def first_params() -> str:
 
     A clone's own ``params.yaml`` does not count: it holds that workspace's objects and settings.
     """
-    _, _, settings = _quick().read_text().partition("\n")  # the first line is a comment on the preset
-    return f"{(_TEMPLATE / PARAMS_FILE).read_text()}\n{settings}"
+    return f"{(_TEMPLATE / PARAMS_FILE).read_text()}\n{yaml_text(default_sections())}"
 
 
 def first_values() -> dict[str, Any]:
     """Return the values of `first_params`."""
-    values: dict[str, Any] = read_yaml(_TEMPLATE / PARAMS_FILE) | read_yaml(_quick())
+    values: dict[str, Any] = read_yaml(_TEMPLATE / PARAMS_FILE) | default_sections()
     return values
-
-
-def _quick() -> Path:
-    return pipeline_files()["params/quick.yaml"]
 
 
 def first_card(name: str) -> str:

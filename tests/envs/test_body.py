@@ -244,12 +244,7 @@ def test_the_defaults_of_a_scene_do_not_change_a_body():
 
 @pytest.mark.parametrize(
     ("setting", "told"),
-    [
-        ("inertiafromgeom", "true"),
-        ("settotalmass", "2"),
-        ("boundmass", "0.31"),
-        ("boundinertia", "1e-3"),
-    ],
+    [("inertiafromgeom", "true"), ("settotalmass", "2"), ("boundmass", "0.31"), ("boundinertia", "1e-3")],
 )
 def test_settings_that_change_a_body_are_refused(setting, told):
     spec = mujoco.MjSpec.from_string(SCENE.format(f'{setting}="{told}"'))

@@ -5,6 +5,7 @@ import pytest
 from brick import felt_by
 from solids import box
 
+from objectfolder.envs.body import turn_poses
 from objectfolder.envs.fingers import (
     LEAST_DEPTH,
     Presses,
@@ -14,7 +15,6 @@ from objectfolder.envs.fingers import (
     sensor_angles,
     tactile_images,
 )
-from objectfolder.envs.poses import turn_poses
 from objectfolder.touch.contact import sensor_frames
 
 

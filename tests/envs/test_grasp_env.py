@@ -11,10 +11,9 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 import objectfolder.envs  # noqa: F401, registers
 from objectfolder.envs import hulls as module
 from objectfolder.envs.body import as_rigid_body, rigid_body
-from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchBank, TouchFeatures
 from objectfolder.envs.fingers import Presses
-from objectfolder.envs.grasp import GraspEnv, GraspVectorEnv
+from objectfolder.envs.grasp import Episodes, GraspEnv, GraspVectorEnv
 from objectfolder.envs.grasp_scene import lowest_hand
 from objectfolder.envs.grasp_task import ACTION_SCALE, STEPS, GraspTask
 from objectfolder.envs.hulls import cached_hulls, convex_hulls
@@ -27,14 +26,6 @@ NAMES = ("file", "observation")
 @pytest.fixture(scope="module")
 def task(brick):
     return GraspTask(brick, rigid_body(brick, convex_hulls(brick.to_mesh())))
-
-
-@pytest.fixture(scope="module")
-def hulls(brick, tmp_path_factory):
-    """Cached hulls, so that environments need not compute them."""
-    folder = tmp_path_factory.mktemp("hulls")
-    cached_hulls(brick, folder)
-    return folder
 
 
 def made(path, hulls, observation):

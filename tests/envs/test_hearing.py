@@ -221,10 +221,7 @@ def test_a_copy_goes_on_as_the_original_does(brick):
     model = scene([brick])
     data, hearing = mujoco.MjData(model), Hearing(model, [brick], "ear")
     hearing.simulate(data, 80)
-    copies = [
-        (copy.deepcopy(data), copy.deepcopy(hearing)),
-        pickle.loads(pickle.dumps((data, hearing))),
-    ]
+    copies = [(copy.deepcopy(data), copy.deepcopy(hearing)), pickle.loads(pickle.dumps((data, hearing)))]
     expected = hearing.simulate(data, 60).tobytes()
     assert [other.simulate(state, 60).tobytes() for state, other in copies] == [expected] * 2
 

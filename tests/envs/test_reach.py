@@ -11,22 +11,19 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
 from objectfolder.benchmarks.tasks.reach import controller, run_episodes
-from objectfolder.envs.body import rigid_body
-from objectfolder.envs.reach import HAND_START, TIP, ReachEnv, reward
-from objectfolder.envs.reach_scene import (
-    APART,
+from objectfolder.envs.reach import (
     GOAL_HIGH,
     GOAL_LOW,
+    HAND_START,
+    MIN_DISTANCE,
     OBJECT_HIGH,
     OBJECT_LOW,
+    TIP,
+    ReachEnv,
     draw_placement,
+    reward,
 )
 from objectfolder.errors import ObjectFolderError
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, [brick.to_mesh().convex_hull])
 
 
 def _action(*values):
@@ -160,7 +157,7 @@ def test_objects_and_goals_fill_their_ranges_and_keep_apart():
         assert (values <= high).all()
         np.testing.assert_allclose(values.min(0), low, atol=0.005)
         np.testing.assert_allclose(values.max(0), high, atol=0.005)
-    assert np.linalg.norm(places - goals[:, :2], axis=1).min() >= APART
+    assert np.linalg.norm(places - goals[:, :2], axis=1).min() >= MIN_DISTANCE
 
 
 def test_the_object_rests_until_it_is_hit(body):

@@ -4,18 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from objectfolder.envs.body import add_body, rigid_body, scaled_body
+from objectfolder.envs.body import add_body, scaled_body
 from objectfolder.envs.feeling import Feeling
 from objectfolder.envs.hearing import Hearing
-from objectfolder.envs.sounding import Sounding, named_objects
+from objectfolder.envs.sounding import Sounding, name_objects
 from objectfolder.errors import ObjectFolderError
 
 EAR = [0.5, 0, 0.3]
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, [brick.to_mesh().convex_hull])
 
 
 def scene(body, *names):
@@ -40,7 +35,7 @@ def scene(body, *names):
 )
 def test_what_is_no_object_is_named(given, message):
     with pytest.raises(ObjectFolderError, match=message):
-        named_objects(given)
+        name_objects(given)
 
 
 @pytest.mark.parametrize(

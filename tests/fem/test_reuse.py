@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from solids import box
 
-from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import modal_analysis, solved_band
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.fem.similarity import similarity
 from objectfolder.materials import material
@@ -195,8 +194,3 @@ def test_a_problem_is_all_that_scaling_leaves(tmp_path):
     code.write_text("other sources, of meshes, too")
     others.append(problem_digest(files, "code", points, 0.2, hexahedra))
     assert len({first, *others}) == 6
-
-
-def test_requests_survive_json():
-    again = Request.from_dict(json.loads(json.dumps(dataclasses.asdict(BASE))))
-    assert again == BASE

@@ -17,7 +17,7 @@ from matplotlib.legend import Legend
 from PIL import Image
 from rich.console import Console
 
-from objectfolder.acoustics.radiation import radiate, stored_radiation
+from objectfolder.acoustics.radiation import pack_radiation, radiate
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.elements import solid_arrays, solid_from_arrays
@@ -52,8 +52,9 @@ from objectfolder.mesh.ply import write_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.nets.audio_gains import GainsNet, GainsShape
 from objectfolder.nets.fit import CurvePoint
+from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
@@ -114,7 +115,7 @@ def _solid_and_modes(build, vertices, faces, rng):
     write_json(build.modal, data.report)
     surface = vertices * SCALE, faces
     field = radiate(surface, points * SCALE, data.shapes, data.damped_frequency, 200)
-    write_safetensors(build.radiation, *stored_radiation(field, surface, SCALE, 50_000))
+    write_safetensors(build.radiation, *pack_radiation(field, surface, SCALE, 50_000))
 
 
 def _datasets(build, vertices, faces, rng):
@@ -150,12 +151,12 @@ def _nets(build):
     modes = read_npz(build.modes)
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        vision, header = SurfaceNet(2, 2, 6, 4, 8, 8, 0.5, 0.0).to_tensors()
+        vision, header = SurfaceNet(HashGrid(2, 2, 6, 4, 8), 8, 0.5, 0.0).to_tensors()
         write_safetensors(build.net("vision"), vision, {"kind": "surface", "net": header})
         damped, damping = (torch.from_numpy(modes[name]) for name in ("damped_frequency", "damping"))
         used = torch.ones(4**3, dtype=torch.bool)
         audio, header = GainsNet(
-            damped, damping, torch.ones(len(damping)), used, 2, 3, 8, 8, 6.0
+            damped, damping, torch.ones(len(damping)), used, GainsShape(2, 3, 8, 8, 6.0)
         ).to_tensors()
         write_safetensors(build.net("audio"), audio, {"kind": "gains", "net": header})
     touch = GeometricTouch(Isosurface(DistanceGrid.from_arrays(sdf)), SCALE, load_profile("digit"))

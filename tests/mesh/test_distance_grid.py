@@ -13,7 +13,7 @@ from objectfolder.mesh.gridcodec import BAND_VOXELS, BOUND, band_width, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
-from objectfolder.mesh.sdf import VOLUME_ERROR, WALL_VOXELS, distance_grid, fitting_grid, kept_volume
+from objectfolder.mesh.sdf import VOLUME_ERROR, WALL_VOXELS, distance_grid, fit_grid, kept_volume
 from objectfolder.mesh.settings import FINEST
 from objectfolder.touch.contact import NORMAL_RADIUS
 
@@ -231,7 +231,7 @@ def test_walls_keep_their_volume_on_the_grid_that_fits_them(voxels):
     """A hollow ball; thickness in voxels of the grid that is asked for, which may become twice as fine."""
     wall = voxels * 2 * BOUND / (RESOLUTION - 1)
     shell = join(sphere(0.45, 4), flipped(sphere(0.45 - wall, 4)))
-    grid = fitting_grid(*shell, RESOLUTION)
+    grid = fit_grid(*shell, RESOLUTION)
     resolution = len(grid.values)
     assert grid.wall == pytest.approx(wall, rel=0.01)
     assert grid.wall >= WALL_VOXELS * 2 * BOUND / (resolution - 1)
@@ -255,14 +255,14 @@ def test_an_edge_of_little_volume_asks_for_a_finer_grid():
     """Walls have five voxels, but most of the volume is near edges."""
     bar = box((0.9, 0.09, 0.09), (0, 0, 0), TURN)
     coarse = kept_volume(distance_grid(*bar, RESOLUTION)[0], *bar)
-    grid = fitting_grid(*bar, RESOLUTION)
+    grid = fit_grid(*bar, RESOLUTION)
     assert abs(coarse - 1) > VOLUME_ERROR >= abs(grid.kept - 1)
     assert len(grid.values) > RESOLUTION
 
 
 def test_a_sheet_between_the_samples_of_the_finest_grid_is_kept():
     plate = box((1, 1, 0.006))  # centred: no sample of an even grid lies inside a thin one
-    grid = fitting_grid(*plate, RESOLUTION, "plate")
+    grid = fit_grid(*plate, RESOLUTION, "plate")
     assert grid.values.min() > 0
     assert grid.kept == pytest.approx(1, abs=0.01)
     assert grid.kept == kept_volume(grid.values, *plate, grid.features)
@@ -273,7 +273,7 @@ def test_a_sheet_between_the_samples_of_the_finest_grid_is_kept():
 def test_a_needle_between_the_samples_of_the_finest_grid_is_refused():
     needle = box((1, 0.003, 0.003))  # it crosses no edge of the grid
     with pytest.raises(ObjectFolderError, match="needle: walls are too thin for the 128\\^3 distance grid"):
-        fitting_grid(*needle, RESOLUTION, "needle")
+        fit_grid(*needle, RESOLUTION, "needle")
 
 
 @pytest.mark.parametrize("resolution", [192, 256, FINEST])

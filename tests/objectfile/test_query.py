@@ -18,7 +18,7 @@ from objectfolder import ObjectFile
 from objectfolder.audio.contact import contact_time, load_striker
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material, material
-from objectfolder.nets.audio_gains import GainsNet
+from objectfolder.nets.audio_gains import GainsNet, GainsShape
 from objectfolder.objectfile.audio import ModalSense
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.reading import StoredNet
@@ -68,7 +68,8 @@ def test_a_sound_does_not_depend_on_a_large_batch(brick, rng):
 def test_a_sound_of_many_modes_does_not_depend_on_its_batch(brick, modes, rng):
     torch.manual_seed(modes)
     damped, damping = torch.rand(modes) * 4e4 + 1e3, torch.rand(modes) * 50 + 1
-    net = GainsNet(damped, damping, torch.rand(modes), torch.ones(6**3, dtype=torch.bool), 4, 8, 96, 96, 5.0)
+    used, shape = torch.ones(6**3, dtype=torch.bool), GainsShape(4, 8, 96, 96, 5.0)
+    net = GainsNet(damped, damping, torch.rand(modes), used, shape)
     points, forces = brick.sample_surface(50) / SCALE, rng.standard_normal((50, 3))
     surface = ObjectSurface(lambda: brick.surface, 1.0)
     sense = ModalSense(net, StoredNet("audio", brick.header, {}, surface, torch.device("cpu")))

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from objectfolder import ObjectFile
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.positional import encoded
+from objectfolder.nets.positional import append_octaves
 from objectfolder.nets.released.network import Frame
 from objectfolder.objectfile.query_files import sample_presses
 from objectfolder.released import convert as converter
@@ -70,7 +70,7 @@ def saved(obj, tmp_path):
 def test_channels_are_put_in_our_order(rng, order):
     x = rng.normal(size=(4, 3))
     theirs = {by_octave: released.encode, by_number: released.kilo_encode}[order](x, 5)
-    ours = encoded(torch.from_numpy(x), 5, 1.0).numpy()
+    ours = append_octaves(torch.from_numpy(x), 5, 1.0).numpy()
     np.testing.assert_allclose(theirs[:, order(3, 5)], ours, rtol=1e-12)
 
 

@@ -7,12 +7,14 @@ from scipy.spatial.transform import Rotation
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.voxel import lattice_connectivity
+from objectfolder.materials import Material
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.topology import signed_volume
 
+STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 TURN = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
 
 

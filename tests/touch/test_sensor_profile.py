@@ -16,16 +16,8 @@ POSITIVE = (
     *("gel_dome_radius", "young_modulus", "roughness", "gamma", "gain", "background_falloff"),
 )
 NON_NEGATIVE = (
-    *(
-        "gel_curvature",
-        "poisson_ratio",
-        "ambient",
-        "albedo",
-        "metallic",
-        "slope_smoothing",
-        "image_smoothing",
-        "noise_std",
-    ),
+    *("gel_curvature", "poisson_ratio", "ambient", "albedo", "metallic"),
+    *("slope_smoothing", "image_smoothing", "noise_std"),
 )
 
 

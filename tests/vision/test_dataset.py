@@ -10,7 +10,7 @@ from objectfolder.metrics import psnr
 from objectfolder.objectfile.evaluation import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics, image_intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import TILES_PER_LIGHT, Shots, render_split, shown_noise
+from objectfolder.vision.dataset import TILES_PER_LIGHT, Shots, estimate_noise, render_shots
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
 
@@ -50,7 +50,7 @@ class Perfect:
 
 def split(renderer, samples, halves=True, count=4):
     rng = np.random.default_rng(5)
-    return render_split(renderer, Shots.views(count, SMALL, rng), samples, rng, halves=halves)
+    return render_shots(renderer, Shots.views(count, SMALL, rng), samples, rng, halves=halves)
 
 
 def test_halves_share_the_samples_and_no_seed():
@@ -98,7 +98,7 @@ def test_views_that_do_not_tell_their_noise_are_scored_without_a_floor():
 
 def test_views_without_light_have_no_lit_noise():
     dark = np.zeros((4, 4, 4), np.float32)
-    assert shown_noise(dark, dark) == (0.0, 0.0)
+    assert estimate_noise(dark, dark) == (0.0, 0.0)
 
 
 def test_the_noise_of_path_traced_views_is_their_error_against_the_converged():
@@ -122,7 +122,7 @@ def test_tiles_are_cut_from_whole_views():
         np.random.default_rng(2),
     )
     shots = Shots.tiles(9, 12, solid[0], SMALL, rng)
-    tiles = render_split(renderer, shots, 64, rng)
+    tiles = render_shots(renderer, shots, 64, rng)
     assert tiles["rgba"].shape == (9, 12, 12, 4)
     corners = np.round(16 - tiles["center"]).astype(int)
     assert len(np.unique(corners, axis=0)) > 4

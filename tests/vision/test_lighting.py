@@ -15,18 +15,13 @@ from objectfolder.mesh.gridcodec import BOUND, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.vision import lit_picture
 from objectfolder.vision.cameras import Intrinsics, look_at
-from objectfolder.vision.environment import (
-    BRIGHTEST_PIXEL,
-    environment_lamps,
-    pixel_directions,
-    read_environment,
-)
+from objectfolder.vision.environment import MAX_PIXEL, environment_lamps, pixel_directions, read_environment
 from objectfolder.vision.lighting import (
-    BRIGHTEST,
-    FAR,
+    MAX_COLOR,
+    PARALLEL_DISTANCE,
     DistantLight,
     PointLight,
-    chosen_lamps,
+    choose_lamps,
     studio,
     toward,
 )
@@ -91,8 +86,10 @@ def test_all_lights_that_are_given_shine(brick):
 
 
 def test_far_point_lights_count_as_distant_ones():
-    near, far = chosen_lamps([PointLight([0, 0, FAR], [9.0, 0, 0]), PointLight([0, 0, 100.0], [1e4, 0, 2e4])])
-    assert near == PointLight([0, 0, FAR], [9.0, 0, 0])
+    near, far = choose_lamps(
+        [PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0]), PointLight([0, 0, 100.0], [1e4, 0, 2e4])]
+    )
+    assert near == PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0])
     assert far == DistantLight([0, 0, 1.0], [1.0, 0, 2.0])
 
 
@@ -123,9 +120,9 @@ def test_interreflection_of_a_distant_light_is_the_limit_of_a_far_one():
     distant = torch.cat([way, torch.zeros(1)])
     rays = np.float32(np.random.default_rng(0).normal(size=(500, 3)))
     samples = trace(surface, np.float32([0, 0, -0.1]), rays, distant.numpy())
-    exact = radiosity.gathered(samples, distant)
+    exact = radiosity.gather(samples, distant)
     assert exact.mean() > 0.03
-    far = radiosity.gathered(samples, 300 * way) * 300**2
+    far = radiosity.gather(samples, 300 * way) * 300**2
     assert (far - exact).abs().mean() < 0.01 * exact.mean()
 
 
@@ -261,7 +258,7 @@ def test_a_light_is_checked(make, message):
 
 def test_the_brightest_lights_give_a_finite_picture(brick):
     """Even on the surface, and from surroundings that become a single light."""
-    color, sky = (BRIGHTEST,) * 3, np.full((1, 1, 3), BRIGHTEST_PIXEL)
+    color, sky = (MAX_COLOR,) * 3, np.full((1, 1, 3), MAX_PIXEL)
     lights = [
         *(PointLight(point / brick.scale, color) for point in brick.sample_surface(4)),
         DistantLight(CAMERA, color),

@@ -22,8 +22,8 @@ from objectfolder.workspace.installed import RECORD, changed_files, check_instal
 from objectfolder.workspace.layout import code_list
 from objectfolder.workspace.objects import add_catalogue
 from objectfolder.workspace.params import read
+from objectfolder.workspace.presets import default_sections
 from objectfolder.workspace.template import first_requirements, next_requirements
-from objectfolder.yamlfile import read_yaml
 
 ROOT = Path(__file__).parents[2]
 
@@ -62,7 +62,7 @@ def test_it_holds_the_pipeline_and_no_package(made):
     assert values["objects"] == values["procedural"] == {}
     assert not any(values["benchmarks"].values())
     assert values.keys() == read(ROOT / "params.yaml").keys()
-    quick = read_yaml(ROOT / "params/quick.yaml")
+    quick = default_sections()
     assert {name: values[name] for name in quick} == quick
     assert values["seed"] == 0
 

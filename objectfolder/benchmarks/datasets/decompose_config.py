@@ -9,4 +9,4 @@ from objectfolder.settings import Count
 class DecomposeConfig:
     """Section ``decompose`` of ``params.yaml``."""
 
-    hulls: Count  #: greatest number of hulls of an object
+    hulls: Count = 8  #: greatest number of hulls of an object

@@ -10,11 +10,11 @@ from annotated_types import Ge, Interval, MultipleOf
 class GraspDataConfig:
     """Section ``grasp_data`` of ``params.yaml``: grasps to collect of each object."""
 
-    grasps: Annotated[int, Ge(10), MultipleOf(10)]
-    perturbations: Annotated[int, Ge(0)]  #: perturbed repetitions of each grasp for the soft label
-    image: Annotated[int, Ge(8)]  #: side of the camera's pictures, pixels
-    touch: tuple[int, int]  #: height and width of tactile images, pixels; the sensor's: 160, 120
-    timestep: Annotated[float, Interval(gt=0, le=0.004)]  #: of the simulation, s
+    grasps: Annotated[int, Ge(10), MultipleOf(10)] = 200
+    perturbations: Annotated[int, Ge(0)] = 2  #: perturbed repetitions of each grasp for the soft label
+    image: Annotated[int, Ge(8)] = 64  #: side of the camera's pictures, pixels
+    touch: tuple[int, int] = (64, 48)  #: height and width of tactile images, pixels; the sensor's: 160, 120
+    timestep: Annotated[float, Interval(gt=0, le=0.004)] = 0.002  #: of the simulation, s
 
     def bytes(self, explicit: bool) -> int:
         """Return the size of the images of a grasp."""

@@ -10,5 +10,5 @@ from annotated_types import Ge, MultipleOf
 class ObserveConfig:
     """Section ``observe`` of ``params.yaml``."""
 
-    observations: Annotated[int, Ge(10), MultipleOf(10)]  #: per modality
-    resolution: Annotated[int, Ge(8)]  #: side of the views, pixels
+    observations: Annotated[int, Ge(10), MultipleOf(10)] = 80  #: per modality
+    resolution: Annotated[int, Ge(8)] = 64  #: side of the views, pixels

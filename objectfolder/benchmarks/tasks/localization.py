@@ -18,9 +18,9 @@ from torch.nn import functional as F
 from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, sample_contacts
 from objectfolder.benchmarks.datasets.samples import object_digest
 from objectfolder.benchmarks.models.encoders import own_code, registered
-from objectfolder.benchmarks.models.inputs import shifted
-from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, belief_together, likeliest
-from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.inputs import shift_each
+from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, add_beliefs, choose_likeliest
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
@@ -131,13 +131,13 @@ class _Setting:
 
     def errors(self, belief: np.ndarray, truth: np.ndarray) -> np.ndarray:
         """Return the errors (N,) of beliefs (N, P) about contacts at points (N, 3)."""
-        return np.linalg.norm(self.places[likeliest(belief, self.distances)] - truth, axis=1)
+        return np.linalg.norm(self.places[choose_likeliest(belief, self.distances)] - truth, axis=1)
 
     def scores(self, belief: np.ndarray) -> dict[str, float]:
         """Score the beliefs (n, P) of the test contacts."""
         single = self.errors(belief, self.tests)
         joint = [
-            belief_together(belief[group], self.tests[group] - self.tests[group[-1]], self.places)
+            add_beliefs(belief[group], self.tests[group] - self.tests[group[-1]], self.places)
             for group in self.groups
         ]
         together = self.errors(np.array(joint), self.tests)
@@ -225,10 +225,10 @@ def _trained(
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
-        for rows in shuffled(train, params.batch, rng):
+        for rows in shuffle(train, params.batch, rng):
             inputs = setting.inputs[letter][rows]
             if letter == "T" and job.shift:
-                inputs = shifted(inputs, job.shift, rng)
+                inputs = shift_each(inputs, job.shift, rng)
             yield inputs, setting.targets[rows].to(job.device)
 
     def batch_loss(batch: Batch) -> torch.Tensor:
@@ -237,14 +237,16 @@ def _trained(
         return F.kl_div(net(inputs), targets, reduction="batchmean")
 
     truth = job.observations.read("point", job.split.val)
-    steps = params.epochs * batch_count(len(train), params.batch)
+    steps = params.epochs * count_batches(len(train), params.batch)
     curve = job.train(
         f"localize {letter}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        lambda: -float(setting.errors(_belief(setting, net, letter, job.split.val), truth).mean()),
-        "minus error",
+        Objective(
+            net,
+            epoch_batches,
+            batch_loss,
+            lambda: -float(setting.errors(_belief(setting, net, letter, job.split.val), truth).mean()),
+            "minus error",
+        ),
         checkpoint,
         cycle=steps,
     )

@@ -13,8 +13,8 @@ from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.splits import Split
-from objectfolder.benchmarks.models import cca
-from objectfolder.benchmarks.models.training import EpochPoint, batch_count
+from objectfolder.benchmarks.models.baselines import find_directions, fit_whitening
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
@@ -198,14 +198,10 @@ def _trained(
     def val_score() -> float:
         return _val_score(job, _embeddings(job, net, pair, validation_gallery(job, "retrieve")))
 
-    steps = params.epochs * batch_count(len(rows), params.batch)
+    steps = params.epochs * count_batches(len(rows), params.batch)
     curve = job.train(
         f"retrieve {job.split.name}, {pair[0]} and {pair[1]}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        val_score,
-        "mAP",
+        Objective(net, epoch_batches, batch_loss, val_score, "mAP"),
         checkpoint,
         rate=FINE_RATE if params.pretrain_epochs else 1.0,
         cycle=steps if params.schedule == "one_cycle" else None,
@@ -292,7 +288,7 @@ def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
         return torch.cat([F.adaptive_avg_pool2d(x, shape).flatten(1) for x in inputs]).cpu().numpy()
 
     train = pixels(job.split.train)
-    whiten = cca.whitening(train, max(DIMENSIONS))
+    whiten = fit_whitening(train, max(DIMENSIONS))
     return {
         "train": whiten(train),
         "validation": whiten(pixels(validation_gallery(job, "retrieve"))),
@@ -313,7 +309,7 @@ def _correlated(
     """Score CCA by direction, with the dimensions that are best on the validation rows."""
     first, second = (features[modality] for modality in pair)
     labels = job.observations.labels[job.split.train]
-    found = {d: cca.directions(first["train"][:, :d], second["train"][:, :d], labels) for d in DIMENSIONS}
+    found = {d: find_directions(first["train"][:, :d], second["train"][:, :d], labels) for d in DIMENSIONS}
 
     def variates(name: str, dimensions: int, components: int) -> list[np.ndarray]:
         return [

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.glances import Glances
-from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.models.translator import Translator
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
@@ -131,7 +131,7 @@ def _trained(
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
-        for rows in shuffled(train, params.batch, rng):
+        for rows in shuffle(train, params.batch, rng):
             yield _tensor(job, "view", rows), _tensor(job, "touch", rows)
 
     def batch_loss(batch: Batch) -> torch.Tensor:
@@ -141,13 +141,15 @@ def _trained(
     truth = job.observations.read("touch", val)
     curve = job.train(
         f"vision to touch {job.split.name}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        lambda: compared(_answers(job, net, blank, val), truth)["psnr_pooled"],
-        "PSNR",
+        Objective(
+            net,
+            epoch_batches,
+            batch_loss,
+            lambda: compared(_answers(job, net, blank, val), truth)["psnr_pooled"],
+            "PSNR",
+        ),
         checkpoint,
-        cycle=params.epochs * batch_count(len(train), params.batch),
+        cycle=params.epochs * count_batches(len(train), params.batch),
     )
     return net, curve
 

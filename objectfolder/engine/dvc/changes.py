@@ -20,9 +20,9 @@ from objectfolder.engine.dvc import steps
 from objectfolder.engine.dvc.graph import StageGraph
 from objectfolder.engine.dvc.recorded import listing_of
 from objectfolder.engine.dvc.runcache import find_saved_run, is_there
-from objectfolder.errors import shortened
 from objectfolder.workspace.code_digests import code_text
 from objectfolder.workspace.layout import CODE
+from objectfolder.workspace.params import differences
 
 #: Future content of an output: metadata and hash by path inside it; a file has the empty path.
 Content = dict[tuple[str, ...], tuple[Meta, HashInfo]]
@@ -161,18 +161,6 @@ def _changed_params(dep: ParamsDependency) -> list[str]:
         return [f"{dep} {_words(changed)}"]
     old, new = dep.hash_info.value or {}, dep.read_params()
     return [reason for name in changed for reason in differences(name, old.get(name), new.get(name))]
-
-
-def differences(name: str, old: Any, new: Any) -> list[str]:
-    """List the leaves of nested parameters that differ, with both values."""
-    if isinstance(old, dict) and isinstance(new, dict):
-        inner = {key: f"{name}.{key}" if name else key for key in dict.fromkeys([*old, *new])}
-        return [text for key, path in inner.items() for text in differences(path, old.get(key), new.get(key))]
-    return [] if old == new else [f"{name}: {_text(old)} -> {_text(new)}"]
-
-
-def _text(value: Any) -> str:
-    return "nothing" if value is None else shortened(value)
 
 
 def _output_changes(stage: Stage) -> tuple[tuple[str, ...], tuple[str, ...]]:

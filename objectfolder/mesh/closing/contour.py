@@ -31,27 +31,12 @@ def contour(
     chosen: np.ndarray,
     elsewhere: np.ndarray | float,
 ) -> Mesh:
-    """Extract the closed surface around the points where a function is negative.
+    """Extract the closed surface, oriented outward, around the points where a function is negative.
 
-    Parameters
-    ----------
-    function : callable
-        Maps points (N, 3) to values (N,).
-    lower : (3,) array
-        Position of the first sample.
-    spacing : float
-        Distance between samples.
-    blocks : (3,) int array
-        Number of blocks along each axis.
-    chosen : (C,) int array
-        Blocks in which the function is sampled, in the order of `block_centres`.
-    elsewhere : float or (B,) array
-        Value of the samples in the other blocks. Outside the grid, values are positive.
-
-    Returns
-    -------
-    vertices, faces
-        Oriented outward; no faces if the function is negative nowhere.
+    The function maps points (N, 3) to values (N,). It is sampled at ``lower + spacing * index`` in the
+    ``chosen`` blocks, in the order of `block_centres`, of a grid of ``blocks`` (3,) along each axis; the
+    samples in others have the value ``elsewhere``, of all or of each block. Outside the grid, values are
+    positive. There are no faces if the function is negative nowhere.
     """
     count = int(np.prod(blocks))
     values = np.repeat(np.broadcast_to(np.asarray(elsewhere, float), count), BLOCK**3).reshape(count, -1)

@@ -14,17 +14,9 @@ _BOUND = 0.52
 def remesh_on_grid(vertices: np.ndarray, faces: np.ndarray, wall: float = 0.0) -> Mesh:
     """Extract the surface of the points with generalised winding number above 1/2 or close to a sheet.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-        Any triangle soup; turned over if its volume is negative.
-    wall : float
-        If positive, points closer to the mesh than half of it also count as inside (for sheets).
-
-    Returns
-    -------
-    mesh : vertices and faces, closed; empty if nothing is enclosed
+    Takes any triangle soup in the unit frame, and turns it over if its volume is negative. If ``wall`` is
+    positive, points closer to the mesh than half of it also count as inside, for sheets. The mesh is
+    closed, and empty if nothing is enclosed.
     """
     if signed_volume(vertices, faces) < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])

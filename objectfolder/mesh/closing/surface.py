@@ -13,7 +13,15 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.mesh.closing.holes import close_piece, visible_loops
 from objectfolder.mesh.closing.remesh import RESOLUTION, remesh_on_grid
-from objectfolder.mesh.closing.solids import SPECKS, bodies, bridge, distance, unite, untangle, without_specks
+from objectfolder.mesh.closing.solids import (
+    SPECKS,
+    bridge,
+    distance,
+    drop_specks,
+    label_bodies,
+    unite,
+    untangle,
+)
 from objectfolder.mesh.closing.weld import clean, opposite_pairs
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface
@@ -26,7 +34,7 @@ from objectfolder.mesh.topology import (
     face_areas,
     face_components,
     is_closed,
-    merged,
+    join_meshes,
     signed_volume,
 )
 
@@ -80,7 +88,7 @@ class ClosedSurface:
     @property
     def components(self) -> int:
         """Number of solid bodies."""
-        return len(bodies(self.vertices, self.faces)[1])
+        return len(label_bodies(self.vertices, self.faces)[1])
 
     @property
     def cavities(self) -> int:
@@ -247,7 +255,7 @@ class _Repair:
             "thicken" if sheets else "cap",
             f"{', '.join(detail)} in {sum(is_open)} open of {len(pieces)} pieces",
             before,
-            merged(pieces),
+            join_meshes(pieces),
         )
         return sheets
 
@@ -287,7 +295,7 @@ class _Repair:
 
     def drop_specks(self, across: float = np.inf) -> None:
         before = self.mesh
-        mesh, dropped = without_specks(*before, across)
+        mesh, dropped = drop_specks(*before, across)
         if dropped:
             share = 1 - signed_volume(*mesh) / signed_volume(*before)
             detail = f"{plural(dropped, 'piece')} with {share:.2e} of the volume dropped"
@@ -295,7 +303,7 @@ class _Repair:
 
     def bridge(self) -> None:
         before = self.mesh
-        if 1 < len(bodies(*before)[1]) <= MAX_BODIES:
+        if 1 < len(label_bodies(*before)[1]) <= MAX_BODIES:
             mesh, bridged = bridge(*before, BRIDGED_GAP)
             if bridged:
                 detail = f"{plural(len(bridged), 'gap')} up to {max(bridged):.3%} of the size filled"
@@ -311,7 +319,7 @@ class _Repair:
                 f"overlaps itself in {overlap:.2%} of the space; expected a mesh that encloses a volume "
                 "once: close its holes or give it thickness"
             )
-        body, volumes = bodies(v, f)
+        body, volumes = label_bodies(v, f)
         if volumes[0] >= (1 - SPECKS) * volumes.sum():
             return
         pieces = [compact(v, f[body == k]) for k in range(len(volumes))]

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import torch
 
-from objectfolder.nets.positional import encoded
+from objectfolder.nets.positional import append_octaves
 from objectfolder.nets.released.network import float_tensors
 from objectfolder.nets.released.vision import March, ReleasedVision
 
@@ -88,7 +88,7 @@ class ReleasedKilo(ReleasedVision):
         density = points.new_empty(len(points))
         hidden = points.new_empty(len(points), self.weights["density.weight"].shape[1])
         for row, index, place in self._by_net(points):
-            x = encoded(place, self.octaves[0], 1.0)
+            x = append_octaves(place, self.octaves[0], 1.0)
             for layer in range(self._depth):
                 x = torch.relu(self._through(f"points.{layer}", row, x))
             density[index] = torch.relu(self._through("density", row, x))[:, 0]
@@ -102,7 +102,7 @@ class ReleasedKilo(ReleasedVision):
         out = points.new_empty(len(points), 3)
         _, *octaves = self.octaves
         for row, index, _ in self._by_net(points):
-            ways = [encoded(x[index], n, 1.0) for x, n in zip((view, light), octaves)]
+            ways = [append_octaves(x[index], n, 1.0) for x, n in zip((view, light), octaves)]
             feature = self._through("feature", row, hidden[index])
             x = torch.relu(self._through("direction", row, torch.cat([feature, *ways], 1)))
             out[index] = 1.2 * torch.sigmoid(self._through("color", row, x)) - 0.1

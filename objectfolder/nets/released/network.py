@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.nets.loading import UNFILLED, filled
-from objectfolder.nets.positional import SKIP, SkipNetwork, encoded
+from objectfolder.nets.positional import SKIP, SkipNetwork, append_octaves
+from objectfolder.nets.storage import UNFILLED, fill
 
 
 class ReleasedNetwork(SkipNetwork):
@@ -32,7 +32,7 @@ class ReleasedNetwork(SkipNetwork):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Evaluate the network; (N, inputs) to (N, outputs)."""
-        return self.output(super().forward(encoded(x, self.octaves, 1.0)))
+        return self.output(super().forward(append_octaves(x, self.octaves, 1.0)))
 
 
 def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") -> ReleasedNetwork:
@@ -51,7 +51,7 @@ def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") 
     shape = inputs, width, _depth(state), octaves, len(state["output.weight"])
     with UNFILLED:
         net = ReleasedNetwork(*shape)
-    return filled(net, state).requires_grad_(False)
+    return fill(net, state).requires_grad_(False)
 
 
 def float_tensors(tensors: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:

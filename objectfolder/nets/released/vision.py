@@ -13,8 +13,8 @@ import torch
 
 from objectfolder.mesh import srgb
 from objectfolder.mesh.grid import ascent
-from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.nets.released.network import float_tensors, stored_tensors
+from objectfolder.nets.storage import UNFILLED, fill
 from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.picture import Picture
@@ -283,7 +283,7 @@ def scattering_of(
     }
     with UNFILLED:
         net = ScatteringFunction(**shape)
-    return filled(net, state).requires_grad_(False)
+    return fill(net, state).requires_grad_(False)
 
 
 def _rays(

@@ -10,9 +10,9 @@ import torch
 from objectfolder.audio.contact import Striker
 from objectfolder.audio.synthesis import (
     RESPONSES,
-    audible,
     gains,
     half_sine_response,
+    is_audible,
     pulse_phasor,
     response_at,
 )
@@ -135,7 +135,7 @@ class Sound(AnswerModule):
         tuning = self._sense.tuning(stuff, scale)
         if contact_time is None:
             contact_time = self._sense.striking_time(settings.striker, stuff, scale)
-        heard = audible(tuning.damped_frequency, settings.sample_rate)
+        heard = is_audible(tuning.damped_frequency, settings.sample_rate)
         s = torch.complex(-tuning.damping, tuning.damped_frequency)[heard].to(torch.complex128)[:, None]
         samples = round(settings.sample_rate * settings.duration)
         require_memory(

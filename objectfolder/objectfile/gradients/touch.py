@@ -20,8 +20,8 @@ from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
 from objectfolder.touch.contact import (
     NORMAL_RADIUS,
     contact_normals,
-    leaned_normals,
-    seated_heightmaps,
+    heightmaps,
+    lean_normals,
     sensor_frames,
 )
 from objectfolder.touch.gel import GAP
@@ -103,7 +103,7 @@ class Touch(AnswerModule):
         )
         places = on_surface(given, feet / scale, net.surface)
         outward = contact_normals(net.surface.grid.smooth_distance, places, NORMAL_RADIUS)
-        axis = leaned_normals(outward, turned, leaning, towards)
+        axis = lean_normals(outward, turned, leaning, towards)
         pressed = (pressed + net.depth_offset).clamp(0, net.profile.max_indentation)
         height = heights_of(places * scale, axis, turned, pressed, net).to(self._dtype)
         if net.profile.gel == "rigid":
@@ -138,7 +138,7 @@ def heights_of(
     """
     profile, surface = net.profile, net.surface
     where, axis, turned, pressed = (v.detach().numpy() for v in (points, axes, angles, depths))
-    height, _, retreat = seated_heightmaps(surface.caster, where, axis, turned, pressed, profile, net.scale)
+    height, _, retreat = heightmaps(surface.caster, where, axis, turned, pressed, profile, net.scale)
     frames, gel = sensor_frames(axes, angles), torch.from_numpy(gel_depth(profile)).ravel()
     rays = torch.from_numpy(ray_directions(profile)).reshape(-1, 3)
     cameras = points + axes * (profile.camera_to_gel - depths + torch.from_numpy(retreat))[:, None]

@@ -16,7 +16,7 @@ from objectfolder.objectfile.gradients.module import AnswerModule
 from objectfolder.objectfile.vision import SurfaceSense, poses_and_lights, require_image_room
 from objectfolder.vision.cameras import Intrinsics, PixelRays, covered_rectangle, up_directions
 from objectfolder.vision.trace import SurfaceSamples, is_lit, weighted_rows
-from objectfolder.vision.vectors import column_major, dot, normalized
+from objectfolder.vision.vectors import column_major, dot, normalize_rows
 from objectfolder.vision.view import SQUARE_SIDE, STRIP
 
 _BYTES_PER_PIXEL = 64  # outside of the silhouette; more inside, for the net's gradients
@@ -153,14 +153,14 @@ def hits(
     third = dot(torch.linalg.cross(b - a, points - a), area) / square
     weights = torch.cat([1 - second - third, second, third], 1).to(dtype)
     corners = torch.from_numpy(surface.corners(face))
-    normals = normalized(column_major(weighted_rows(surface.shading.tensor.to(dtype), corners, weights)))
+    normals = normalize_rows(column_major(weighted_rows(surface.shading.tensor.to(dtype), corners, weights)))
     points = points.to(dtype)
     lit = is_lit(surface, points.detach().float(), normals.detach().float(), light.float())
     return SurfaceSamples(
         torch.arange(len(face)),
         points,
         normals,
-        normalized(away.to(dtype)),
+        normalize_rows(away.to(dtype)),
         distance[:, 0],
         lit,
         corners,
@@ -177,9 +177,9 @@ def pixel_ways(seen_by: Intrinsics, row: np.ndarray, column: np.ndarray) -> torc
 
 def looking_at(positions: torch.Tensor) -> torch.Tensor:
     """Return `objectfolder.vision.cameras.look_at` of the origin, with gradients; (N, 4, 4)."""
-    backward = normalized(positions)
+    backward = normalize_rows(positions)
     up = torch.from_numpy(up_directions(backward.detach().numpy()))
-    right = normalized(torch.linalg.cross(up, backward))
+    right = normalize_rows(torch.linalg.cross(up, backward))
     rows = torch.stack([right, torch.linalg.cross(backward, right), backward, positions], 2)
     last = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(rows).expand(len(rows), 1, 4)
     return torch.cat([rows, last], 1)

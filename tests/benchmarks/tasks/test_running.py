@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_info
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets import splits
 from objectfolder.benchmarks.models import encoders
-from objectfolder.benchmarks.models.encode_config import EncodeConfig
+from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.benchmarks.params import TaskParams
 from objectfolder.benchmarks.tasks import localization, running
 from objectfolder.benchmarks.tasks.retrieval import RETRIEVE

@@ -5,7 +5,7 @@ import pytest
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import per_sample
-from objectfolder.benchmarks.models.encode_config import InputSizes
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import vision_to_touch as task
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.vision_to_touch import CURVE_COLUMNS, compared, vision_to_touch
