@@ -17,7 +17,7 @@ from objectfolder.benchmarks.datasets.splits import object_split
 from objectfolder.benchmarks.tasks.recognition import RECOGNIZE
 from objectfolder.benchmarks.tasks.retrieval import RETRIEVE
 from objectfolder.cli import app
-from objectfolder.cli.console import tracked
+from objectfolder.cli.console import track_progress
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import open_safetensors, write_safetensors
 from objectfolder.objectfile.file import ObjectFile
@@ -290,7 +290,7 @@ def test_unseen_needs_objects_to_test_with(brick, workspace, monkeypatch):
     monkeypatch.setattr(run, "read_json", lambda path: {})
     lines = []
     scores = run.run_on_splits(
-        RETRIEVE, run.BenchmarkOptions(files=[*map(Path, files)]), lines.append, tracked
+        RETRIEVE, run.BenchmarkOptions(files=[*map(Path, files)]), lines.append, track_progress
     )
     assert asked == [*scores] == ["seen"]
     assert lines[0].startswith("left out: split unseen: of brick_")
