@@ -137,7 +137,9 @@ class Progress:
 
     def _describe(self, result: StageResult) -> str:
         place = f"[{self.done}/{self.total}]"
-        detail = result.error or " ".join(filter(None, (_seconds(result), _peak(result))))
+        seconds = f"{result.seconds:.1f} s" if result.seconds else ""
+        peak = "" if result.peak_mb is None else f"{result.peak_mb:.0f} MB"
+        detail = result.error or f"{seconds} {peak}".strip()
         line = f"{result.status:<8} {result.address} {place} {detail}".rstrip()
         return (
             f"{line}; {self._times()}" if result.status is StageOutcome.RAN and self._live is None else line
@@ -226,11 +228,3 @@ def _failure(result: StageResult) -> Text:
 def _duration(seconds: float) -> str:
     """Return a time as hours, minutes and seconds, such as ``0:08:51``."""
     return str(timedelta(seconds=round(seconds)))
-
-
-def _seconds(result: StageResult) -> str:
-    return f"{result.seconds:.1f} s" if result.seconds else ""
-
-
-def _peak(result: StageResult) -> str:
-    return "" if result.peak_mb is None else f"{result.peak_mb:.0f} MB"

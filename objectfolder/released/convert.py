@@ -100,8 +100,10 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
         low, high = bounds
         frame = Frame(tuple(((low + high) / 2).tolist()), float((high - low).max()))
     readers: dict[str, Callable[[ReleasedDict], Any]] = {
-        "vision": lambda part: _vision(part, options),
-        "audio": lambda part: _audio(part, frame),
+        "vision": lambda part: (nerf_net if "network_fn_state_dict" in part else configured_net)(
+            part, options.crop
+        ),
+        "audio": lambda part: (spectrogram_net if "voxel_vertex" in part else gains_net)(part, frame),
         "touch": lambda part: _touch(part, frame, bounds, sensor, gel),
     }
     header: dict[str, Any] = {
@@ -145,16 +147,6 @@ def _check_names(options: ImportOptions) -> None:
     if options.key is not None:
         checked_name("key", options.key, "key")
     checked_name("material", options.material, "material")
-
-
-def _vision(part: ReleasedDict, options: ImportOptions) -> ReleasedNerf | ReleasedKilo:
-    if "network_fn_state_dict" in part:
-        return nerf_net(part, options.crop)
-    return configured_net(part, options.crop)
-
-
-def _audio(part: ReleasedDict, frame: Frame) -> ReleasedSpectrogram | ReleasedGains:
-    return spectrogram_net(part, frame) if "voxel_vertex" in part else gains_net(part, frame)
 
 
 def _touch(

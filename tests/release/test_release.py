@@ -184,12 +184,9 @@ def test_attributions_are_passed_on(fetched):
         assert f"- {ATTRIBUTION}; CC BY 4.0 (https://c.d): cup. Changes: the mesh is renamed." in text
 
 
-def test_a_release_without_notices_names_nobody(dataset):
+def test_pages_say_what_is_so(dataset):
     assert not (dataset.folder / "licences").exists()
     assert "Attribution" not in (dataset.folder / "README.md").read_text()
-
-
-def test_the_datasheet_says_of_scans_and_gaps_what_is_so(dataset):
     text = (dataset.folder / "DATASHEET.md").read_text()
     assert "no object was photographed" not in text
     assert "textures of scanned meshes are photographs" in text
