@@ -11,9 +11,8 @@ class RenderTouchConfig:
     """Section ``render_touch`` of ``params.yaml``."""
 
     locations: Literal["surface", "vertices"]  #: random points by area, or vertices (as the paper)
-    normals: Literal[
-        "contact", "vertex"
-    ]  #: of the pressed surface (`objectfolder.touch.contact.contact_normals`), or the mesh's (the paper)
+    #: Of the pressed surface (`objectfolder.touch.contact.contact_normals`), or the mesh's (the paper)
+    normals: Literal["contact", "vertex"]
     train: Count | None  #: contacts; with ``vertices`` at most, and null: every vertex of the split
     val: Count | None
     test: Count | None
