@@ -77,7 +77,7 @@ class CutCells:
     @property
     def degrees_of_freedom(self) -> int:
         """Number of unknowns."""
-        return 3 * node_count(self)
+        return 3 * (int(self.connectivity.max()) + 1 - len(self.hanging))
 
     @property
     def cell_size(self) -> float:
@@ -286,11 +286,6 @@ def glue(material: Occupancy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     faces = element[material.links[np.abs(offset).sum(1) == 1]]
     faces = faces[(faces >= 0).all(1)]
     return kept, connectivity, components(faces[:, 0], faces[:, 1], len(kept))[1]
-
-
-def node_count(cells: CutCells) -> int:
-    """Count the free nodes, without assembly."""
-    return int(cells.connectivity.max()) + 1 - len(cells.hanging)
 
 
 def _element_at(cells: CutCells, position: np.ndarray) -> np.ndarray:
