@@ -28,9 +28,8 @@ _SHARED_SPAN = 0.04  # difference of wavenumbers, times the radius, within which
 _STEP = 0.5  # between wavenumbers, times the radius, among which the fields of dense modes are interpolated
 _NODES = np.arange(-1, 3)  # of these wavenumbers, those around a mode: cubic polynomials
 _MIN_SAVING = 1.5  # times as many matrices, at least, that interpolation must save
-_MAX_INTERPOLATION_ERROR = (
-    0.0075  # least difference of cubic and quadratic interpolation, relative, for which a mode is solved
-)
+# Least difference of cubic and quadratic interpolation, relative, for which a mode is solved
+_MAX_INTERPOLATION_ERROR = 0.0075
 
 
 def radiate(

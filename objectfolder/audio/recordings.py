@@ -26,9 +26,8 @@ MIN_RATE = 8000.0  # Hz
 MAX_SECONDS = 600.0
 MAX_RATIO = 1.5  # of the highest to the lowest sample rate
 LENGTH_TOLERANCE = 0.05  # s that may lack at the end: some encoders write lengths that are wrong by less
-UNKNOWN_SIZE = (
-    0x7FFF0000  # bytes; such sizes, and 0, stand for one that was not known when the header was written
-)
+# Bytes; such sizes, and 0, stand for one that was not known when the header was written
+UNKNOWN_SIZE = 0x7FFF0000
 UNKNOWN_LENGTH = 2**62  # samples; as many or more stand for a number that is not known
 #: In the log of libsndfile: bytes of sound that the header says, and that the file has.
 _SIZES = re.compile(r"^\s*(?:data|SSND|Data Size|riff|Riff size)\s*: (\d+) \(should be (\d+)\)", re.MULTILINE)

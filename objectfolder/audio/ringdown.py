@@ -17,14 +17,12 @@ BAND = 150.0  # Hz, width of the bands that are analysed one by one
 ABOVE_FLOOR = 4.0  # amplitude of a peak over the floor of the spectrum around it
 FLOOR_WIDTH = 400.0  # Hz, over which that floor is the median
 ABOVE_NOISE = 4.0  # amplitude of a ring over the noise after it
-MIN_SINGULAR_VALUE = (
-    0.1  # singular value of a mode, over the largest of its band; below are differences between taps
-)
+# Singular value of a mode, over the largest of its band; below are differences between taps
+MIN_SINGULAR_VALUE = 0.1
 MIN_DAMPING = 0.2  # decay rate, 1/s; slower is hum
 MIN_SAMPLES = 40  # of a decimated ring
-MIN_TAP_LENGTH = (
-    0.3  #: s of a tap; of shorter ones too few samples are left, decimated to the width of a band
-)
+#: s of a tap; of shorter ones too few samples are left, decimated to the width of a band
+MIN_TAP_LENGTH = 0.3
 MIN_EXPLAINED_ENERGY = 0.95  # of a band's energy that few modes hold, if it rings to the end of the recording
 MAX_STEADY_MODES = 8  # modes
 

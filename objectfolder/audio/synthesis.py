@@ -10,9 +10,8 @@ from objectfolder.errors import ObjectFolderError
 
 RESPONSES = ("displacement", "velocity", "acceleration")
 _STRIDE = 256  # samples between computed exponentials; the others are products
-_SLOW_CONTACT_PHASE = (
-    1.5 * math.pi
-)  # radians of a mode during a contact beyond which its force counts as slow; see `force_factors`
+# Radians of a mode during a contact beyond which its force counts as slow; see `force_factors`
+_SLOW_CONTACT_PHASE = 1.5 * math.pi
 
 
 def sinusoid_bank(

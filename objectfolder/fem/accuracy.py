@@ -34,10 +34,8 @@ class Discretisation:
         """Lowest frequencies on the grids of half and quarter resolution, as far as they exist; Hz."""
         half = coarser(self.solid)
         quarter = coarser(half) if half is not None else None
-        return [self._on(solid).lowest_frequencies() for solid in (half, quarter) if solid is not None]
-
-    def _on(self, solid: Solid) -> "Discretisation":
-        return Discretisation(solid, self.material, self.scale)
+        grids = [solid for solid in (half, quarter) if solid is not None]
+        return [Discretisation(solid, self.material, self.scale).lowest_frequencies() for solid in grids]
 
     def lowest_frequencies(self, count: int = ESTIMATED_MODES) -> np.ndarray:
         """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""

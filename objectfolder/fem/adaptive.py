@@ -19,9 +19,8 @@ from objectfolder.mesh.topology import Mesh, signed_volume
 _SAMPLES, _MORE_SAMPLES = 100_000, 400_000  # surface points, to find the cells that the surface touches
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
 _GROWTH = 1.8  # unknowns grow at least with this power of the resolution (thin sheets with free edges)
-_MAX_COARSENESS = (
-    1.5  # where uniform grids within the limit are coarser than wanted by this factor, sizes are mixed
-)
+# Where uniform grids within the limit are coarser than wanted by this factor, sizes are mixed
+_MAX_COARSENESS = 1.5
 _MIN_BULK_SHARE = 2 / 3  # share of the volume in full elements; thin shells need all their cells alike
 _MIXED_RESOLUTIONS = 192, 160, 128, 96  # cells along the longest side where sizes are mixed
 _SUBDIVISIONS = 4  # of its cells: eight columns through each suffice, and cutting costs less than half

@@ -13,6 +13,7 @@ Blocks of full cells become larger elements (`objectfolder.fem.blocks`).
 """
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -46,6 +47,8 @@ MAX_VOLUME_ERROR = 0.05  #: accepted relative volume error of the cells, before 
 class CutCells:
     """Solid in the unit frame as cut cells: each element is a grid cell with one part of its material."""
 
+    name: ClassVar[str] = CUT_CELLS  #: of the element
+    order: ClassVar[int] = 2  #: degree of the complete polynomials
     index: np.ndarray  #: (E, 3) int64, grid position of each element's cell
     occupancy: np.ndarray  #: (E, 5, 5, 5) float32, Legendre moments in x, y, z over [-1, 1]^3
     connectivity: np.ndarray  #: (E, 20) int64, nodes of each element
@@ -67,24 +70,14 @@ class CutCells:
             object.__setattr__(self, "width", np.ones(len(self.index), np.int64))
 
     @property
-    def name(self) -> str:
-        """Name of the element."""
-        return CUT_CELLS
-
-    @property
     def elements(self) -> int:
         """Number of elements."""
         return len(self.index)
 
     @property
-    def order(self) -> int:
-        """Degree of the complete polynomials."""
-        return 2
-
-    @property
     def degrees_of_freedom(self) -> int:
         """Number of unknowns."""
-        return 3 * node_count(self)
+        return 3 * (int(self.connectivity.max()) + 1 - len(self.hanging))
 
     @property
     def cell_size(self) -> float:
@@ -293,11 +286,6 @@ def glue(material: Occupancy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     faces = element[material.links[np.abs(offset).sum(1) == 1]]
     faces = faces[(faces >= 0).all(1)]
     return kept, connectivity, components(faces[:, 0], faces[:, 1], len(kept))[1]
-
-
-def node_count(cells: CutCells) -> int:
-    """Count the free nodes, without assembly."""
-    return int(cells.connectivity.max()) + 1 - len(cells.hanging)
 
 
 def _element_at(cells: CutCells, position: np.ndarray) -> np.ndarray:

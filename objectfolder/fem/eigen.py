@@ -21,9 +21,8 @@ SHIFT = -((2 * np.pi * 300.0) ** 2)  # rad^2/s^2; at most, see `FreeVibration`
 EXPANSION = 30  # shifts are at most this share of the Rayleigh quotient of a uniform expansion
 CLUSTER = 1e-6  # frequencies closer than this (relative) span one subspace
 SPARE_MODES = 4  # modes computed beyond the wanted ones, so that the cut splits no repeated eigenvalue
-ZERO_ENERGY = (
-    1e-12  # share of the energy of moving each unknown alone, below which a mode's is zero up to rounding
-)
+# Share of the energy of moving each unknown alone, below which a mode's is zero up to rounding
+ZERO_ENERGY = 1e-12
 
 
 @dataclass(frozen=True)

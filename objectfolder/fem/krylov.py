@@ -20,9 +20,8 @@ _BLOCK, _WIDE_BLOCK, _WIDE_BLOCK_MODES = (
     16,
     150,
 )  # block sizes, and the number of modes above which it is wide
-_MAX_BASIS_RATIO = (
-    50  # basis size, per wanted mode and column of a block, beyond which nothing converges; 6 suffice
-)
+# Basis size, per wanted mode and column of a block, beyond which nothing converges; 6 suffice
+_MAX_BASIS_RATIO = 50
 _FIRST_CHECK, _GROWTH = 2.0, 1.06  # basis size per wanted mode at the first convergence check; growth after
 
 

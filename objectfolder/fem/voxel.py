@@ -6,6 +6,7 @@ locking. Neither resolves walls thinner than a cell.
 """
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import label
@@ -35,6 +36,7 @@ _GAUSS = 1 / np.sqrt(3)
 class Voxels:
     """Solid in the unit frame as whole cells of a grid."""
 
+    order: ClassVar[int] = 1  #: degree of the complete polynomials
     index: np.ndarray  #: (E, 3) int64, grid position of each voxel
     connectivity: np.ndarray  #: (E, 8) int64
     resolution: int  #: cells along each axis of the grid
@@ -51,11 +53,6 @@ class Voxels:
     def elements(self) -> int:
         """Number of elements."""
         return len(self.index)
-
-    @property
-    def order(self) -> int:
-        """Degree of the complete polynomials."""
-        return 1
 
     @property
     def degrees_of_freedom(self) -> int:

@@ -13,9 +13,8 @@ from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import Vectors
 
-_CACHED_DISPLACEMENTS = (
-    256  # displacements: a fit asks for those of all pictures, and changes one pose at a time
-)
+# Displacements: a fit asks for those of all pictures, and changes one pose at a time
+_CACHED_DISPLACEMENTS = 256
 
 
 class BallModel:

@@ -104,9 +104,8 @@ def find_overflow(picture: np.ndarray) -> np.ndarray:
 
 def estimate_untouched(observed: np.ndarray, untouched: np.ndarray | None) -> np.ndarray:
     """Return the untouched sensor for each picture, (K, H, W, 3): the median of all, if it is not given."""
-    if untouched is not None:
-        return np.broadcast_to(np.asarray(untouched, np.float32), observed.shape)
-    return np.broadcast_to(np.median(observed, axis=0), observed.shape)
+    given = np.median(observed, axis=0) if untouched is None else np.asarray(untouched, np.float32)
+    return np.broadcast_to(given, observed.shape)
 
 
 def check_background_seen(

@@ -75,7 +75,8 @@ def shear_contacts(
     their shorter side has less than 80 pixels.
 
     Pressure (N, H, W), Pa, is that of `gel.deform`; shear (N, 2), metres, twist (N,), radians, and friction
-    (N,) are those of `sheared`. Raises ObjectFolderError if the gel is rigid, or a contact does not converge.
+    (N,) are those of `shear_touches`. Raises ObjectFolderError if the gel is rigid, or a contact does not
+    converge.
     """
     if profile.gel == "rigid":
         raise ObjectFolderError(

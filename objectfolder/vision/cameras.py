@@ -11,9 +11,8 @@ from objectfolder.errors import ObjectFolderError
 CAMERA_RADIUS = 2.5  #: training cameras sit on this sphere (supplementary C)
 LIGHT_RADIUS = 1.0
 MAX_COORDINATE = 1e3  #: coordinate of a camera or light: beyond, single precision does not resolve the object
-RIGID_TOLERANCE = (
-    1e-4  #: largest deviation of a camera's matrix from a rigid motion; single precision leaves 1e-6
-)
+#: Largest deviation of a camera's matrix from a rigid motion; single precision leaves 1e-6
+RIGID_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)

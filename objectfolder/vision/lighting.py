@@ -16,9 +16,8 @@ from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.vision.cameras import MAX_COORDINATE
 
 MAX_COLOR = 1e12  #: of a colour: its light near a surface still fits into single precision
-PARALLEL_DISTANCE = (
-    30.0  #: distance from which a point light counts as parallel: nets learnt from near and parallel ones
-)
+#: Distance from which a point light counts as parallel: nets learnt from near and parallel ones
+PARALLEL_DISTANCE = 30.0
 KEY_DISTANCE = 2.4  #: of the lights of the studio, unit frame
 
 #: Three numbers, such as a position or a linear colour.

@@ -49,7 +49,8 @@ def sample_strata(
     A generator, on the CPU, draws each sample uniformly within its part; without one, samples are the
     midpoints.
     """
-    place = torch.full((len(low), count), 0.5) if generator is None else _uniform(len(low), count, generator)
+    shape = len(low), count
+    place = torch.full(shape, 0.5) if generator is None else torch.rand(*shape, generator=generator)
     fraction = (torch.arange(count, device=low.device) + place.to(low)) / count
     return low[:, None] + fraction * (high - low)[:, None]
 
@@ -99,7 +100,3 @@ def resample(
         (ends.gather(1, found - 1), ends.gather(1, found)) for ends in (cumulative, intervals)
     )
     return t0 + (t1 - t0) * ((target - c0) / (c1 - c0).clamp(min=1e-12)).clamp(0, 1)
-
-
-def _uniform(rows: int, columns: int, generator: torch.Generator) -> torch.Tensor:
-    return torch.rand(rows, columns, generator=generator)

@@ -6,7 +6,7 @@ from numpy.polynomial.legendre import legint, legval
 from solids import STUFF, TURN, box, full_cells, join, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.cutcell import cut_cells, node_count
+from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import rigid_motions, solve_modes
 from objectfolder.fem.elasticity import elasticity
 from objectfolder.fem.occupancy import _columns, facing_axis, measure
@@ -190,7 +190,7 @@ def test_interpolation_outside_every_element_stays_within_the_nearest_one(off_gr
 
 def test_nodes_are_shared_between_neighbours():
     cells = full_cells(np.array([[0, 0, 0], [1, 0, 0]]), 4)
-    assert node_count(cells) == 20 + 20 - 8
+    assert cells.degrees_of_freedom == 3 * (20 + 20 - 8)
 
 
 def test_a_speck_that_touches_nothing_is_dropped_and_reported():

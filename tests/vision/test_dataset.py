@@ -101,10 +101,16 @@ def test_views_without_light_have_no_lit_noise():
     assert estimate_noise(dark, dark) == (0.0, 0.0)
 
 
-def test_the_noise_of_path_traced_views_is_their_error_against_the_converged():
+@pytest.fixture(scope="module")
+def table():
+    """A ball over a board, in many colours."""
     solid = join(sphere(0.25, 3, (0, 0, 0.2)), box((1.0, 1.0, 0.1), (0, 0, -0.1)))
-    colors = np.full((len(solid[0]), 3), 200, np.uint8)
-    renderer = MitsubaRenderer(Scene(TexturedMesh(*solid, vertex_colors=colors)))
+    colors = np.random.default_rng(1).integers(0, 255, (len(solid[0]), 3)).astype(np.uint8)
+    return Scene(TexturedMesh(*solid, vertex_colors=colors))
+
+
+def test_the_noise_of_path_traced_views_is_their_error_against_the_converged(table):
+    renderer = MitsubaRenderer(table)
     views = split(renderer, 16, count=3)
     truth = [
         renderer.render(pose, light, SMALL, 1024, 1)
@@ -114,14 +120,9 @@ def test_the_noise_of_path_traced_views_is_their_error_against_the_converged():
     assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=1.5)
 
 
-def test_tiles_are_cut_from_whole_views():
-    solid = join(sphere(0.25, 3, (0, 0, 0.2)), box((1.0, 1.0, 0.1), (0, 0, -0.1)))
-    colors = np.random.default_rng(1).integers(0, 255, (len(solid[0]), 3)).astype(np.uint8)
-    renderer, rng = (
-        MitsubaRenderer(Scene(TexturedMesh(*solid, vertex_colors=colors))),
-        np.random.default_rng(2),
-    )
-    shots = Shots.tiles(9, 12, solid[0], SMALL, rng)
+def test_tiles_are_cut_from_whole_views(table):
+    renderer, rng = MitsubaRenderer(table), np.random.default_rng(2)
+    shots = Shots.tiles(9, 12, table.mesh.vertices, SMALL, rng)
     tiles = render_shots(renderer, shots, 64, rng)
     assert tiles["rgba"].shape == (9, 12, 12, 4)
     corners = np.round(16 - tiles["center"]).astype(int)

@@ -6,13 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from solids import box, isosurface, sphere
+from solids import box, isosurface, sphere, stored
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_png
-from objectfolder.mesh.grid import DistanceGrid
-from objectfolder.mesh.gridcodec import BOUND, quantise
-from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.vision import lit_picture
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.environment import MAX_PIXEL, environment_lamps, pixel_directions, read_environment
@@ -108,13 +105,11 @@ def test_a_distant_light_is_the_limit_of_a_far_point_light(shape):
 
 
 def test_interreflection_of_a_distant_light_is_the_limit_of_a_far_one():
-    # A bowl: light falls in and bounces.
-    axis = np.linspace(-BOUND, BOUND, 64)
-    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
-    r = np.sqrt(x**2 + y**2 + z**2)
-    band = 2.5 * (axis[1] - axis[0])
-    distance = np.maximum(np.maximum(r - 0.49, 0.38 - r), z - 0.1)
-    surface = Isosurface(DistanceGrid(quantise(distance, band), band))
+    def bowl(x, y, z):  # light falls in and bounces
+        r = np.sqrt(x**2 + y**2 + z**2)
+        return np.maximum(np.maximum(r - 0.49, 0.38 - r), z - 0.1)
+
+    surface = stored(bowl)
     radiosity = Radiosity(surface, lambda points, normals: torch.full((len(points), 3), 0.5))
     way = torch.tensor([0.36, 0.48, 0.8])
     distant = torch.cat([way, torch.zeros(1)])

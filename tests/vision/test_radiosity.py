@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
 import torch
-from solids import isosurface, sphere
+from solids import isosurface, sphere, stored
 
-from objectfolder.mesh.grid import DistanceGrid
-from objectfolder.mesh.gridcodec import BOUND, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples, trace
@@ -16,12 +14,12 @@ REFLECTANCE = torch.tensor([0.8, 0.5, 0.1])
 @pytest.fixture(scope="module")
 def cavity():
     """A thick shell; its inner wall is a sphere seen from inside."""
-    size = 96
-    axis = np.linspace(-BOUND, BOUND, size)
-    r = np.sqrt(sum(np.square(np.meshgrid(*[axis] * 3, indexing="ij"))))
-    distance = np.maximum(r - 0.49, RADIUS - r)
-    band = 2.5 * (axis[1] - axis[0])
-    return Isosurface(DistanceGrid(quantise(distance, band), band))
+
+    def distance(x, y, z):
+        r = np.sqrt(x**2 + y**2 + z**2)
+        return np.maximum(r - 0.49, RADIUS - r)
+
+    return stored(distance, 96)
 
 
 def gray(points: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
