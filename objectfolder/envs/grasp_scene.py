@@ -240,23 +240,20 @@ class GraspScene:
 
         Takes the pose (7,) of the object at rest, that of the hand (4,), and the force, N.
         """
-        layout, (phases, heights, jaws) = (
-            self.layout,
-            phase_targets(self.physics.timestep, self.physics.speed),
-        )
+        layout = self.layout
+        phases, heights, jaws = phase_targets(self.physics.timestep, self.physics.speed)
         controls = layout.constant_controls(hand[None], np.full(1, OPEN), len(phases))
         controls[0, :, layout.height_motor] += heights
         controls[0][:, layout.jaw_motors] = jaws[:, None]
         start = layout.states(place[None], hand[None] + [0, 0, LIFT, 0], np.full(1, OPEN))
         (states,), _ = self._pool.rollout([self._with_force(force)], self._data, start, control=controls)
-        moments = range(0, len(phases), max(self._steps(every), 1))
-        poses = [
-            (states[k, layout.object_pose], states[k, layout.hand], states[k, layout.jaws]) for k in moments
-        ]
         return [
-            GraspFrame(phases[k], place, hand, float(jaws.sum()))
-            for k, (place, hand, jaws) in zip(moments, poses)
-        ]
+            GraspFrame(
+                phases[k], states[k, layout.object_pose], states[k, layout.hand],
+                float(states[k, layout.jaws].sum()),
+            )
+            for k in range(0, len(phases), max(self._steps(every), 1))
+        ]  # fmt: skip
 
     def _compile(self, reach: float = 0.0) -> mujoco.MjModel:
         spec = self.physics.scene()
