@@ -76,11 +76,8 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
         volume, centre, inertia = solid_moments(file)
     else:
         found = surface.mass_properties
-        volume, centre, inertia = (
-            float(found.volume),
-            np.asarray(found.center_mass),
-            np.asarray(found.inertia),
-        )
+        volume, centre = float(found.volume), np.asarray(found.center_mass)
+        inertia = np.asarray(found.inertia)
     return RigidBody(
         key=file.key,
         hulls=tuple(hulls),

@@ -142,4 +142,8 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return sound[start : start + self._samples].clip(-calls.MAX_PRESSURE, calls.MAX_PRESSURE)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._arguments, {name: getattr(self, name) for name in ("_episode", *calls.KEPT)}
+        return (
+            type(self),
+            self._arguments,
+            {name: getattr(self, name) for name in ("_episode", *calls.COPIED_ATTRIBUTES)},
+        )

@@ -1,4 +1,6 @@
-"""A small net that names what fell by its sound: the trained baseline of ``ObjectFolder/Drop-v0``.
+"""Small nets that listen: the trained baselines of ``ObjectFolder/Drop-v0`` and ``ObjectFolder/Tap-v0``.
+
+The first names what fell, the second finds the odd one of a row.
 
 What tells a material from another, whatever the object's size, is the loss factor: how fast modes decay for
 their frequency. So the net hears how loud each band is, and the loss factors with which it fades.
@@ -51,11 +53,8 @@ def features(sounds: np.ndarray, sample_rate: float) -> np.ndarray:
     own = (inside * hertz).sum(1) / inside.sum(1)
     centre = torch.where(total > 0, ((inside * hertz) @ power).sum(2) / total.clip(1e-30), own)
     before, after = bands[..., :-LAG], bands[..., LAG:]
-    fades = (
-        (before > FADE_THRESHOLD * HEARING_THRESHOLD)
-        & (after > 0.1 * FADE_THRESHOLD * HEARING_THRESHOLD)
-        & (after < before)
-    )
+    loud, faint = FADE_THRESHOLD * HEARING_THRESHOLD, 0.1 * FADE_THRESHOLD * HEARING_THRESHOLD
+    fades = (before > loud) & (after > faint) & (after < before)
     rate = torch.log(before.clip(1e-30) / after.clip(1e-30)) * (sample_rate / (LAG * HOP))
     loss = torch.log10((rate / (2 * np.pi * centre[..., None])).clip(*LOSS_RANGE))
     quartiles = torch.where(fades, loss, torch.nan).nanquantile(torch.tensor(QUARTILES), 2).movedim(0, 2)
@@ -67,9 +66,7 @@ def features(sounds: np.ndarray, sample_rate: float) -> np.ndarray:
         centre / own,
         known.float(),
         torch.where(known[..., None], quartiles, UNKNOWN_LOSS).flatten(1),
-        _histograms(
-            loss, torch.where(fades, torch.log10(before / (0.1 * FADE_THRESHOLD * HEARING_THRESHOLD)), 0.0)
-        ),
+        _histograms(loss, torch.where(fades, torch.log10(before / faint), 0.0)),
     ]
     return torch.cat(parts, 1).numpy()
 

@@ -1,4 +1,7 @@
-"""Explore: an object of unknown size and direction stands on a table unseen; name it by a few touches."""
+"""Explore: an object of unknown size and direction stands on a table unseen; name it by a few touches.
+
+`Explorer` does so from a belief: the trained baseline of ``ObjectFolder/Explore-v0``.
+"""
 
 import math
 from collections.abc import Sequence
@@ -192,7 +195,7 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         }
 
     def __reduce__(self) -> tuple[Any, ...]:
-        state = {name: getattr(self, name) for name in ("_episode", "_touches", *calls.KEPT)}
+        state = {name: getattr(self, name) for name in ("_episode", "_touches", *calls.COPIED_ATTRIBUTES)}
         return type(self), self._arguments, state
 
 

@@ -53,13 +53,13 @@ class TouchBank:
 
     def __init__(self, pressed: Presses, features: np.ndarray):
         self.pressed, self.features = pressed, features
-        self._tree = cKDTree(self._scaled(pressed))
+        self._tree = cKDTree(self._scale_features(pressed))
 
     def __call__(self, pressed: Presses) -> np.ndarray:
         """Return features of the nearest stored presses; (N, F)."""
         if not len(pressed.points):
             return np.zeros((0, self.features.shape[1]), np.float32)
-        return self.features[self._tree.query(self._scaled(pressed))[1]]
+        return self.features[self._tree.query(self._scale_features(pressed))[1]]
 
     def save(self, path: str | Path, source: str) -> None:
         """Write the bank with the name of its source."""
@@ -74,5 +74,5 @@ class TouchBank:
             return None
         return cls(Presses(*(stored[name] for name in names[:3])), stored["features"])
 
-    def _scaled(self, pressed: Presses) -> np.ndarray:
+    def _scale_features(self, pressed: Presses) -> np.ndarray:
         return np.c_[pressed.points / self._POINT, pressed.outward / self._OUTWARD]

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from objectfolder.envs.body import rotation
-from objectfolder.envs.fingers import GRID_REDUCTION, LEAST_DEPTH, sensor_angles
+from objectfolder.envs.fingers import GRID_REDUCTION, MIN_DEPTH, sensor_angles
 from objectfolder.envs.sounding import Objects, check_extent, find_bodies, site_number
 from objectfolder.envs.state import SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted
@@ -244,7 +244,7 @@ class Feeling:
         self, file: ObjectFile, poses: tuple[np.ndarray, np.ndarray, np.ndarray], forces: np.ndarray
     ) -> np.ndarray:
         """Return the depths at which the gels bear forces (N,), interpolated on logarithmic scales."""
-        levels = np.geomspace(LEAST_DEPTH, self.profile.max_indentation, DEPTH_LEVELS)
+        levels = np.geomspace(MIN_DEPTH, self.profile.max_indentation, DEPTH_LEVELS)
         points, outward, angle = (np.repeat(of, DEPTH_LEVELS, 0) for of in poses)
         depths = np.tile(levels, len(forces))
         found = press(file.surface.caster, points, outward, angle, depths, self._coarse, file.scale)

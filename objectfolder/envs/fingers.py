@@ -1,4 +1,7 @@
-"""Tactile images of both fingers in a grasp, from the Object File or from the true surface."""
+"""What both fingers feel in a grasp, from the Object File or from the true surface.
+
+The first contact of gently closing jaws is found by casting rays from the pads.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +22,7 @@ from objectfolder.touch.simulate import touch_images
 
 GRID_REDUCTION = 8  #: reduction of the sensor's resolution, each way, to solve for the gel's force
 LEVELS = 4  #: number of depths at which the force is solved for
-LEAST_DEPTH = 1e-4  #: of a press, m
+MIN_DEPTH = 1e-4  #: of a press, m
 PAD_RAYS = (7, 9)  #: rays across and up a pad
 CONTACT_DEPTH = 0.0007  #: surface up to this far behind the first hit counts as touched, m
 
@@ -91,7 +94,7 @@ def press_depths(file: ObjectFile, pressed: Presses, forces: np.ndarray) -> np.n
         return np.full(len(pressed.points), file.fixed_contact.depth)
     profile = file.sensor_profile
     coarse = replace(profile, height=profile.height // GRID_REDUCTION, width=profile.width // GRID_REDUCTION)
-    depths = np.geomspace(LEAST_DEPTH, profile.max_indentation, LEVELS)
+    depths = np.geomspace(MIN_DEPTH, profile.max_indentation, LEVELS)
     contacts = _contacts(file, pressed, np.zeros(len(pressed.points)))
     at_depths = [replace(contacts, depth=np.full(len(contacts.points), depth)) for depth in depths]
     felt = np.stack(

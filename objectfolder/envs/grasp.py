@@ -102,7 +102,7 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         return self._episodes.picture(0)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept, of = {name: getattr(self, name) for name in calls.KEPT}, self._episodes
+        kept, of = {name: getattr(self, name) for name in calls.COPIED_ATTRIBUTES}, self._episodes
         # Places and hands are never changed in place, so that a copy may share them.
         return type(self), self._arguments, (kept, (of.objects, of.hands, of.step))
 
@@ -177,7 +177,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         """
         calls.refuse_options(options)
         if isinstance(seed, list | tuple | np.ndarray):
-            self._generators = self._seeded([*seed])
+            self._generators = self._seed([*seed])
         elif seed is not None:
             super().reset(seed=whole_number("seed", seed))
             self._generators = []
@@ -210,7 +210,7 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
             return self._episodes.begin(1, *self._generators)
         return self._episodes.begin(self.num_envs, self.np_random)
 
-    def _seeded(self, seeds: Sequence[int | None]) -> list[np.random.Generator]:
+    def _seed(self, seeds: Sequence[int | None]) -> list[np.random.Generator]:
         """Return a generator for each environment; without a seed, it keeps the one that it has."""
         if len(seeds) != self.num_envs:
             raise ObjectFolderError(

@@ -19,18 +19,18 @@ from objectfolder.envs.gripper import LAG, OPEN, SHUT, SPEED, STROKE, TIP, State
 from objectfolder.errors import ObjectFolderError
 
 HOLD_SHARE = 0.8  #: a held object rises by more than this share of the hand's way
-TICK = 0.1  #: interval at which closing jaws are checked, s
-CLOSING_TICKS = 7  #: upper bound: a jaw crosses its stroke and comes to rest
+CLOSING_INTERVAL = 0.1  #: interval at which closing jaws are checked, s
+MAX_INTERVALS = 7  #: upper bound: a jaw crosses its stroke and comes to rest
 CLOSED_SPEED = 0.005  #: below it a jaw has closed, m/s
 CLEARANCE = 0.002  #: between the object and jaws that start to close, m
 PENETRATION = 1e-4  #: depth from which two bodies collide, m
-SETTLING = 4.0  #: time that a dropped object gets to come to rest, s
+SETTLING_DURATION = 4.0  #: time that a dropped object gets to come to rest, s
 SETTLING_INTERVAL = 0.5  #: interval at which dropped objects are checked, s
 REST_SPEED = 0.01  #: below it an object is at rest, m/s and rad/s
 DROPS = 64  #: random orientations that resting poses come from
 LIFT = 0.1  #: height to which objects are lifted, m
-LIFTING = 0.5  #: duration of the lift, and of the hold after it, s
-SQUEEZE = 0.1  #: time in which closed jaws build up their force, s
+LIFT_DURATION = 0.5  #: duration of the lift, and of the hold after it, s
+SQUEEZE_DURATION = 0.1  #: time in which closed jaws build up their force, s
 
 
 @dataclass(frozen=True)
@@ -163,15 +163,15 @@ class GraspScene:
         states = self.layout.states(places, away, np.full(count, OPEN))
         controls = self.layout.constant_controls(away[:1], np.full(1, OPEN), self._steps(SETTLING_INTERVAL))
         moving, speeds = np.arange(count), np.full(count, np.inf)
-        for _ in range(round(SETTLING / SETTLING_INTERVAL)):
+        for _ in range(round(SETTLING_DURATION / SETTLING_INTERVAL)):
             states[moving], _ = self._advance([self.model] * len(moving), states[moving], controls)
             speeds[moving] = np.abs(states[moving][:, self.layout.object_speed]).max(1)
             moving = np.flatnonzero(speeds > REST_SPEED)
         still = np.flatnonzero(speeds < REST_SPEED)
         if not len(still):
             raise ObjectFolderError(
-                f"{self.body.key}: none of {count} drops came to rest within {SETTLING:g} s, the slowest "
-                f"moves at {speeds.min():.2g}; it rolls or rocks: give it a flatter side"
+                f"{self.body.key}: none of {count} drops came to rest within {SETTLING_DURATION:g} s, the "
+                f"slowest moves at {speeds.min():.2g}; it rolls or rocks: give it a flatter side"
             )
         found = states[still][:, self.layout.object_pose]
         found[:, :2] = 0
@@ -201,7 +201,9 @@ class GraspScene:
         models = [self._with_force(force) for force in np.asarray(forces, np.float64)]
         states = self._close_until_still(models, objects, hands)
         # Squeeze with the greatest force, until what the jaws pushed has come to rest as well.
-        controls = self.layout.constant_controls(hands, np.full(len(hands), SHUT), self._steps(SQUEEZE))
+        controls = self.layout.constant_controls(
+            hands, np.full(len(hands), SHUT), self._steps(SQUEEZE_DURATION)
+        )
         states, sensors = self._advance(models, states, controls)
         return ClosedGrasps(self.layout, models, hands, states, sensors)
 
@@ -238,23 +240,20 @@ class GraspScene:
 
         Takes the pose (7,) of the object at rest, that of the hand (4,), and the force, N.
         """
-        layout, (phases, heights, jaws) = (
-            self.layout,
-            phase_targets(self.physics.timestep, self.physics.speed),
-        )
+        layout = self.layout
+        phases, heights, jaws = phase_targets(self.physics.timestep, self.physics.speed)
         controls = layout.constant_controls(hand[None], np.full(1, OPEN), len(phases))
         controls[0, :, layout.height_motor] += heights
         controls[0][:, layout.jaw_motors] = jaws[:, None]
         start = layout.states(place[None], hand[None] + [0, 0, LIFT, 0], np.full(1, OPEN))
         (states,), _ = self._pool.rollout([self._with_force(force)], self._data, start, control=controls)
-        moments = range(0, len(phases), max(self._steps(every), 1))
-        poses = [
-            (states[k, layout.object_pose], states[k, layout.hand], states[k, layout.jaws]) for k in moments
-        ]
         return [
-            GraspFrame(phases[k], place, hand, float(jaws.sum()))
-            for k, (place, hand, jaws) in zip(moments, poses)
-        ]
+            GraspFrame(
+                phases[k], states[k, layout.object_pose], states[k, layout.hand],
+                float(states[k, layout.jaws].sum()),
+            )
+            for k in range(0, len(phases), max(self._steps(every), 1))
+        ]  # fmt: skip
 
     def _compile(self, reach: float = 0.0) -> mujoco.MjModel:
         spec = self.physics.scene()
@@ -281,8 +280,8 @@ class GraspScene:
         states = layout.states(objects, hands, jaws)
         states[:, layout.jaw_speeds] = -speed
         lead = LAG * speed / SPEED  # of the target before the jaw
-        steps, closing = self._steps(TICK), np.arange(len(states))
-        for tick in range(CLOSING_TICKS):
+        steps, closing = self._steps(CLOSING_INTERVAL), np.arange(len(states))
+        for tick in range(MAX_INTERVALS):
             if not len(closing):
                 break
             times = (tick * steps + np.arange(1, steps + 1)) * timestep
@@ -296,7 +295,7 @@ class GraspScene:
     def _lift_and_hold(self, closed: ClosedGrasps) -> tuple[np.ndarray, np.ndarray]:
         """Lift until an object is lost; states (N, S) at the end, and the rows that are still held."""
         states, held = closed.states.copy(), np.flatnonzero(closed.touched.all(1))
-        steps = self._steps(LIFTING)
+        steps = self._steps(LIFT_DURATION)
         heights = LIFT * minimum_jerk(np.arange(1, steps + 1) / steps)
         for part in (heights[: steps // 2], heights[steps // 2 :], np.full(steps, LIFT)):  # lift, hold
             controls = self.layout.constant_controls(closed.hands[held], np.full(len(held), SHUT), len(part))
@@ -367,15 +366,15 @@ def phase_targets(timestep: float, speed: float) -> tuple[list[str], np.ndarray,
     which both close at ``speed``, m/s.
     """
     travel = OPEN / speed
-    closing = travel + SQUEEZE
+    closing = travel + SQUEEZE_DURATION
     Jaws = Callable[[np.ndarray], np.ndarray]  # over the share of a phase
     opened, shut = (lambda share: np.full(len(share), OPEN)), (lambda share: np.full(len(share), SHUT))
     phases: tuple[tuple[str, float, float, Jaws], ...] = (  # name, seconds, height at the end, jaws
         ("reach", 0.6, 0.0, opened),
         ("close", closing, 0.0, lambda t: np.where(t < travel / closing, OPEN - speed * closing * t, SHUT)),
-        ("lift", LIFTING, LIFT, shut),
-        ("hold", LIFTING, LIFT, shut),
-        ("put back", LIFTING, 0.0, shut),
+        ("lift", LIFT_DURATION, LIFT, shut),
+        ("hold", LIFT_DURATION, LIFT, shut),
+        ("put back", LIFT_DURATION, 0.0, shut),
         ("release", 0.5, 0.0, lambda t: OPEN * np.minimum(2 * t, 1)),
     )
     start, names, heights, jaws = LIFT, [], [], []

@@ -21,10 +21,8 @@ from objectfolder.objectfile.voice import Voice
 
 MAX_TIME_STEP = 0.01  #: of a simulation that can be heard, s; bounces are missed beyond
 ROUNDING = 0.05  #: radius of an object's surface where it touches, of its longest side; assumed
-LISTENER_ANGLE, LISTENER_DISTANCE = (
-    math.radians(3),
-    0.03,
-)  #: motion of the listener that changes what it hears
+#: Turn, and relative change of the distance, of the listener that change what it hears.
+LISTENER_ANGLE, LISTENER_DISTANCE = math.radians(3), 0.03
 LISTEN_INTERVAL = 0.004  #: time between two computations, at least, s
 MIN_SLIP = 1e-3  #: m/s; slower contacts make no noise
 _CLOCK_TOLERANCE = 1e-9  # s, that the clock of a long simulation rounds off

@@ -19,13 +19,9 @@ import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
-_COMPLIANCE = (
-    1e-3  # softness that shares an impulse among more contacts than it determines, of each contact's own
-)
+_COMPLIANCE = 1e-3  # softness, of each contact's own: shares an impulse that more contacts could bear
 _CONTACT_SPACING = 0.02  # m; contacts further apart are different ones, but for their motion in three steps
-_IMPACT_DURATION = (
-    3.0  # time constants of a contact after which an impact has acted; then the velocity is as it is
-)
+_IMPACT_DURATION = 3.0  # time constants of a contact, after which an impact has acted
 _MIN_SPEED_RATIO = 0.05  # approach that goes unheard while an impact acts, of that impact's
 _MAX_ITERATIONS = 5  # at most, in which friction finds the direction of the sliding that it leaves
 _MAX_MOCAP_SPEED = 20.0  # m/s; mocap bodies that seem to be faster have been put elsewhere

@@ -30,7 +30,7 @@ SIGMOID = np.sqrt(1 / 0.1 - 1)  #: makes the reward's long tail 0.1 at the margi
 #: Camera of `ReachEnv.render`: position and target, m; vertical field of view, degrees.
 EYE, TARGET, FOV = np.array([1.1, 0.05, 0.6]), np.array([0.0, 0.74, 0.12]), 26.0
 #: Attributes of an environment that change.
-_STATE_ATTRIBUTES = ("data", "goal", "_margin", "_steps", "_previous", *calls.KEPT)
+_STATE_ATTRIBUTES = ("data", "goal", "_margin", "_steps", "_previous", *calls.COPIED_ATTRIBUTES)
 _REACH_HIGH = np.array([0.525, 1.025, 0.7])
 _REACH_LOW = np.array([-0.525, 0.348, -0.0525])
 _STATE_LOW = np.concatenate([_REACH_LOW, [-1], np.full(3, -2.0), np.full(11, -1.0)])
@@ -41,9 +41,8 @@ GOAL_LOW, GOAL_HIGH = np.array([-0.1, 0.8, 0.05]), np.array([0.1, 0.9, 0.3])  #:
 MIN_DISTANCE = 0.15  #: least horizontal distance of goal and object, m
 SUCCESS_RADIUS = 0.05  #: distance from the goal that counts as reached, m
 MAX_HEIGHT = 0.15  #: height of an object that fits under the open gripper at its start, m
-MAX_RADIUS = (
-    MIN_DISTANCE - SUCCESS_RADIUS
-)  #: radius of an object about its vertical axis that leaves goals free, m
+#: Radius of an object about its vertical axis that leaves goals free, m.
+MAX_RADIUS = MIN_DISTANCE - SUCCESS_RADIUS
 
 
 class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -104,10 +103,8 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         resolution: tuple[int, int] = (180, 240),
     ):
-        self.horizon, self.render_mode = (
-            whole_number("horizon", horizon, 1),
-            calls.check_render_mode(render_mode),
-        )
+        self.horizon = whole_number("horizon", horizon, 1)
+        self.render_mode = calls.check_render_mode(render_mode)
         self.resolution = calls.check_resolution(resolution)
         body = as_rigid_body(file, hulls)
         self._arguments = (file, hulls, horizon, render_mode, resolution)

@@ -83,7 +83,7 @@ class StateCheck:
                 if getattr(other, size) != getattr(model, size):
                     self._refuse_other(f"its model has {size} = {getattr(other, size)}, expected "
                                        f"{getattr(model, size)}")  # fmt: skip
-            if differ := self._changed(other):
+            if differ := self._find_changes(other):
                 self._refuse_other(f"{_difference(model, other, differ[0])}")
         return data
 
@@ -95,13 +95,13 @@ class StateCheck:
         changed so that it is another one for the sense.
         """
         checked = self.require_same(data, name)
-        if changed := self._changed(self._model):
+        if changed := self._find_changes(self._model):
             self._adapt(changed, fits)
         if not _is_valid(checked):
             _refuse(self._model, checked)
         return checked
 
-    def _changed(self, model: mujoco.MjModel) -> list[str]:
+    def _find_changes(self, model: mujoco.MjModel) -> list[str]:
         """Return the names of the fields that differ from those that the sense has read."""
         was = self._known
         plain = [name for name in self._plain if getattr(model, name).tobytes() != was[name]]  # fast
@@ -154,14 +154,14 @@ def _is_valid(data: mujoco.MjData) -> bool:
     parts = [getattr(data, name) for name in DATA]
     if data.ncon:
         contact = data.contact
-        if not _is_placed(data, contact):
+        if not _is_known_contact(data, contact):
             return False
         parts += [getattr(contact, name) for name in CONTACT]
     values = np.concatenate(parts, axis=None)
     return bool(abs(data.time) <= MAX_VALUE and np.abs(values, out=values).max(initial=0) <= MAX_VALUE)
 
 
-def _is_placed(data: mujoco.MjData, contact: Any) -> bool:
+def _is_known_contact(data: mujoco.MjData, contact: Any) -> bool:
     """Return whether one contact, or all, are of geoms and constraints that there are."""
     geoms, address, dims = (np.asarray(getattr(contact, name)) for name in CONTACT_PLACES)
     return bool(
@@ -181,7 +181,7 @@ def _refuse(model: mujoco.MjModel, data: mujoco.MjData) -> None:
             whose = _owner(model, owner, row)
             raise ObjectFolderError(f"{whose}{name}[{row}] is {values[row].tolist()} {when}, {REMEDY}")
     for k, one in enumerate(data.contact):
-        if not _is_placed(data, one):
+        if not _is_known_contact(data, one):
             found = ", ".join(f"{name} {np.asarray(getattr(one, name)).tolist()}" for name in CONTACT_PLACES)
             raise ObjectFolderError(f"contact {k} has {found} {when}, which are not in the data; {REMEDY}")
         for name in CONTACT:
@@ -240,7 +240,6 @@ def _sample_vertices(model: mujoco.MjModel, bodies: Iterable[int]) -> np.ndarray
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, [*bodies]))
     meshes = np.unique(model.geom_dataid[geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_MESH]])
     first, count = model.mesh_vertadr[meshes], model.mesh_vertnum[meshes]
-    rows: np.ndarray = (
-        (first + np.linspace(0, 1, COMPARED_VERTICES)[:, None] * (count - 1)).astype(int).ravel()
-    )
+    places = np.linspace(0, 1, COMPARED_VERTICES)[:, None]
+    rows: np.ndarray = (first + places * (count - 1)).astype(int).ravel()
     return rows

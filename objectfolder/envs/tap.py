@@ -163,5 +163,5 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         return (
             type(self),
             self._arguments,
-            {name: getattr(self, name) for name in ("_episode", "_taps", *calls.KEPT)},
+            {name: getattr(self, name) for name in ("_episode", "_taps", *calls.COPIED_ATTRIBUTES)},
         )
