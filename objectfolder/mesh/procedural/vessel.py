@@ -31,7 +31,7 @@ class VesselFinish(Finish):
 def vessel_finish(
     name: str, size: float, lip: float, foot: float, color: str | None, accent: str | None, seed: int
 ) -> VesselFinish:
-    """Return the finish of a vessel; its name, colours and seed are those of `finish`.
+    """Return the finish of a vessel; its name, colours and seed are those of ``finish``.
 
     A glazed vessel is dipped: the accent covers the inside and runs over the lip, and the foot stays bare.
     Any other finish is the same on both sides. ``size`` is the vessel's longest side, ``lip`` the height of
