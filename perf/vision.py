@@ -36,9 +36,9 @@ from objectfolder.nets.vision_config import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
-from objectfolder.objectfile.evaluation import evaluate_vision
+from objectfolder.objectfile.evaluate_vision import evaluate_vision
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.vision import view_images
+from objectfolder.objectfile.vision import LitCameras, view_images
 from objectfolder.seeding import numpy_generator, torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
 from objectfolder.vision.color import COVERED, lit_foreground, on_white
@@ -159,13 +159,22 @@ def train(workspace: str, key: str) -> dict:
     row["geometry_kb"] = len(lzma.compress(distances["values"].tobytes())) / 1000
 
     def score(net: SurfaceNet, split: str) -> dict:
-        drawer = partial(draw_surface, surface, net.shader(surface))
-        return evaluate_vision(partial(view_images, lambda: drawer), views[split])
+        return evaluate_vision(Shaded(surface, net), views[split])
 
     # Pooled: a mean over tiles would be that of the many without the object.
     row |= {"psnr_val": score(net, "val")["psnr_pooled"]}
     row |= {"psnr_val_stored": score(stored, "val")["psnr_pooled"]}
     return row | score(stored, "test")
+
+
+class Shaded:
+    """A surface and its net, which are viewed as an Object File."""
+
+    def __init__(self, surface: Isosurface, net: SurfaceNet):
+        self._drawer = partial(draw_surface, surface, net.shader(surface))
+
+    def view(self, pose: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+        return view_images(self._drawer, LitCameras.checked(pose, light, (), intrinsics))
 
 
 def fit(workspace: str, key: str, images: str, seed: str) -> dict:
@@ -198,8 +207,7 @@ def fit(workspace: str, key: str, images: str, seed: str) -> dict:
     net, _ = train_surface(surface, scene, views["train"], views["val"], config, generator, lambda _: None)
     row["fit_seconds"] = cpu_seconds() - start
     stored = SurfaceNet.from_tensors(*net.to_tensors())
-    drawer = partial(draw_surface, surface, stored.shader(surface))
-    return row | evaluate_vision(partial(view_images, lambda: drawer), read_npz(build.views("test")))
+    return row | evaluate_vision(Shaded(surface, stored), read_npz(build.views("test")))
 
 
 def query(workspace: str, key: str, count: str) -> dict:

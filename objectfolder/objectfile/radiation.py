@@ -1,7 +1,6 @@
 """What of an object's sound reaches a listener: far fields of its modes, and its recoil."""
 
 import copy
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,14 +10,6 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.reading import StoredNet, report_damage
 
 _FARTHEST = 1e5  # metres at which a listener may be
-
-
-@dataclass(frozen=True)
-class Listening:
-    """Where strikes are heard."""
-
-    places: np.ndarray  #: (N, 3) metres, one for each strike
-    delay: bool  #: whether sounds start when they arrive, rather than with the strikes
 
 
 class Radiation:

@@ -12,6 +12,8 @@ from objectfolder.mesh.sampling import sample_surface
 
 FARTHEST = 1e6  #: object sizes; further points have no nearest one in double precision
 TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
+#: Voxels. The stored surface is no more accurate than this: contact points nearer to it stay where they are.
+UNMOVED = 0.25
 
 
 @dataclass(frozen=True)
@@ -67,10 +69,10 @@ class ObjectSurface:
         ObjectFolderError
             If a point is further away than the tolerance.
         """
-        feet = self.unit_feet(points, tolerance, slack)
-        return feet * self.scale if self.stored else points
+        closest = self.closest_unit_points(points, tolerance, slack)
+        return closest * self.scale if self.stored else points
 
-    def unit_feet(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
+    def closest_unit_points(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
         """Return what `snap` does, but in the unit frame; (N, 3)."""
         places = self._places(points)
         if (most := finite_number("tolerance", tolerance)) < 0:

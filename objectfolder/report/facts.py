@@ -13,11 +13,13 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.modal import uncertainty_warning
 from objectfolder.io import file_digest, read_json, read_npz
 from objectfolder.metrics import psnr
-from objectfolder.objectfile.evaluation import Strikes, shown_views, strike_sounds, view_answers
+from objectfolder.objectfile.evaluate_sound import UnitStrikes, compare_sounds
+from objectfolder.objectfile.evaluate_vision import choose_views, compare_views
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.report.certificate import build_checks, file_checks
-from objectfolder.report.pictures import beside, picture_uri, playing_rate, sound_uri, spectrograms
+from objectfolder.report.comparison import join_images, join_spectrograms
+from objectfolder.report.pictures import picture_uri, playing_rate, sound_uri
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import OBJECT_STAGES
@@ -197,13 +199,13 @@ def _views(file: ObjectFile, build: Build | None, metrics: dict[str, Any] | None
     if build is None or metrics is None or not build.views("test").is_file():
         return shown
     data = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "center")
-    titles = shown_views(metrics["vision"], VIEWS)
-    pairs = zip(*view_answers(file, data, list(titles)))
+    titles = choose_views(metrics["vision"], VIEWS)
+    pairs = zip(*compare_views(file, data, list(titles)))
     return shown + [
         {
             "title": f"{title}, one point light",
             "score": _rounded(psnr(np.square(answer - truth).mean())),
-            "source": picture_uri(beside(truth, answer)),
+            "source": picture_uri(join_images(truth, answer)),
         }
         for title, (truth, answer) in zip(titles.values(), pairs)
     ]
@@ -218,9 +220,9 @@ def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
         modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
         modes = modes if _holds(file, modes["damped_frequency"]) else None
     if modes is not None and (modes["split"] == 2).any():
-        strikes = Strikes.random(np.flatnonzero(modes["split"] == 2), STRIKES, rng)
-        truths, answers = strike_sounds(file, modes, strikes, rate)
-        titles = strikes.titles(modes["points"] * file.scale)
+        strikes = UnitStrikes.random(np.flatnonzero(modes["split"] == 2), STRIKES, rng)
+        truths, answers = compare_sounds(file, modes, strikes, rate)
+        titles = strikes.describe(modes["points"] * file.scale)
     else:
         points = file.sample_surface(STRIKES, seed=0)
         truths, answers = None, file.impact(points, rng.normal(size=(STRIKES, 3)), rate)
@@ -229,7 +231,7 @@ def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     for n, (title, answer) in enumerate(zip(titles, answers)):
         truth = None if truths is None else truths[n]
         peak = float(np.abs(answer if truth is None else truth).max())
-        image, seconds = spectrograms(truth, answer, rate)
+        image, seconds = join_spectrograms(truth, answer, rate)
         sounds.append(
             {
                 "title": title.replace("\n", " "),
@@ -265,7 +267,7 @@ def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
         {
             "title": _contact(depth, obstructed),
             "score": _rounded(psnr(np.square(answer - truth).mean())),
-            "source": picture_uri(beside(truth, answer)),
+            "source": picture_uri(join_images(truth, answer)),
         }
         for answer, truth, depth, obstructed in zip(
             answers, truths, data["depths"][rows], data["obstructed"][rows]

@@ -19,10 +19,10 @@ from objectfolder.audio.contact import STRIKERS, contact_time
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material, material
 from objectfolder.nets.audio_gains import GainsNet
-from objectfolder.objectfile.audio import ModalSense
+from objectfolder.objectfile.audio import SoundSettings, Strikes
+from objectfolder.objectfile.audio_senses import ModalSense
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.reading import StoredNet
-from objectfolder.objectfile.sound_settings import SoundSettings
 from objectfolder.objectfile.surface import ObjectSurface
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.profiles import load_profile
@@ -75,7 +75,7 @@ def test_a_sound_of_many_modes_does_not_depend_on_its_batch(brick, modes, rng):
     played = SoundSettings(16000, 0.1, "velocity", 0.0, None, None)
 
     def sounds(p, f):
-        return sense.impact(p, f, played, 0.02)
+        return sense.impact(Strikes(p, f, 0.02), played, lambda: None)
 
     whole, order = sounds(points, forces), rng.permutation(50)
     np.testing.assert_array_equal(sounds(points[order], forces[order]), whole[order])

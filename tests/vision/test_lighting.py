@@ -13,7 +13,7 @@ from objectfolder.io import write_png
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND, quantise
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.objectfile.vision import lit_picture
+from objectfolder.objectfile.vision import light_picture
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.environment import (
     BRIGHTEST_PIXEL,
@@ -150,7 +150,7 @@ def test_a_sky_lights_a_white_ball_as_its_integral(ball):
 
 def lit_by(surface, lamps):
     drawer = partial(draw, surface, lambert)
-    return lit_picture(drawer, look_at(np.array([2.0, 0.7, 0.4]))[0], lamps, Intrinsics.square(20))
+    return light_picture(drawer, look_at(np.array([2.0, 0.7, 0.4]))[0], lamps, Intrinsics.square(20))
 
 
 def radiance_on(surface, lamps):

@@ -199,10 +199,10 @@ class ReleasedDepth:
             maps = self.depth_maps(points[row], depths[row], tilts[row], azimuths[row])
             height = self.heights(maps, depths[row], profile)
             found = contacts_of(height, np.zeros(len(height)), profile)
-            images = self.shown(found.displacement, profile)
+            images = self.draw_gel(found.displacement, profile)
             yield Touches(**vars(found), images=images, profile=profile)
 
-    def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+    def draw_gel(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
         """Return a sensor's images (N, H, W, 3) of a gel displaced by (N, H, W) metres."""
         if profile not in self._optics:
             self._optics[profile] = Optics(profile)

@@ -14,7 +14,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.audio_gains_training import WeightedRows
 from objectfolder.nets.hashgrid import _SparseLookup
 from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.objectfile.gradients.gel import SoftGel
+from objectfolder.objectfile.gradients.touch import SoftGel
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.radiosity import Bounced
 

@@ -1,12 +1,30 @@
+"""Truth, answer and difference side by side."""
+
 import numpy as np
 import pytest
 from PIL import Image
 
-from objectfolder.audio.figures import magnitudes, show_sounds
+from objectfolder.audio.figures import magnitudes
 from objectfolder.figures import page, save_page
+from objectfolder.report.comparison import show_sounds, show_views
 
 
-def test_the_sheet_shows_truth_answer_and_difference(tmp_path):
+def test_the_sheet_of_views_shows_truth_answer_and_enlarged_difference(rng, tmp_path):
+    figure, truth = page(4, 6, "x: views"), 0.2 + 0.8 * rng.random((2, 20, 30, 3))
+    show_views(figure, truth, np.clip(truth - 0.1, 0, 1), ["one", "two"])
+    assert [a.get_title() for a in figure.axes[:2]] == ["one\n20.0 dB", "two\n20.0 dB"]
+    assert [a.get_ylabel() for a in figure.axes[::2]] == [
+        "ground truth",
+        "Object File",
+        "difference, 4 times",
+    ]
+    difference = figure.axes[5].images[0].get_array()
+    np.testing.assert_allclose(difference, 0.6, atol=1e-5)
+    with Image.open(save_page(figure, tmp_path / "sheet.png")) as image:
+        assert np.asarray(image.convert("RGB")).std() > 5
+
+
+def test_the_sheet_of_sounds_shows_truth_answer_and_difference(tmp_path):
     time = np.arange(32000) / 16000
     truth = np.stack([np.sin(2 * np.pi * f * time) * np.exp(-4 * time) for f in (1000, 3000)])
     figure = page(8, 9, "x: sounds")
