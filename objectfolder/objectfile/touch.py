@@ -17,13 +17,14 @@ from objectfolder.objectfile.arguments import (
     Answer,
     Rows,
     Scalars,
+    each_in_usual_modes,
     finite_rows,
     finite_scalars,
     like_first,
+    usual_modes,
 )
 from objectfolder.objectfile.reading import StoredObject, described_part
 from objectfolder.objectfile.surface import TOLERANCE, UNMOVED, ObjectSurface
-from objectfolder.objectfile.torch_modes import each_in_usual_modes, usual_modes
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, leaned_normals
 from objectfolder.touch.friction import friction_of
 from objectfolder.touch.markers import Markers

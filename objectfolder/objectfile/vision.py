@@ -18,9 +18,9 @@ from objectfolder.objectfile.arguments import (
     finite_rows,
     like_first,
     true_or_false,
+    usual_modes,
 )
 from objectfolder.objectfile.reading import StoredObject
-from objectfolder.objectfile.torch_modes import usual_modes
 from objectfolder.vision.cameras import FARTHEST, Intrinsics, look_at, require_rigid
 from objectfolder.vision.color import on_white
 from objectfolder.vision.environment import all_lamps

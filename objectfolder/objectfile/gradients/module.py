@@ -10,7 +10,7 @@ from torch import nn
 from objectfolder.checks import holds_tensors
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.objectfile.torch_modes import usual_modes
+from objectfolder.objectfile.arguments import usual_modes
 
 
 class AnswerModule(nn.Module):
