@@ -16,6 +16,11 @@ MAX_SCALAR = 2000  #: length limit of a value in it, characters
 MAX_NESTING = 50  #: limit of collections in each other
 
 
+def is_yaml_name(value: object) -> bool:
+    """Return whether a value is a name or path that ends like a YAML file's."""
+    return isinstance(value, str | Path) and Path(value).suffix in (".yaml", ".yml")
+
+
 def read_yaml(path: str | Path) -> Any:
     """Read a YAML file; otherwise as `checked_yaml`.
 

@@ -7,29 +7,12 @@ Doel, Kry and Pai, FoleyAutomatic, SIGGRAPH 2001). Where bodies roll, both surfa
 is then taken to be a tenth of that.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-#: Roughness of surfaces, root mean square within a contact, m. Assumed, of finished or glazed ones.
-ROUGHNESS = {
-    "ceramic": 1e-6,
-    "glass": 3e-7,
-    "wood": 5e-6,
-    "plastic": 1e-6,
-    "iron": 2e-6,
-    "polycarbonate": 5e-7,
-    "steel": 8e-7,
-}
 ROLLING = 0.1  #: force of a rolling contact over that of a sliding one; assumed
-_OTHER = 1e-6  # of custom materials
-
-
-def roughness_of(one: str, other: str) -> float:
-    """Return the combined roughness of two materials' names, m; an assumed one for those not in the table."""
-    return math.hypot(*(ROUGHNESS.get(name.lower(), _OTHER) for name in (one, other)))
 
 
 def scrape_force(

@@ -36,7 +36,7 @@ def add(
         ),
     ],
     name: Annotated[str | None, typer.Option(help="Object key, such as `blue_mug`.")] = None,
-    material: Annotated[str | None, typer.Option(help="ceramic, glass, wood, plastic, iron, ...")] = None,
+    material: Annotated[str | None, typer.Option(help="ceramic, glass, wood, ..., or a YAML file.")] = None,
     scale: Annotated[
         float | None,
         typer.Option(

@@ -16,7 +16,6 @@ from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.solid import close_holes
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.touch.friction import friction_of
 
 #: Folder in which convex hulls are cached, or the hulls, object frame, m; None: a folder of the user's.
 Hulls = str | Path | Sequence[trimesh.Trimesh] | None
@@ -89,7 +88,7 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
         mass=density(file) * volume,
         centre=centre,
         inertia=density(file) * inertia,
-        friction=friction_of(file.material),
+        friction=file.friction,
         bounds=np.asarray(surface.bounds),
     )
 
@@ -159,10 +158,10 @@ def density(file: ObjectFile) -> float:
     stored = file.header.get("material_properties")
     if stored:
         return float(stored["density"])
-    if file.material.lower() not in materials.MATERIALS:
+    if file.material.lower() not in materials.material_names():
         raise ObjectFolderError(
             f"{file.key}: its density is not known: the file stores none, and {file.material!r} is "
-            f"none of {', '.join(materials.MATERIALS)}; import the file again with --material"
+            f"none of {', '.join(materials.material_names())}; import the file again with --material"
         )
     return materials.material(file.material).density
 

@@ -29,7 +29,7 @@ def opened(objects: "ObjectFile | str | Path | Sequence[ObjectFile | str | Path]
     return files
 
 
-def material_names(materials: str | Sequence[str], least: int = 1) -> list[str]:
+def distinct_materials(materials: str | Sequence[str], least: int = 1) -> list[str]:
     """Return the names of the materials of an environment. A single one may stand for itself.
 
     Raises

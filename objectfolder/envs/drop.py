@@ -11,14 +11,13 @@ from gymnasium import spaces
 
 from objectfolder.audio.synthesis import count_samples
 from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
-from objectfolder.envs.calls import KEPT, material_names, no_options, opened, started
+from objectfolder.envs.calls import KEPT, distinct_materials, no_options, opened, started
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import Sounding, require_audible
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import material
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.touch.friction import friction_of
 
 MATERIALS = ("ceramic", "glass", "wood", "plastic", "steel")
 HEIGHTS = 0.1, 0.4  #: range of the fall, m
@@ -66,7 +65,7 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         sample_rate: float = 48000,
     ):
         self.files = opened(objects)
-        self.materials = material_names(materials)
+        self.materials = distinct_materials(materials)
         self._arguments = (self.files, self.materials, seconds, sample_rate)
         self._rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
         require_audible(self.files, self.materials, SIZES[0], sample_rate)
@@ -111,10 +110,13 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         body = scaled_body(
             self._bodies[self._fallen["object"]], ratio, material(stuff).density / density(file)
         )
-        body = replace(body, friction=friction_of(stuff))
+        friction = material(stuff).friction
+        body = replace(body, friction=friction)
         spec = mujoco.MjSpec()
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1], friction=[friction_of(stuff), 0.005, 0.0001]
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[5, 5, 0.1],
+            friction=[friction, 0.005, 0.0001],
         )
         fallen = add_body(spec, body, "object")
         low = (body.points @ rotation(turn).T)[:, 2].min()

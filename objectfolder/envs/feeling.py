@@ -14,7 +14,6 @@ from objectfolder.envs.state import SHAPES, STRUCTURE, StateCheck, divergences, 
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.camera import gel_sag
-from objectfolder.touch.friction import friction_of
 from objectfolder.touch.markers import Markers
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
@@ -113,7 +112,7 @@ class Feeling:
                     f"body {name!r}: touch needs the object's own size, {one.file.scale:g} m, but it has "
                     f"{one.scale:g} m; build the object with that scale"
                 )
-            self._files[body], self._friction[body] = one.file, friction_of(one.made_of)
+            self._files[body], self._friction[body] = one.file, one.friction
         self._check_sizes()
         profile = self.profile
         self._coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from objectfolder.audio.contact import effective_modulus, hertz_time
-from objectfolder.audio.scrape import Scrapes, roughness_of, scrape_force
+from objectfolder.audio.scrape import Scrapes, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import finite_number, real_array, require_memory, whole_number
@@ -282,7 +282,7 @@ class Hearing:
         """Return the modulus of a contact, Pa, its radius, m, and its combined roughness, m."""
         if pair not in self._surfaces:
             both = [self._bodies.get(number) for number in pair]
-            rough = roughness_of(*(self._material(body).name for body in both))
+            rough = math.hypot(*(self._material(body).roughness for body in both))
             self._surfaces[pair] = (*self._contact(both), rough)
         return self._surfaces[pair]
 

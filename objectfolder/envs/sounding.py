@@ -48,10 +48,10 @@ class Sounding:
             raise ObjectFolderError(f"scale is {self.scale} m, expected the longest side, above 0")
 
     @property
-    def made_of(self) -> str:
-        """Name of the body's material."""
-        given = self.material.name if isinstance(self.material, Material) else self.material
-        return given or self.file.material
+    def friction(self) -> float:
+        """Coefficient of dry sliding friction of the body's material."""
+        given = material(self.material) if isinstance(self.material, str) else self.material
+        return self.file.friction if given is None else given.friction
 
 
 Objects = Mapping[str, ObjectFile | Sounding] | Iterable[ObjectFile]

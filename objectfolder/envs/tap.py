@@ -7,11 +7,11 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from objectfolder.audio.contact import STRIKERS, contact_time
+from objectfolder.audio.contact import contact_time, load_striker
 from objectfolder.audio.stream import ModalStream, Pulse
 from objectfolder.audio.synthesis import count_samples
 from objectfolder.checks import whole_number
-from objectfolder.envs.calls import KEPT, discrete_action, material_names, no_options, opened, started
+from objectfolder.envs.calls import KEPT, discrete_action, distinct_materials, no_options, opened, started
 from objectfolder.envs.drop import LOUDEST, MATERIALS, SIZES
 from objectfolder.envs.sounding import require_audible
 from objectfolder.errors import ObjectFolderError
@@ -77,7 +77,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         limit: int = 20,
     ):
         self.files = opened(objects)
-        self.materials = material_names(materials, 2)
+        self.materials = distinct_materials(materials, 2)
         self.count, self.limit = whole_number("count", count), whole_number("limit", limit)
         if self.count < 3 or self.limit < 1:
             raise ObjectFolderError(
@@ -143,7 +143,7 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         vertex = rng.integers(len(surface.vertices))
         point = surface.vertices[vertex] * voice.scale
         gains = voice.gains(point[None], -rng.uniform(*IMPULSES) * surface.normals[vertex][None])[0]
-        lasting = contact_time(STRIKERS[STRIKER], voice.material, voice.mass)
+        lasting = contact_time(load_striker(STRIKER), voice.material, voice.mass)
         stream = ModalStream([voice.poles], self.sample_rate, self._samples, [voice.accelerated])
         stream.listen(0, voice.weights(_EAR))
         stream.strike(0, Pulse(0, lasting * self.sample_rate, gains))

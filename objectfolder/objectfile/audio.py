@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from objectfolder import materials
-from objectfolder.audio.contact import Striker, as_striker
+from objectfolder.audio.contact import Striker, load_striker
 from objectfolder.audio.synthesis import (
     RESPONSES,
     checked_contact_time,
@@ -136,7 +136,7 @@ class SoundSettings:
             None if contact_time is None else checked_contact_time(contact_time),
             stuff,
             size,
-            None if striker is None else as_striker(striker),
+            None if striker is None else load_striker(striker),
             heard,
         )
 
@@ -151,8 +151,9 @@ def struck_object(
     ObjectFolderError
         If the material is not known, or the size is not a number.
     """
-    known = material if isinstance(material, Material | None) else materials.material(material).name
-    return known, None if scale is None else finite_number("scale", scale)
+    if not isinstance(material, Material | None):
+        materials.material(material)
+    return material, None if scale is None else finite_number("scale", scale)
 
 
 class SoundSense(ABC):
@@ -266,8 +267,8 @@ class SoundQueries(StoredObject):
             Longest side of the struck object, metres; ``points`` are metres of that object. A warning names
             the band where modes are missing.
         striker : str or Striker, optional
-            What strikes the object; a name is one of `objectfolder.audio.contact.STRIKERS`. Default: steel,
-            or an ideal impulse where the contact time is not known.
+            What strikes the object: a name of `objectfolder.audio.contact.striker_names`, or a file.
+            Default: steel, or an ideal impulse where the contact time is not known.
         listener : (N, 3) array, optional
             Where the strikes are heard, object frame, metres; outside the ball about the origin that holds
             the object. The answer is then the sound pressure there, in pascals, of the modes and of the
@@ -343,11 +344,11 @@ class SoundQueries(StoredObject):
         Parameters
         ----------
         striker : str or Striker
-            A name is one of `objectfolder.audio.contact.STRIKERS`.
+            One of `objectfolder.audio.contact.striker_names`, or a file with a striker.
         material, scale
             As in `impact`.
         """
-        tip, struck = as_striker(striker), struck_object(material, scale)
+        tip, struck = load_striker(striker), struck_object(material, scale)
         sense: SoundSense = self._parts.audio
         return sense.contact_time(tip, *struck) or 0.0
 

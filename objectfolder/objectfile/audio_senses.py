@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import fields
 from typing import Protocol
 
 import numpy as np
@@ -13,12 +12,12 @@ from typing_extensions import override  # the standard one is there since Python
 from objectfolder import materials
 from objectfolder.audio.bank import Bank
 from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
-from objectfolder.audio.contact import STRIKERS, Striker, contact_time
+from objectfolder.audio.contact import Striker, contact_time, load_striker
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE, sounds_of
 from objectfolder.audio.synthesis import gains, half_sine, pressing, response_at
 from objectfolder.audio.tuning import Tuning, retune, stored_modes
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import Material
+from objectfolder.materials import Material, stored_material
 from objectfolder.objectfile.audio import SoundSense, SoundSettings, Strikes
 from objectfolder.objectfile.radiation import Radiation
 from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
@@ -122,9 +121,7 @@ class ModalSense(SoundSense):
                 "answers in its own material and size only"
             )
         with report_damage(key, "description of the sound"):
-            stored = header["material_properties"]
-            known = {field.name: stored[field.name] for field in fields(Material) if field.name in stored}
-            return Material(header["material"], **known)
+            return stored_material(header["material"], header["material_properties"])
 
     @property
     def _described(self) -> bool:
@@ -215,7 +212,7 @@ class ModalSense(SoundSense):
         ObjectFolderError
             If it is not known and a striker is given.
         """
-        lasting = self.contact_time(striker or STRIKERS["steel"], material, scale)
+        lasting = self.contact_time(striker or load_striker("steel"), material, scale)
         if lasting is None and striker is not None:
             raise ObjectFolderError(
                 f"{self._stored.key}: the file does not say what its modes are of, so how long a striker "

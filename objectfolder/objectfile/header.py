@@ -14,7 +14,7 @@ from objectfolder.errors import ObjectFolderError, quoted, shortened
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
 
-FORMAT = (1, 4)  #: major, minor; a reader accepts every file of its major version
+FORMAT = (1, 5)  #: major, minor; a reader accepts every file of its major version
 MODALITIES = ("vision", "audio", "touch")
 PARTS = ("geometry", *MODALITIES)
 RADIATION = "radiation"  #: part that only sound at a listener needs

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import friction_of
 from objectfolder.objectfile.header import PARTS, RADIATION, known_kinds, known_net
 from objectfolder.objectfile.surface import ObjectSurface
 
@@ -109,6 +110,12 @@ class StoredObject:
     def material(self) -> str:
         """Material name."""
         return str(self._parts.header["material"])
+
+    @property
+    def friction(self) -> float:
+        """Coefficient of dry sliding friction of the object's material, against a table or an elastomer."""
+        stored = self._parts.header.get("material_properties", {})
+        return float(stored.get("friction", friction_of(self.material)))
 
     @property
     def scale(self) -> float:

@@ -26,7 +26,6 @@ from objectfolder.objectfile.arguments import (
 from objectfolder.objectfile.reading import StoredObject, described_part
 from objectfolder.objectfile.surface import TOLERANCE, UNMOVED, ObjectSurface
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, leaned_normals
-from objectfolder.touch.friction import friction_of
 from objectfolder.touch.markers import Markers
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
@@ -368,7 +367,7 @@ class TouchQueries(StoredObject):
             half a turn, or a friction is negative.
         """
         profile, dots = _profile(sensor), _dots(markers)
-        rubbing = friction_of(self.material) if friction is None else friction
+        rubbing = self.friction if friction is None else friction
         moved = max(
             1 if shear is None else len(finite_rows("shear", shear, 2)),
             real_array("twist", twist).size,

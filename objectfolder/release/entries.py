@@ -62,7 +62,7 @@ def entry_of(
         raise ObjectFolderError(f"{key} is not built: run `objectfolder build {key}`, or leave it out")
     file, digest = ObjectFile.load(build.object_file), file_digest(build.object_file)
     entry = object_entry(key, dict(values))
-    wanted = own_material(entry.material).name, entry.scale
+    wanted = own_material(entry.material, root=root).name, entry.scale
     if (file.material, file.scale) != wanted:
         raise ObjectFolderError(
             f"{key}: {build.object_file} is of {file.material}, {file.scale:g} m, params.yaml says "

@@ -105,7 +105,7 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
         "scale": scale,
         "provenance": {"released": file_digest(path)},
     }
-    if options.material in materials.MATERIALS:
+    if options.material in materials.material_names():
         header["material_properties"] = dataclasses.asdict(materials.material(options.material))
         del header["material_properties"]["name"]
     tensors: dict[str, np.ndarray] = {}

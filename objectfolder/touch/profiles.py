@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from objectfolder.errors import ObjectFolderError, quoted, shortened
-from objectfolder.yamlfile import read_yaml
+from objectfolder.yamlfile import is_yaml_name, read_yaml
 
 _PROFILES = Path(__file__).with_suffix("")
 
@@ -206,7 +206,7 @@ def load_profile(sensor: str | Path | SensorProfile) -> SensorProfile:
             f"sensor is of type {type(sensor).__name__}, expected a name, a path or a profile"
         )
     path = Path(sensor)
-    named = path.suffix not in (".yaml", ".yml")
+    named = not is_yaml_name(path)
     if named:
         path = _PROFILES / f"{sensor}.yaml"
     try:

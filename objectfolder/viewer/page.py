@@ -7,12 +7,10 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from objectfolder.materials import MATERIALS, material
+from objectfolder.materials import LAWS, material, material_names
 from objectfolder.text import in_html, in_script
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.viewer.background import packed_background
-
-LAWS = ("rayleigh", "loss_factor")
 
 
 def viewer_page(objects: Mapping[str, bytes], title: str = "Object File") -> str:
@@ -66,7 +64,7 @@ def _embedded(name: str, content: bytes) -> str:
 def _settings() -> str:
     """Return materials and sensors as JSON that may stand in HTML."""
     settings = {
-        "materials": {law: {name: _material(name, law) for name in MATERIALS} for law in LAWS},
+        "materials": {law: {name: _material(name, law) for name in material_names()} for law in LAWS},
         "sensors": {name: page_sensor(name) for name in available_profiles()},
     }
     return in_script(settings)

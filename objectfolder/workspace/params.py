@@ -21,7 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from pydantic_core import ErrorDetails
 
 from objectfolder.errors import ObjectFolderError, quoted, shortened
-from objectfolder.yamlfile import read_yaml
+from objectfolder.workspace.layout import MATERIALS
+from objectfolder.yamlfile import is_yaml_name, read_yaml
 
 PARAMS_FILE = "params.yaml"
 #: Environment variable by which a build gives its stages the parameters that it recorded: a copy of the file.
@@ -92,7 +93,7 @@ class ObjectEntry(Record):
     """One object."""
 
     mesh: str  #: under data/objects/<key>/
-    material: Any  #: a name, or {base: name} and properties that differ
+    material: Any  #: a name, a file in materials/, or {base: name or file} and properties that differ
     scale: float = Field(ge=1e-4, le=100)  #: longest side, metres
     up: Literal["y", "z"] = "z"  #: up axis of the source mesh
     wall: float | None = Field(default=None, gt=0)  #: thickness given to open sheets, metres; null: 2 %
@@ -115,7 +116,11 @@ class ObjectEntry(Record):
             return value
         if not isinstance(value, str):
             raise ValueError("expected the name of a material, or {base: NAME, PROPERTY: VALUE, ...}")
-        return value.lower()
+        if not is_yaml_name(value):
+            return value.lower()
+        if PurePosixPath(value).parts[:1] != (MATERIALS,) or ".." in PurePosixPath(value).parts:
+            raise ValueError(f"expected a file in {MATERIALS}/")
+        return value
 
 
 class ProceduralEntry(BaseModel):

@@ -3,7 +3,7 @@ import pytest
 import torch
 from scipy.signal import lfilter
 
-from objectfolder.audio.scrape import Scrapes, roughness_of, scrape_force
+from objectfolder.audio.scrape import Scrapes, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import pulse_phasor, responses
 
@@ -216,4 +216,3 @@ def test_faster_slides_are_brighter_and_rolling_is_quieter():
     assert fast[0] == slow[0]
     assert rolls[0] == pytest.approx(0.1 * fast[0])
     assert scrape_force(2.0, 1.0, 0, 1.0, 0.005, 1e10)[0] == 2.0  # never more than the load
-    assert roughness_of("wood", "steel") == pytest.approx(np.hypot(5e-6, 8e-7))

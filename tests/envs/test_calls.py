@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import objectfolder.envs  # noqa: F401, registers
-from objectfolder.envs.calls import material_names, object_file, opened
+from objectfolder.envs.calls import distinct_materials, object_file, opened
 from objectfolder.envs.grasp import GraspEnv, GraspVectorEnv
 from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.reach import ReachEnv
@@ -149,8 +149,8 @@ def test_objects_are_given_as_files_paths_or_names_of_samples(brick, brick_path)
 
 
 def test_a_single_material_stands_for_itself():
-    assert material_names("Steel") == ["steel"]
-    assert material_names(("wood", "glass"), 2) == ["wood", "glass"]
+    assert distinct_materials("Steel") == ["steel"]
+    assert distinct_materials(("wood", "glass"), 2) == ["wood", "glass"]
     for given, least, message in (
         ([], 1, r"at least one material, and none twice, got \[\]"),
         ("steel", 2, r"at least two different materials, and none twice, got \['steel'\]"),
@@ -158,4 +158,4 @@ def test_a_single_material_stands_for_itself():
         (["brass"], 1, "unknown material 'brass'"),
     ):
         with pytest.raises(ObjectFolderError, match=message):
-            material_names(given, least)
+            distinct_materials(given, least)

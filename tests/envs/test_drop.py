@@ -11,8 +11,8 @@ from objectfolder.envs.ears import BANDS, BINS, QUIETEST, Ear, features
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.tap import TapEnv
 from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import friction_of
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.touch.friction import friction_of
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from objectfolder.envs.body import add_body, rigid_body
 from objectfolder.envs.feeling import Feeling
 from objectfolder.envs.sounding import Sounding
 from objectfolder.errors import ObjectFolderError
-from objectfolder.touch.friction import friction_of
+from objectfolder.materials import friction_of
 
 PADS = ["left_pad", "right_pad"]
 FORCE = 2.0  #: N of each finger

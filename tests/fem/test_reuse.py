@@ -184,16 +184,16 @@ def test_a_problem_is_all_that_scaling_leaves(tmp_path):
     solid.write_text("solid")
     code.write_text("sources")
     files, hexahedra = (solid, code), {"element": "hex20"}
-    first = problem_digest(files, points, 0.2, hexahedra)
-    assert first == problem_digest(files, points.copy(), 0.2, hexahedra)
+    first = problem_digest(files, "code", points, 0.2, hexahedra)
+    assert first == problem_digest(files, "code", points.copy(), 0.2, hexahedra)
     others = [
-        problem_digest((solid,), points, 0.2, hexahedra),
-        problem_digest(files, points + 1e-9, 0.2, hexahedra),
-        problem_digest(files, points, 0.21, hexahedra),
-        problem_digest(files, points, 0.2, {"element": "tet10"}),
+        problem_digest((solid,), "code", points, 0.2, hexahedra),
+        problem_digest(files, "code", points + 1e-9, 0.2, hexahedra),
+        problem_digest(files, "code", points, 0.21, hexahedra),
+        problem_digest(files, "code", points, 0.2, {"element": "tet10"}),
     ]
     code.write_text("other sources, of meshes, too")
-    others.append(problem_digest(files, points, 0.2, hexahedra))
+    others.append(problem_digest(files, "code", points, 0.2, hexahedra))
     assert len({first, *others}) == 6
 
 

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from objectfolder import ObjectFile
-from objectfolder.audio.contact import STRIKERS, contact_time
+from objectfolder.audio.contact import contact_time, load_striker
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material, material
 from objectfolder.nets.audio_gains import GainsNet
@@ -366,14 +366,14 @@ def test_a_soft_strike_keeps_its_momentum_and_loses_its_treble(brick):
 
 def test_a_strike_lasts_as_long_as_its_striker_touches_the_object(brick):
     plastic, mass = material("plastic"), 1070 * 0.18 * SCALE**3
-    assert brick.contact_time() == pytest.approx(contact_time(STRIKERS["steel"], plastic, mass), rel=1e-4)
-    iron = contact_time(STRIKERS["wood"], material("iron"), mass * 8000 / 1070 * 8)
+    assert brick.contact_time() == pytest.approx(contact_time(load_striker("steel"), plastic, mass), rel=1e-4)
+    iron = contact_time(load_striker("wood"), material("iron"), mass * 8000 / 1070 * 8)
     assert brick.contact_time("wood", "iron", 2 * SCALE) == pytest.approx(iron, rel=1e-4)
     for striker, named in (("steel", {}), ("finger", {"striker": "finger"})):
         by_hand = brick.impact(TOP, UP, duration=0.1, contact_time=brick.contact_time(striker))
         np.testing.assert_array_equal(brick.impact(TOP, UP, duration=0.1, **named), by_hand)
     without = ObjectFile({k: v for k, v in brick.header.items() if k != "solid"}, brick.tensors)
-    assert without.contact_time() == contact_time(STRIKERS["steel"], plastic, np.inf)
+    assert without.contact_time() == contact_time(load_striker("steel"), plastic, np.inf)
 
 
 def test_an_object_of_another_size_and_material_sounds_as_its_modes(brick, caplog):
@@ -439,7 +439,7 @@ UNDAMPED = Material("brass", 8500.0, 1.0e11, 0.34)
     [
         ({"delay": True}, "delay=True needs a listener; give listener, or leave delay out"),
         ({"contact_time": 1e-3, "striker": "steel"}, "striker is 'steel', but contact_time says .*leave one"),
-        ({"contact_time": 0.0, "striker": STRIKERS["wood"]}, r"striker is Striker\(.*, but contact_time"),
+        ({"contact_time": 0.0, "striker": load_striker("wood")}, r"striker is Striker\(.*, but contact_time"),
         ({"material": UNDAMPED}, "material 'brass': an undamped object rings for ever; give alpha, beta or"),
     ],
 )

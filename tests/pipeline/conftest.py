@@ -197,7 +197,7 @@ class Workspace:
 
     def create(self) -> "Workspace":
         self.root.mkdir(parents=True)
-        for name in ("objectfolder", "stages", "params"):
+        for name in ("materials", "objectfolder", "stages", "params"):
             shutil.copytree(ROOT / name, self.root / name, ignore=shutil.ignore_patterns("__pycache__"))
         for name in ("dvc.yaml", ".dvcignore", "params.yaml", ".gitignore"):
             shutil.copy(ROOT / name, self.root)

@@ -13,7 +13,7 @@ import igl
 import numpy as np
 import pytest
 import torch
-from conftest import Workspace
+from conftest import ROOT, Workspace
 from ruamel.yaml import YAML
 
 from objectfolder import ObjectFile
@@ -95,12 +95,40 @@ def test_dvc_repro_of_one_stage_finds_it_up_to_date(built):
 def test_changed_material_reruns_the_audio_lane_of_that_object_only(built):
     with built.edit() as values:
         values["objects"]["cube"]["material"] = "plastic"
-    assert built.build("pack@cube", "pack@bell") == {
-        f"{stage}@cube" for stage in ("modal", "radiation", "train_audio", "pack")
-    }
+    audio = {f"{stage}@cube" for stage in ("modal", "radiation", "train_audio", "pack")}
+    assert built.build("pack@cube", "pack@bell") == {"hash_code", *audio}
     with built.edit() as values:
         values["objects"]["cube"]["material"] = "wood"
     assert built.build() == set()  # all restored from the run cache
+
+
+def test_a_material_that_no_object_uses_reruns_nothing(built):
+    olive = (ROOT / "objectfolder/materials/wood.yaml").read_text()
+    new = [built.root / f"{folder}/olive_wood.yaml" for folder in ("materials", "objectfolder/materials")]
+    for path in new:
+        path.write_text(olive)
+    assert built.build() == {"hash_code"}
+    for path in new:
+        path.unlink()
+
+
+@pytest.mark.slow
+def test_a_material_of_ones_own_reruns_the_objects_that_name_it(built):
+    own, wood = built.root / "materials/olive_wood.yaml", ROOT / "objectfolder/materials/wood.yaml"
+    audio = {f"{stage}@cube" for stage in ("modal", "radiation", "train_audio", "pack")}
+    own.write_text(wood.read_text())
+    with built.edit() as values:
+        values["objects"]["cube"]["material"] = "materials/olive_wood.yaml"
+    assert audio < built.build()
+    own.write_text(own.read_text().replace("density: 750.0", "density: 990.0").replace("0.6 ", "0.7 "))
+    assert built.build("pack@cube", "pack@bell") == {"hash_code", *audio}
+    header = ObjectFile.load(built.root / "build/cube/ObjectFile.safetensors").header
+    assert header["material"] == "olive_wood"
+    assert (header["material_properties"]["density"], header["material_properties"]["friction"]) == (990, 0.7)
+    assert read_json(Build("cube", built.root).modal)["reused"]
+    with built.edit() as values:
+        values["objects"]["cube"]["material"] = "wood"
+    assert not built.build() - {"hash_code"}  # restored
 
 
 @pytest.mark.slow

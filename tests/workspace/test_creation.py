@@ -102,7 +102,7 @@ def test_its_workflow_needs_no_remote(made):
 
 def test_each_dependency_on_the_package_is_one_on_its_digest(made):
     ours, theirs = graph(made), graph(ROOT)
-    assert ours.pop("hash_code")["deps"] == [RECORD, "sensors", "stages"]
+    assert ours.pop("hash_code")["deps"] == ["materials", RECORD, "sensors", "stages"]
     theirs.pop("hash_code")
     of_package = 0
     for name, stage in theirs.items():

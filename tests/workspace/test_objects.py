@@ -7,12 +7,14 @@ from pathlib import Path
 import pytest
 import trimesh
 
+from objectfolder import materials
 from objectfolder.engine.dvc.repository import open_repository, track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace import params
 from objectfolder.workspace.discover import Candidate, examine
 from objectfolder.workspace.objects import add_catalogue, add_mesh, check_new
 
+MATERIALS = Path(materials.__file__).with_suffix("")
 SHAPE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
@@ -39,8 +41,9 @@ def refused(mesh, key="crate", **options):
     """The error of an `add` that changes nothing."""
     root = Path.cwd()
     before = files(root)
+    options = {"material": "wood", "track": track, **options}
     with pytest.raises(ObjectFolderError) as caught:
-        add_mesh(mesh, key, "wood", 0.1, None, **{"track": track, **options})
+        add_mesh(mesh, key, scale=0.1, up=None, **options)
     assert files(root) == before
     assert key not in params.read()["objects"]
     return str(caught.value)
@@ -61,6 +64,27 @@ def test_names_that_are_reserved_are_refused(workspace, tmp_path, name):
     assert f"refers to {name}, a name that is reserved" in refused(mesh, track=never)
     with pytest.raises(ObjectFolderError, match="a name that is reserved"):  # so a dry run says it, too
         examine(Candidate("crate", mesh, "wood"), params.read(), 0.1, None)
+
+
+def test_a_material_of_ones_own_is_copied_and_named(workspace, tmp_path):
+    olive = tmp_path / "olive.yaml"
+    olive.write_text((MATERIALS / "wood.yaml").read_text())
+    mesh = write_mesh(tmp_path / "source")
+    assert "no DVC" in refused(mesh, material=str(olive), track=fail)
+    for key in ("crate", "box"):  # the second finds the copy
+        assert add_mesh(mesh, key, str(olive), 0.1, None, track=track)["material"] == "materials/olive.yaml"
+    assert Path("materials/olive.yaml").read_text() == olive.read_text()
+    assert params.read()["objects"]["box"]["material"] == "materials/olive.yaml"
+    olive.write_text(olive.read_text().replace("750", "751"))
+    assert "is another material than" in refused(mesh, "other", material=str(olive))
+    with pytest.raises(ObjectFolderError, match=r"material: .* expected a file in materials/"):
+        params.object_entry(
+            "box", {"objects": {"box": params.read()["objects"]["box"] | {"material": "x.yaml"}}}
+        )
+
+
+def fail(*arguments):
+    raise ObjectFolderError("no DVC")
 
 
 def test_what_voxelize_refuses_is_refused_before_it_is_added(workspace, tmp_path):
