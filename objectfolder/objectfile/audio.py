@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +15,6 @@ from objectfolder.audio.contact import Striker, load_striker
 from objectfolder.audio.synthesis import (
     RESPONSES,
     checked_contact_time,
-    checked_sample_rate,
     count_samples,
 )
 from objectfolder.audio.tuning import Tuning
@@ -34,9 +33,6 @@ from objectfolder.objectfile.arguments import (
 from objectfolder.objectfile.radiation import Radiation
 from objectfolder.objectfile.reading import StoredObject
 from objectfolder.objectfile.surface import TOLERANCE
-
-if TYPE_CHECKING:
-    from objectfolder.objectfile.voice import Voice
 
 _BYTES_PER_SAMPLE = 8  # of an answer, while it is made
 
@@ -351,32 +347,6 @@ class SoundQueries(StoredObject):
         tip, struck = load_striker(striker), struck_object(material, scale)
         sense: SoundSense = self._parts.audio
         return sense.contact_time(tip, *struck) or 0.0
-
-    @usual_modes()
-    def voice(
-        self, sample_rate: float = 48000, material: str | Material | None = None, scale: float | None = None
-    ) -> "Voice":
-        """Return the modes of the object, or of one of its shape, for sounds that go on; see docs/senses.md.
-
-        Parameters
-        ----------
-        sample_rate : float
-            Hz. Modes at or above half of it are left out.
-        material, scale
-            As in `impact`.
-
-        Raises
-        ------
-        ObjectFolderError
-            If the file knows no modes or not what they are of, all are above half the sample rate, or the
-            material is undamped.
-        """
-        rate, (stuff, size) = checked_sample_rate(sample_rate), struck_object(material, scale)
-        if isinstance(stuff, Material):
-            stuff.require_damping()
-        module = import_module("objectfolder.objectfile.voice")  # as in `listen`
-        made: Voice = module.Voice(self._parts, rate, stuff, size)
-        return made
 
     @usual_modes()
     def mode_shapes(self, points: Rows, tolerance: float = TOLERANCE) -> np.ndarray:

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import require_memory, whole_number
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.io import open_safetensors, safetensors_bytes, write_safetensors
+from objectfolder.materials import Material
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.arguments import Rows, finite_rows, usual_modes
-from objectfolder.objectfile.audio import SoundQueries
+from objectfolder.objectfile.audio import SoundQueries, struck_object
 from objectfolder.objectfile.header import checked_header
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.reading import described_part, held_parts
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     import trimesh
 
     from objectfolder.objectfile.gradients.answers import Answers
+    from objectfolder.objectfile.voice import Voice
 
 Device = str | torch.device  #: of nets
 
@@ -241,6 +244,33 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
             process=False,
         )
 
+    @usual_modes()
+    def voice(
+        self, sample_rate: float = 48000, material: str | Material | None = None, scale: float | None = None
+    ) -> "Voice":
+        """Return the modes of the object, or of one of its shape, for sounds that go on; see docs/senses.md.
+
+        Parameters
+        ----------
+        sample_rate : float
+            Hz. Modes at or above half of it are left out.
+        material, scale
+            As in `impact`.
+
+        Raises
+        ------
+        ObjectFolderError
+            If the file knows no modes or not what they are of, all are above half the sample rate, or the
+            material is undamped.
+        """
+        rate, (stuff, size) = checked_sample_rate(sample_rate), struck_object(material, scale)
+        if isinstance(stuff, Material):
+            stuff.require_damping()
+        # Not an import statement: stages use ObjectFile, none asks for voices, so none depends on them.
+        module = import_module("objectfolder.objectfile.voice")
+        made: Voice = module.Voice(self._parts, rate, stuff, size)
+        return made
+
     def torch(self, dtype: "torch.dtype | None" = None) -> "Answers":
         """Return modules whose answers carry gradients, the same at each call; see docs/gradients.md.
 
@@ -254,8 +284,7 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
         ObjectFolderError
             If the type is another.
         """
-        # Not an import statement: stages use ObjectFile, none asks for gradients, so none depends on them.
-        answers = import_module("objectfolder.objectfile.gradients.answers")
+        answers = import_module("objectfolder.objectfile.gradients.answers")  # as in `voice`
         made: Answers = answers.Answers(self._parts, dtype)
         return self._answers.setdefault(made.dtype, made)
 

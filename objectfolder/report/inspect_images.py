@@ -9,10 +9,10 @@ import numpy as np
 import torch
 
 from objectfolder.figures import page, page_columns, page_rows, save_page, show_image
-from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
-from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw_scene, triangles
 from objectfolder.io import read_json, read_npz
 from objectfolder.mesh.ply import read_surface
+from objectfolder.report.inspect_scene import CLAY, VIEW_FROM, draw_scene, triangles
+from objectfolder.report.inspection import Inspection, kilobytes, picture_path, require, span
 from objectfolder.vision.cameras import image_intrinsics, project
 from objectfolder.vision.color import COVERED, lit_foreground, on_white
 from objectfolder.workspace.layout import SPLITS, Build

@@ -1,4 +1,4 @@
-"""Summaries of artifacts: a table for the terminal, and pictures.
+"""Inspection of a stage by its name.
 
 Pictures go to ``build/<key>/inspect/``, which no stage declares, so an inspection never makes a stage stale.
 """
@@ -7,22 +7,15 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
 from objectfolder.disk import refuse_links
 from objectfolder.errors import ObjectFolderError
-from objectfolder.inspection.geometry import export_vtu, inspect_normalize, inspect_voxelize
-from objectfolder.inspection.images import inspect_render_touch, inspect_render_views
-from objectfolder.inspection.nets import inspect_evaluate, inspect_net, inspect_pack
-from objectfolder.inspection.radiation import inspect_radiation
-from objectfolder.inspection.record import Inspection
-from objectfolder.inspection.sound import inspect_modal
+from objectfolder.report.inspect_geometry import export_vtu, inspect_normalize, inspect_voxelize
+from objectfolder.report.inspect_images import inspect_render_touch, inspect_render_views
+from objectfolder.report.inspect_nets import inspect_evaluate, inspect_net, inspect_pack
+from objectfolder.report.inspect_sound import inspect_modal, inspect_radiation
+from objectfolder.report.inspection import Inspection
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import check_key
-
-__all__ = ["STAGES", "Inspection", "inspect_stage", "print_inspection"]
 
 #: Inspection of each stage.
 STAGES: dict[str, Callable[[Build], Inspection]] = {
@@ -74,16 +67,3 @@ def inspect_stage(stage: str, key: str, root: str | Path = ".", vtu: bool = Fals
     if vtu:
         inspection.files.append(export_vtu(build))
     return inspection
-
-
-def print_inspection(inspection: Inspection, console: Console) -> None:
-    """Print the table, and the paths of pictures and exported files."""
-    table = Table(title=inspection.title, show_header=False, title_justify="left")
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in inspection.rows:
-        table.add_row(Text(name), Text(value))  # text, not markup: values may contain brackets
-    console.print(table)
-    for kind, paths in (("picture", inspection.pictures), ("file", inspection.files)):
-        for path in paths:
-            console.print(Text(f"{kind}: {path}"), soft_wrap=True)
