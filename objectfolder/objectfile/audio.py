@@ -53,10 +53,8 @@ class Strikes:
     ) -> "Strikes":
         """Check the arguments of a query; a single row of one serves all rows of the others.
 
-        Raises
-        ------
-        ObjectFolderError
-            If shapes do not fit, values are not finite, or there is a delay without a listener.
+        Raises ObjectFolderError if shapes do not fit, values are not finite, or there is a delay without a
+        listener.
         """
         places = finite_rows("points", points, 3)
         longer = "points" if len(places) > 1 else "forces"
@@ -99,11 +97,8 @@ class SoundSettings:
     ) -> "SoundSettings":
         """Check the arguments of a query for the sounds of so many strikes.
 
-        Raises
-        ------
-        ObjectFolderError
-            If one is not of its type, a striker and a contact time are both given, the material is undamped,
-            or the sounds do not fit into memory.
+        Raises ObjectFolderError if one is not of its type, a striker and a contact time are both given, the
+        material is undamped, or the sounds do not fit into memory.
         """
         stuff, size = struck_object(material, scale)
         if isinstance(stuff, Material):
@@ -142,10 +137,7 @@ def struck_object(
 ) -> tuple[str | Material | None, float | None]:
     """Return material and longest side (m) of a struck object, checked; None is the object's own.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the material is not known, or the size is not a number.
+    Raises ObjectFolderError if the material is not known, or the size is not a number.
     """
     if not isinstance(material, Material | None):
         materials.material(material)
@@ -182,12 +174,9 @@ class SoundSense(ABC):
     ) -> np.ndarray:
         """Return sounds of strikes, or their pressures at listeners, Pa; (N, samples) float32.
 
-        Raises
-        ------
-        ObjectFolderError
-            If a setting is not valid, a point is off the surface, a sound exceeds single precision, a
-            listener is inside the object's ball, or the struck object's sound has other wavelengths, relative
-            to its size, than the stored one's.
+        Raises ObjectFolderError if a setting is not valid, a point is off the surface, a sound exceeds single
+        precision, a listener is inside the object's ball, or the struck object's sound has other wavelengths,
+        relative to its size, than the stored one's.
         """
 
 

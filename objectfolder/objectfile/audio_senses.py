@@ -95,10 +95,7 @@ class ModalSense(SoundSense):
     def struck(self, material: str | Material | None, scale: float | None) -> tuple[Material, float]:
         """Return material and longest side (m) of this shape in another material or size.
 
-        Raises
-        ------
-        ObjectFolderError
-            If the file does not say what its modes are of.
+        Raises ObjectFolderError if the file does not say what its modes are of.
         """
         own = self.own_material
         if material is not None and not isinstance(material, Material):
@@ -109,10 +106,7 @@ class ModalSense(SoundSense):
     def own_material(self) -> Material:
         """Material for which the stored modes were solved.
 
-        Raises
-        ------
-        ObjectFolderError
-            If the file does not say.
+        Raises ObjectFolderError if the file does not say.
         """
         header, key = self._stored.header, self._stored.key
         if not self._described:
@@ -207,10 +201,7 @@ class ModalSense(SoundSense):
     ) -> float:
         """Return how long a strike lasts, seconds: an ideal impulse, 0, if it is not known.
 
-        Raises
-        ------
-        ObjectFolderError
-            If it is not known and a striker is given.
+        Raises ObjectFolderError if it is not known and a striker is given.
         """
         lasting = self.contact_time(striker or load_striker("steel"), material, scale)
         if lasting is None and striker is not None:
@@ -274,22 +265,10 @@ def _press(
     rest: torch.Tensor,
     contact_time: float,
 ) -> None:
-    """Add to sounds at listeners how the force itself is heard.
+    """Add to sounds (N, samples) at listeners, in place, how the force itself is heard.
 
-    Parameters
-    ----------
-    sounds : (N, samples) float32 array
-        Changed in place.
-    rate : float
-        Samples per second.
-    s : (H,) complex tensor
-        Poles of the modes.
-    phasors : (N, H) complex tensor
-        What the modes' responses are multiplied by.
-    rest : (N, 1) tensor
-        Time since the start of contact at the first sample, seconds.
-    contact_time : float
-        Seconds, positive.
+    ``s`` (H,) are the poles of the modes, ``phasors`` (N, H) what their responses are multiplied by, and
+    ``rest`` (N, 1) the time since the start of contact at the first sample, seconds.
     """
     time = torch.arange(min(sounds.shape[1], math.ceil(contact_time * rate)), dtype=torch.float64) / rate
     by_force, by_change = (

@@ -58,10 +58,7 @@ class SoundTruth:
 def evaluate_sound(file: SoundQueries, truth: SoundTruth) -> dict[str, Any]:
     """Score gains at held-out surface points, and spectrograms of strikes; count the modes left out.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the Object File was made from other modes.
+    Raises ObjectFolderError if the Object File was made from other modes.
     """
     modes = truth.modes
     gained = score_gains(file, modes, np.flatnonzero(modes["split"] == 2)) if file.has_modes else {}
@@ -77,10 +74,7 @@ def score_gains(file: SoundQueries, modes: dict[str, np.ndarray], rows: np.ndarr
 
     ``baseline_nearest`` is the ``gain_error`` of the true mode shapes at the nearest training point.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the Object File was made from other modes.
+    Raises ObjectFolderError if the Object File was made from other modes.
     """
     damped, damping = modes["damped_frequency"], modes["damping"]
     if len(file.frequencies) != len(damping):
@@ -133,12 +127,7 @@ def count_lost_modes(modes: dict[str, np.ndarray], report: dict[str, Any]) -> di
     """Count the modes that were found but not solved, and estimate their energy; empty if none were counted.
 
     ``lost_energy`` is the share of the energy of unit impulses' sounds, with all modes below the frequency to
-    which they were counted; see `lost_energy`.
-
-    Parameters
-    ----------
-    report : dict
-        Contents of ``modal.json``.
+    which they were counted; see `lost_energy`. The report is ``modal.json``.
     """
     found = report["count_below_max_frequency"]
     if found is None:
@@ -180,19 +169,9 @@ def lost_energy(
 ) -> float:
     """Estimate the share of the energy of impulses' sounds that modes beyond the kept ones carry.
 
-    The lost modes are taken to lie at equal steps between the last kept one and the frequency to which modes
-    were counted, and to move the surface as the upper half of the kept ones do.
-
-    Parameters
-    ----------
-    shapes : (P, 3, M) array
-        Kept modes at points of the surface, kg^-1/2.
-    damped_frequency : (M,) array
-        Ascending, rad/s.
-    material : Material
-        Its damping model applies to the lost modes.
-    found : int
-        Number of modes below ``max_frequency``, Hz.
+    The lost modes are taken to lie at equal steps between the last kept one and the frequency (Hz) to which
+    ``found`` modes were counted, to move the surface as the upper half of the kept ones do, and to be damped
+    as the material. Kept modes have shapes (P, 3, M), kg^-1/2, and damped frequencies (M,), ascending, rad/s.
     """
     kept = len(damped_frequency)
     if found <= kept or kept == 0:

@@ -13,18 +13,14 @@ MIN_PIXELS = 50  #: contact pixels that a touch needs to count in ``psnr_contact
 def evaluate_touch(file: TouchQueries, truth: dict[str, np.ndarray]) -> dict[str, Any]:
     """Compute the PSNR of tactile images at held-out contacts, and the error of their forces.
 
-    Contacts where the object extends behind the gel (a handle, the inside of a cup) are impossible for a
-    real sensor. They count in ``psnr`` and ``psnr_median``, but not in the other scores:
-    ``psnr_unobstructed`` and ``psnr_median_unobstructed`` of whole images; ``psnr_contact`` of contact
-    pixels, pooled over contacts with at least `MIN_PIXELS` of them; and ``force_error``, the mean error
-    relative to the mean force, if both the gel and the network provide forces.
+    Contacts where the object extends behind the gel (a handle, the inside of a cup) are impossible for a real
+    sensor. They count in ``psnr`` and ``psnr_median``, but not in the other scores: ``psnr_unobstructed`` and
+    ``psnr_median_unobstructed`` of whole images; ``psnr_contact`` of contact pixels, pooled over contacts
+    with at least `MIN_PIXELS` of them; and ``force_error``, the mean error relative to the mean force, if
+    both the gel and the network provide forces.
 
-    Parameters
-    ----------
-    file : TouchQueries
-    truth : dict
-        Contents of ``touch/test.npz``, and ``mean_image``, (H, W, 3): the mean of the training images in grey
-        levels, which is the baseline.
+    The truth is the contents of ``touch/test.npz``, and ``mean_image``, (H, W, 3): the mean of the training
+    images in grey levels, which is the baseline.
     """
     query = truth["points"], truth["depths"], truth["angles"]
     force = np.full(len(truth["points"]), np.nan)

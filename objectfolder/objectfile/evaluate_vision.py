@@ -12,18 +12,12 @@ from objectfolder.vision.color import lit_foreground, on_white
 
 
 def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Compute PSNR and SSIM of held-out views, in sRGB on white.
+    """Compute PSNR and SSIM of held-out views, the contents of ``views/test.npz``, in sRGB on white.
 
     Half of all views are nearly unlit on a white background, so the lit foreground is also scored on its own:
-    pixels that the object covers fully and whose true radiance exceeds 1 % of white. The views themselves
-    are noisy: ``noise_floor`` and ``noise_floor_lit`` are the ``psnr`` and ``psnr_lit_foreground`` of a
-    perfect answer, given if the views contain their noise.
-
-    Parameters
-    ----------
-    file : VisionQueries
-    truth : dict
-        Contents of ``views/test.npz``.
+    pixels that the object covers fully and whose true radiance exceeds 1 % of white. The views themselves are
+    noisy: ``noise_floor`` and ``noise_floor_lit`` are the ``psnr`` and ``psnr_lit_foreground`` of a perfect
+    answer, given if the views contain their noise.
     """
     errors, white, similarity, lit_errors = [], [], [], []
     for rgba, pose, light, intrinsics in zip(

@@ -38,16 +38,7 @@ TAPS = 2000  #: points of the surface whose mode shapes are kept for rough answe
 
 
 class StoredParts:
-    """Surface and senses of an Object File.
-
-    Parameters
-    ----------
-    header : dict
-        Checked; see `objectfolder.objectfile.header.checked_header`.
-    tensors : mapping of arrays
-    device : torch.device
-        Where nets are evaluated.
-    """
+    """Surface and senses of an Object File, whose header is checked; nets are evaluated on the device."""
 
     def __init__(self, header: dict[str, Any], tensors: Mapping[str, np.ndarray], device: torch.device):
         self.header, self.tensors, self.device = header, tensors, device

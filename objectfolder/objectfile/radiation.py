@@ -13,18 +13,7 @@ _FARTHEST = 1e5  # metres at which a listener may be
 
 
 class Radiation:
-    """Stored radiation of an object of its own size.
-
-    Parameters
-    ----------
-    stored : StoredNet
-        The part ``radiation``.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is damaged.
-    """
+    """Stored radiation of an object of its own size; ObjectFolderError if the part is damaged."""
 
     def __init__(self, stored: StoredNet):
         self.key, self._scale = stored.key, stored.surface.scale
@@ -51,10 +40,7 @@ class Radiation:
     def check_outside(self, places: np.ndarray, scale: float) -> None:
         """Refuse listeners inside the ball about the origin that holds the object, or out of earshot.
 
-        Raises
-        ------
-        ObjectFolderError
-            If one is.
+        Raises ObjectFolderError if one is.
         """
         radius, distance = self.field.radius * scale / self._scale, np.linalg.norm(places, axis=1)
         inside = np.flatnonzero((distance < radius) | (distance > _FARTHEST))

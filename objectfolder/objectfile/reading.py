@@ -67,10 +67,7 @@ def held_parts(header: dict[str, Any]) -> list[str]:
 def described_part(header: dict[str, Any], part: str) -> dict[str, Any]:
     """Return the header of a part.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file lacks it, or a newer version made it.
+    Raises ObjectFolderError if the file lacks it, or a newer version made it.
     """
     if part not in header:
         held = ", ".join(held_parts(header)) or "nothing"

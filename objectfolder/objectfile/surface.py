@@ -56,18 +56,9 @@ class ObjectSurface:
     def snap(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
         """Move points (N, 3) to the surface; without a stored one they stay, and have to be in the box.
 
-        Parameters
-        ----------
-        points : (N, 3) array
-        tolerance : float
-            Greatest distance from the surface or the box, fraction of the size.
-        slack : float
-            Points nearer to the surface than this stay where they are; voxels of the stored grid.
-
-        Raises
-        ------
-        ObjectFolderError
-            If a point is further away than the tolerance.
+        The tolerance is the greatest distance from the surface or the box, fraction of the size; points
+        nearer to the surface than ``slack`` voxels stay where they are. Raises ObjectFolderError if a point
+        is further away than the tolerance.
         """
         closest = self.closest_unit_points(points, tolerance, slack)
         return closest * self.scale if self.stored else points

@@ -65,15 +65,9 @@ class ContactPoses:
     ) -> "ContactPoses":
         """Check the arguments of a query; a number serves all contacts, and a single point all numbers.
 
-        Parameters
-        ----------
-        count : int
-            Contacts that other arguments of the query are given for.
-
-        Raises
-        ------
-        ObjectFolderError
-            If shapes do not fit, values are not finite, or a sensor faces away from the surface.
+        ``count`` is the number of contacts that other arguments of the query are given for. Raises
+        ObjectFolderError if shapes do not fit, values are not finite, or a sensor faces away from the
+        surface.
         """
         places = finite_rows("points", points, 3)
         named = {"depth": depth, "angle": angle, "tilt": tilt, "azimuth": azimuth}
@@ -113,11 +107,8 @@ class SidewaysMotion:
     ) -> "SidewaysMotion":
         """Check the arguments of a sheared press; one row or number serves all contacts.
 
-        Raises
-        ------
-        ObjectFolderError
-            If shapes do not fit, values are not finite, a shear is longer than the sensor's gel can be
-            pressed in, a twist is beyond half a turn, or a friction is negative.
+        Raises ObjectFolderError if shapes do not fit, values are not finite, a shear is longer than the
+        sensor's gel can be pressed in, a twist is beyond half a turn, or a friction is negative.
         """
         rows = np.zeros((1, 2)) if shear is None else finite_rows("shear", shear, 2)
         if len(rows) not in (1, count):
@@ -192,10 +183,7 @@ class TouchSense(ABC):
     def touches(self, contacts: ContactPoses, profile: SensorProfile | None) -> Iterator[Touches]:
         """Return everything about the contacts in order, a few at a time; one empty answer if N is 0.
 
-        Raises
-        ------
-        ObjectFolderError
-            At once, if a contact is not possible or a point is off the surface.
+        Raises ObjectFolderError at once, if a contact is not possible or a point is off the surface.
         """
 
     @abstractmethod
@@ -453,10 +441,7 @@ class TouchQueries(StoredObject):
 def concatenate_touches(parts: Iterator[Touches], count: int) -> Touches:
     """Join answers of one sensor to ``count`` contacts.
 
-    Raises
-    ------
-    ObjectFolderError
-        If they do not fit into memory.
+    Raises ObjectFolderError if they do not fit into memory.
     """
     first = next(parts)
     names = [field.name for field in fields(Touches) if field.name != "profile"]

@@ -54,10 +54,7 @@ class GeometricSense(TouchSense):
     def snap(self, contacts: ContactPoses, net: "GeometricTouch") -> np.ndarray:
         """Return the points of contacts on the surface (N, 3), object frame, metres.
 
-        Raises
-        ------
-        ObjectFolderError
-            If a point is off the surface, or a depth is not one of the net's sensor.
+        Raises ObjectFolderError if a point is off the surface, or a depth is not one of the net's sensor.
         """
         depth, limit = contacts.depth, net.profile.max_indentation
         wrong = np.flatnonzero((depth < 0) | (depth > limit))

@@ -57,15 +57,8 @@ class LitCameras:
     ) -> "LitCameras":
         """Check the arguments of a query; a single camera or light serves all rows of the other.
 
-        Parameters
-        ----------
-        bytes_per_pixel : int
-            What the answer takes, which has to fit into memory.
-
-        Raises
-        ------
-        ObjectFolderError
-            As `VisionQueries.view`.
+        The answer, of so many bytes per pixel, has to fit into memory. Errors are those of
+        `objectfolder.objectfile.file.ObjectFile.view`.
         """
         places = real_array("camera", camera)
         if places.ndim in (2, 3) and places.shape[-2:] == (4, 4):

@@ -86,14 +86,9 @@ def key_of(path: Path) -> str | None:
 
 
 def object_report(path: Path, costs: bool = True) -> ObjectReport:
-    """Report on an Object File.
+    """Report on an Object File, and on what its build cost if asked.
 
-    Parameters
-    ----------
-    path : Path
-        If it is ``build/KEY/ObjectFile.safetensors`` of a workspace, truth and scores are read from there.
-    costs : bool
-        Whether to report what the build cost.
+    If it is ``build/KEY/ObjectFile.safetensors`` of a workspace, truth and scores are read from there.
     """
     file = ObjectFile.load(path)
     build = _build_of(file, path)

@@ -34,24 +34,11 @@ STAGES: dict[str, Callable[[Build], Inspection]] = {
 
 
 def inspect_stage(stage: str, key: str, root: str | Path = ".", vtu: bool = False) -> Inspection:
-    """Summarize and draw the artifacts of a stage for one object.
+    """Summarize and draw the artifacts of a stage, one of `STAGES`, for one object of a workspace.
 
-    Parameters
-    ----------
-    stage : str
-        One of `STAGES`.
-    key : str
-        Object key.
-    root : path
-        Workspace: the directory with ``dvc.yaml``.
-    vtu : bool
-        Also write the solid for ParaView (voxelize only).
-
-    Raises
-    ------
-    ObjectFolderError
-        If the stage is unknown, an artifact is missing, ``vtu`` is requested for another stage than voxelize,
-        or the machine has no OpenGL.
+    With ``vtu`` the solid of voxelize is also written for ParaView. Raises ObjectFolderError if the stage is
+    unknown, an artifact is missing, ``vtu`` is requested for another stage than voxelize, or the machine has
+    no OpenGL.
     """
     if stage not in STAGES:
         close = get_close_matches(stage, STAGES)

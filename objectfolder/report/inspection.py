@@ -25,10 +25,7 @@ class Inspection:
 def require(build: Build, stage: str, *paths: Path) -> None:
     """Check that a stage's artifacts exist.
 
-    Raises
-    ------
-    ObjectFolderError
-        If one is missing.
+    Raises ObjectFolderError if one is missing.
     """
     for path in paths:
         if not path.is_file():

@@ -30,38 +30,16 @@ def write_site(
     costs: bool = True,
     title: str = "Objects",
 ) -> Path:
-    """Write a report: complete, or not at all.
+    """Write a report, complete or not at all, and return the page to open.
 
-    Parameters
-    ----------
-    files : iterable of Path
-        Object Files; truth and scores of those in a workspace are read from there.
-    out : Path
-        Folder for ``index.html``, ``viewer.js`` and ``objects/KEY.js``; with ``single_file`` the page. Other
-        files in the folder are left alone.
-    missing : mapping, optional
-        Objects that are not built: entries of params.yaml by key.
-    single_file : bool
-        Write one page that holds everything, to be mailed.
-    on_object : callable
-        Called with the key of each object that is done.
-    on_failure : callable, optional
-        Called with key and error of each object that cannot be reported; the overview then says so. Default:
-        raise the error.
-    costs : bool
-        Whether to report what builds cost, which differs from one to the next.
-    title : str
-        Name of the dataset.
+    Truth and scores of Object Files in a workspace are read from there; ``missing`` are entries of
+    params.yaml, by key, of objects that are not built. ``out`` is a folder for ``index.html``, ``viewer.js``
+    and ``objects/KEY.js``, whose other files are left alone; with ``single_file`` it is one page that holds
+    everything, to be mailed. ``on_object`` is called with the key of each object that is done, ``on_failure``
+    with key and error of each that cannot be reported, which the overview then says; by default the error is
+    raised. ``costs`` says whether to report what builds cost, which differs from one to the next.
 
-    Returns
-    -------
-    Path
-        The page to open.
-
-    Raises
-    ------
-    ObjectFolderError
-        If two files hold objects of one key.
+    Raises ObjectFolderError if two files hold objects of one key.
     """
     paths = list(files)
     found = [key_of(path) for path in paths]

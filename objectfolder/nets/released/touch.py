@@ -36,20 +36,12 @@ _CHUNK = 4096  # pixels evaluated at once: their activations stay in the cache
 
 
 class ReleasedImage:
-    """Net from surface points to tactile images.
+    """Net from (x, y, z, row, column), all from -1 to 1, to the colour of a tactile image.
 
-    Parameters
-    ----------
-    network : ReleasedNetwork
-        Net from (x, y, z, row, column) to a colour, all from -1 to 1.
-    config : dict
-        ``frame``; ``coordinates`` (low, high): a released coordinate c is mapped to 2 (c - low) / high - 1,
-        as in the original, one pair for all axes; ``press_depth`` and ``angle``, assigned to every image.
-
-    Notes
-    -----
-    The original takes low and high from the queried points, so that an image depends on the other points of
-    the query; here they are fixed. The press depth of its training is unknown.
+    ``config`` holds ``frame``; ``coordinates`` (low, high): a released coordinate c is mapped to 2 (c - low)
+    / high - 1, as in the original, one pair for all axes; ``press_depth`` and ``angle``, assigned to every
+    image. The original takes low and high from the queried points, so that an image depends on the other
+    points of the query; here they are fixed. The press depth of its training is unknown.
     """
 
     def __init__(self, network: ReleasedNetwork, config: dict[str, Any]):
@@ -92,15 +84,9 @@ class ReleasedImage:
 class ReleasedDepth:
     """Net from contacts to depth maps, and simulation of a sensor pressed into them.
 
-    Parameters
-    ----------
-    network : ReleasedNetwork
-        Net from (x, y, z, tilt, cos azimuth, sin azimuth, press depth, row, column) to a depth.
-    untouched : (120, 160) tensor
-        Depth map of the untouched gel, metres.
-    config : dict
-        ``frame``; ``bounds`` (2, 3), the released coordinates represented by inputs 0 and 1; ``sensor``, a
-        profile.
+    The network maps (x, y, z, tilt, cos azimuth, sin azimuth, press depth, row, column) to a depth;
+    ``untouched`` (120, 160) is the depth map of the untouched gel, metres. ``config`` holds ``frame``;
+    ``bounds`` (2, 3), the released coordinates that inputs 0 and 1 represent; ``sensor``, a profile.
     """
 
     def __init__(self, network: ReleasedNetwork, untouched: torch.Tensor, config: dict[str, Any]):
@@ -126,6 +112,8 @@ class ReleasedDepth:
     ) -> np.ndarray:
         """Evaluate the original's depth maps, metres from the camera; (N, 120, 160) float32.
 
+        Raises ObjectFolderError if a depth or tilt is outside the net's training range.
+
         Parameters
         ----------
         points : (N, 3) array, unit frame
@@ -133,11 +121,6 @@ class ReleasedDepth:
             Press depths, metres.
         tilts, azimuths : (N,) arrays
             Theta and phi of the release, radians.
-
-        Raises
-        ------
-        ObjectFolderError
-            If a depth or tilt is outside the net's training range.
         """
         self.require(depths, tilts)
         low, high = self._bounds

@@ -95,23 +95,10 @@ def follow_surface(points: torch.Tensor, closest: np.ndarray, surface: Isosurfac
     """Return the closest points of a surface, with the gradients of a projection of the points onto it.
 
     The closest point of a moving point moves by the part of the motion that the implicit function theorem
-    leaves: the stored distance d stays 0, and its normal n is the direction of projection,
-
-        d(closest) = (I - n grad(d)' / (n . grad(d))) d(point).
-
-    This is exact for points on the surface. Of points off it, the surface's curvature is left out, an error
-    of the order of the distance over the radius of curvature.
-
-    Parameters
-    ----------
-    points : (N, 3) tensor, unit frame
-    closest : (N, 3) array, unit frame
-        Where the points are projected to; those equal to a point follow it without constraint.
-    surface : Isosurface
-
-    Returns
-    -------
-    (N, 3) tensor of the values of ``closest``
+    leaves: the stored distance d stays 0, and its normal n is the direction of projection, so that d(closest)
+    = (I - n grad(d)' / (n . grad(d))) d(point). This is exact for points on the surface. Of points off it,
+    the surface's curvature is left out, an error of the order of the distance over the radius of curvature.
+    Those equal to their closest point, (N, 3) in the unit frame, follow it without constraint.
     """
     place = torch.from_numpy(closest).to(points)
     if not points.requires_grad:

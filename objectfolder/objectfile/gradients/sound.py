@@ -163,20 +163,9 @@ class Sound(AnswerModule):
 def respond_to_pulse(s: torch.Tensor, time: torch.Tensor, contact_time: Number, order: int) -> torch.Tensor:
     """Compute the response of modes to a half sine of force; see `objectfolder.audio.synthesis.responses`.
 
-    Parameters
-    ----------
-    s : (M, 1) complex tensor
-        -c + i w, 1/s.
-    time : (samples,) tensor
-        Ascending, since the start of contact, seconds.
-    contact_time : float or tensor
-        Seconds; 0 is an ideal impulse.
-    order : int
-        0 for the displacement, 1 for its velocity, 2 for its acceleration.
-
-    Returns
-    -------
-    (M, samples) float64
+    ``s`` (M, 1) is -c + i w, 1/s; ``time`` (samples,) ascends from the start of contact, seconds; a contact
+    time of 0 is an ideal impulse; ``order`` is 0 for the displacement, 1 for its velocity, 2 for its
+    acceleration. Returns (M, samples) float64.
     """
     if not contact_time:
         return response_at(s, time, 0.0, order)

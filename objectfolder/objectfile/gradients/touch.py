@@ -128,14 +128,8 @@ def seated_heights(
 ) -> torch.Tensor:
     """Return the heights of `objectfolder.touch.contact.heightmaps`, with gradients; (N, H, W) float64.
 
-    Parameters
-    ----------
-    points, axes : (N, 3) tensors
-        Contact points, metres, and the sensors' unit outward axes; object frame, float64.
-    angles, depths : (N,) tensors
-        Radians and metres.
-    net : GeometricTouch
-        Surface and sensor.
+    Contact points (N, 3), metres, and the sensors' unit outward axes are float64 in the object frame; angles
+    are radians, depths metres.
     """
     profile, surface = net.profile, net.surface
     where, axis, turned, pressed = (v.detach().numpy() for v in (points, axes, angles, depths))
@@ -163,21 +157,9 @@ def hit_planes(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return a corner, metres, and the normal of the triangles that rays meet, and whether they were found.
 
-    Parameters
-    ----------
-    surface : Isosurface
-    scale : float
-        Metres per unit of the surface.
-    camera : (3,) tensor, metres
-    ways : (M, 3) tensor
-        Directions of the rays.
-    depth : (M,) tensor
-        Where the rays meet the surface, in multiples of the directions.
-
-    Returns
-    -------
-    corner, normal : (M, 3) float64 tensors
-    met : (M,) bool tensor
+    Rays start at the camera (3,), metres, along ``ways`` (M, 3), and meet the surface, whose unit is
+    ``scale`` metres, at ``depth`` (M,) times these. Returns corners and normals, (M, 3) float64, and a mask
+    (M,).
     """
     start = (camera + (depth - _BEFORE)[:, None] * ways) / scale
     reach = np.full(len(ways), 2 * _BEFORE, np.float32)
@@ -234,13 +216,7 @@ class SoftGel(torch.autograd.Function):
 
 
 class TensorOptics(Optics):
-    """Optics of the gel that compute with tensors, through which gradients flow.
-
-    Parameters
-    ----------
-    profile : SensorProfile
-    dtype : torch.dtype
-    """
+    """Optics of the gel that compute with tensors, through which gradients flow."""
 
     def __init__(self, profile: SensorProfile, dtype: torch.dtype):
         self._dtype = dtype

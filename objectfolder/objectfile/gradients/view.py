@@ -129,17 +129,8 @@ def intersect_planes(
 ) -> SurfaceSamples:
     """Return the points in which rays meet the planes of known triangles, with gradients.
 
-    Parameters
-    ----------
-    surface : Isosurface
-    frame : (4, 4) tensor
-        Camera to world.
-    ways : (S, 3) tensor
-        Directions of the rays in the camera's frame.
-    face : (S,) int array
-    light : (3,) tensor
-    dtype : torch.dtype
-        Of the answer.
+    ``frame`` (4, 4) is camera to world, ``ways`` (S, 3) are the directions of the rays in the camera's frame,
+    ``face`` (S,) the triangles; ``dtype`` is that of the answer.
     """
     origin, away = frame[:3, 3], ways @ frame[:3, :3].T
     a, b, c = (torch.from_numpy(v) for v in surface.vertices[surface.faces[face]].swapaxes(0, 1))
