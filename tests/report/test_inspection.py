@@ -293,6 +293,16 @@ def test_modal_rows(root):
     assert grams == pytest.approx(VOLUME * 2.7, rel=2e-3)
 
 
+def copied_modes(root, folder, **changed):
+    """Rows of an inspection of the same modes, of which the report says other things."""
+    source, build = Build("brick", root), Build("brick", folder)
+    for name in ("modes", "surface"):
+        getattr(build, name).parent.mkdir(parents=True, exist_ok=True)
+        getattr(build, name).write_bytes(getattr(source, name).read_bytes())
+    write_json(build.modal, read_json(source.modal) | changed)
+    return dict(inspect_stage("modal", "brick", folder).rows)
+
+
 @pytest.mark.parametrize(
     ("errors", "row", "first", "second"),
     [
@@ -301,13 +311,8 @@ def test_modal_rows(root):
     ],
 )
 def test_modal_tells_the_estimated_error(tmp_path, root, monkeypatch, errors, row, first, second):
-    source, build = Build("brick", root), Build("brick", tmp_path)
     monkeypatch.setattr(inspect_sound, "_modal_picture", lambda *arguments: None)
-    for name in ("modes", "surface"):
-        getattr(build, name).parent.mkdir(parents=True, exist_ok=True)
-        getattr(build, name).write_bytes(getattr(source, name).read_bytes())
-    write_json(build.modal, read_json(source.modal) | {"discretisation_error": errors})
-    rows = dict(inspect_stage("modal", "brick", tmp_path).rows)
+    rows = copied_modes(root, tmp_path, discretisation_error=errors)
     assert rows["estimated error"] == row
     for mode, error in ((1, first), (2, second), (3, None)):
         told = rows[f"  mode {mode}"].partition(", estimated error ")[2]
@@ -316,13 +321,7 @@ def test_modal_tells_the_estimated_error(tmp_path, root, monkeypatch, errors, ro
 
 @pytest.mark.slow
 def test_modal_tells_of_a_reused_solve(tmp_path, root):
-    source, build = Build("brick", root), Build("brick", tmp_path)
-    report = read_json(source.modal) | {"reused": True, "count_below_max_frequency": None, "truncated": True}
-    for name in ("modes", "surface"):
-        getattr(build, name).parent.mkdir(parents=True, exist_ok=True)
-        getattr(build, name).write_bytes(getattr(source, name).read_bytes())
-    write_json(build.modal, report)
-    rows = dict(inspect_stage("modal", "brick", tmp_path).rows)
+    rows = copied_modes(root, tmp_path, reused=True, count_below_max_frequency=None, truncated=True)
     assert rows["below 20 kHz"] == "not counted (truncated)"
     assert rows["solved"] == "no: scaled from an earlier solve"
     assert "solved" not in _rows(root, "modal")
@@ -344,11 +343,8 @@ def test_modal_of_an_object_without_modes(tmp_path, root):
 
 def test_render_views_rows(root):
     rows = _inspected(root, "render_views").rows
-    assert [value.partition(",")[0] for name, value in rows if name in SPLITS] == [
-        "20 tiles",
-        "3 views",
-        "4 views",
-    ]
+    kinds = [value.partition(",")[0] for name, value in rows if name in SPLITS]
+    assert kinds == ["20 tiles", "3 views", "4 views"]
     assert dict(rows)["  pixels"] == "object covers 25.0% of the image; 50.0% of that is lit"
     assert dict(rows)["  camera distance"] == "2.5 to 2.5 sizes"
 
