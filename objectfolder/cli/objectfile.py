@@ -21,11 +21,7 @@ if TYPE_CHECKING:
 query_app = typer.Typer(no_args_is_help=True, help="Query an Object File: `vision`, `audio` or `touch`.")
 
 #: Units of a sound without a listener, by response.
-SOUND_UNITS = {
-    "displacement": "m kg^1/2",
-    "velocity": "m kg^1/2/s",
-    "acceleration": "m kg^1/2/s^2",
-}
+SOUND_UNITS = {"displacement": "m kg^1/2", "velocity": "m kg^1/2/s", "acceleration": "m kg^1/2/s^2"}
 TOUCH_ARRAYS = ("height", "displacement", "pressure", "normals")
 SHEAR_ARRAYS = ("sideways", "traction", "marker_flow")  #: of contacts that are sheared
 TOUCH_OUTPUTS = ("image", "mask", *TOUCH_ARRAYS, *SHEAR_ARRAYS)

@@ -59,14 +59,7 @@ def report(
         print_line(f"{key} cannot be reported: {error}")
 
     with console.status("reading objects") as status:
-        page = write_site(
-            paths,
-            out,
-            missing,
-            single_file,
-            lambda key: status.update(f"{key} is done"),
-            note,
-        )
+        page = write_site(paths, out, missing, single_file, lambda key: status.update(f"{key} is done"), note)
     count = plural(len(paths), "object") + (f", {len(failed)} failed" if failed else "")
     print_line(f"{page}: {count}")
     if open_page and not webbrowser.open(page.resolve().as_uri()):

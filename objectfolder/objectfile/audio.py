@@ -12,11 +12,7 @@ import torch
 
 from objectfolder import materials
 from objectfolder.audio.contact import Striker, load_striker
-from objectfolder.audio.synthesis import (
-    RESPONSES,
-    checked_contact_time,
-    count_samples,
-)
+from objectfolder.audio.synthesis import RESPONSES, checked_contact_time, count_samples
 from objectfolder.audio.tuning import Tuning
 from objectfolder.checks import finite_number, one_of, real_array, require_memory
 from objectfolder.errors import ObjectFolderError, quoted

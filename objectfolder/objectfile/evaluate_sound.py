@@ -161,11 +161,7 @@ def compare_sounds(
 
 
 def lost_energy(
-    shapes: np.ndarray,
-    damped_frequency: np.ndarray,
-    material: Material,
-    found: int,
-    max_frequency: float,
+    shapes: np.ndarray, damped_frequency: np.ndarray, material: Material, found: int, max_frequency: float
 ) -> float:
     """Estimate the share of the energy of impulses' sounds that modes beyond the kept ones carry.
 

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from objectfolder.nets.released.gains import ReleasedGains
-from objectfolder.nets.released.network import Frame, network_of
+from objectfolder.nets.released.network import Frame, build_network
 from objectfolder.nets.released.spectrogram import AXES, NEIGHBOURS, ReleasedSpectrogram
 from objectfolder.released.checkpoint import ReleasedDict
 from objectfolder.released.encoding import network
@@ -29,7 +29,7 @@ def spectrogram_net(audio: ReleasedDict, frame: Frame) -> ReleasedSpectrogram:
     branches = []
     for axis in AXES:
         tensors = network(state.below(f"model_{axis}."), 5, 2)
-        branches.append(network_of(tensors, 5))
+        branches.append(build_network(tensors, 5))
     config = {
         "frame": frame.to_dict(),
         "translation": audio.numbers("translation", 3).tolist(),
@@ -65,7 +65,7 @@ def gains_net(audio: ReleasedDict, frame: Frame) -> ReleasedGains:
         tensors = network(state.below(f"model_{axis}."), 3, count)
         for name in ("output.weight", "output.bias"):
             tensors[name] = tensors[name][heard]
-        branches.append(network_of(tensors, 3))
+        branches.append(build_network(tensors, 3))
     config = {"frame": frame.to_dict(), "bounds": box(normalizer)}
     modes = (torch.from_numpy(frequencies), torch.from_numpy(dampings), low, high)
     return ReleasedGains(branches, config, *(x.float()[..., heard] for x in modes))

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch.nn.functional import interpolate
 
-from objectfolder.nets.released.network import Frame, ReleasedNetwork, network_of
+from objectfolder.nets.released.network import Frame, ReleasedNetwork, build_network
 from objectfolder.nets.released.touch import APEX, DEPTH_SIZE, DEPTHS, PIXEL, ReleasedDepth, ReleasedImage
 from objectfolder.released.audio import box
 from objectfolder.released.checkpoint import ReleasedDict
@@ -30,7 +30,7 @@ def image_net(touch: ReleasedDict, frame: Frame, bounds: np.ndarray) -> Released
     ObjectFolderError
         If an entry is missing or not as documented.
     """
-    net = network_of(network(touch.state("model_state_dict"), 5, 3), 5)
+    net = build_network(network(touch.state("model_state_dict"), 5, 3), 5)
     config = {
         "frame": frame.to_dict(),
         "coordinates": [float(bounds.min()), float(bounds.max())],
@@ -59,7 +59,7 @@ def depth_net(
     ObjectFolderError
         If an entry is missing or not as documented.
     """
-    net = network_of(network(touch.state("model_state_dict"), 9, 1), 9)
+    net = build_network(network(touch.state("model_state_dict"), 9, 1), 9)
     config = {"frame": frame.to_dict(), "bounds": box(touch), "sensor": profile.to_dict()}
     depth = _untouched(net) if gel is None else torch.from_numpy(APEX - PIXEL * np.asarray(gel, np.float64))
     return ReleasedDepth(net, depth.float(), config)

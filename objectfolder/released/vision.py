@@ -8,7 +8,7 @@ import torch
 
 from objectfolder.nets.positional import SKIP
 from objectfolder.nets.released.kilo import MARGIN, MAX_CELLS, ReleasedKilo
-from objectfolder.nets.released.vision import MAX_SAMPLES, March, ReleasedNerf, scattering_of
+from objectfolder.nets.released.vision import MAX_SAMPLES, March, ReleasedNerf, build_scattering
 from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.released.checkpoint import ReleasedDict
 from objectfolder.released.encoding import DEPTH, by_number, by_octave, octaves_of, trunk
@@ -99,7 +99,7 @@ def _net(state: ReleasedDict, refeed: bool = True, depth: int = DEPTH) -> Scatte
     ):
         tensors[f"{ours}.weight"] = state.tensor(f"{theirs}.weight", *shape)
         tensors[f"{ours}.bias"] = state.tensor(f"{theirs}.bias", shape[0])
-    return scattering_of(tensors, octaves, direction_octaves)
+    return build_scattering(tensors, octaves, direction_octaves)
 
 
 def _kilo(vision: ReleasedDict, cfg: ReleasedDict, state: ReleasedDict) -> ReleasedKilo:

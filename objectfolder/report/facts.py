@@ -77,7 +77,7 @@ def failed_object(key: str, error: Exception) -> dict[str, Any]:
     }
 
 
-def key_of(path: Path) -> str | None:
+def read_key(path: Path) -> str | None:
     """Return the key in an Object File; None if it cannot be read."""
     try:
         return ObjectFile.load(path).key
@@ -277,10 +277,7 @@ def _touches_alone(file: ObjectFile) -> list[dict[str, Any]]:
     depth = float(np.clip(DEPTH, *file.press_range()))
     pressed = file.press(file.sample_surface(3 * TOUCHES, seed=0), depth)
     return [
-        {
-            "title": _contact(depth, pressed.obstructed[row]),
-            "source": picture_uri(pressed.images[row]),
-        }
+        {"title": _contact(depth, pressed.obstructed[row]), "source": picture_uri(pressed.images[row])}
         for row in _free_first(pressed.obstructed, TOUCHES)
     ]
 

@@ -142,13 +142,7 @@ def _show_views(panels: np.ndarray, views: dict[str, np.ndarray]) -> None:
         before = depth[0] < np.linalg.norm(pose[:3, 3])
         margin = rgba.shape[1] / 64
         column, row = np.clip(place[0], margin, np.array([rgba.shape[2], rgba.shape[1]]) - margin)
-        axes.scatter(
-            column,
-            row,
-            s=45,
-            facecolors="#facc15" if before else "none",
-            edgecolors="#a16207",
-        )
+        axes.scatter(column, row, s=45, facecolors="#facc15" if before else "none", edgecolors="#a16207")
 
 
 def _show_touches(panels: Iterable["Axes"], contacts: dict[str, np.ndarray]) -> None:

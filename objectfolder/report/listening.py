@@ -19,7 +19,7 @@ from objectfolder.audio.recordings import at_rate, loudest_channel, opened_sound
 from objectfolder.checks import whole_number
 from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.text import from_csv, in_script
-from objectfolder.viewer.page import filled_page, static_text
+from objectfolder.viewer.page import fill_page, static_text
 
 PAIRS = 16  #: of the paper's study
 SUFFIXES = (".wav", ".flac", ".ogg")
@@ -101,7 +101,7 @@ def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> st
         ],
     }
     study["id"] = hashlib.sha256(json.dumps(study).encode()).hexdigest()[:12]
-    return filled_page(
+    return fill_page(
         "listening.html",
         {
             "title": "Which sounds more real?",

@@ -12,12 +12,12 @@ from objectfolder.report.facts import (
     SCORES,
     ObjectReport,
     failed_object,
-    key_of,
     missing_object,
     object_report,
+    read_key,
 )
 from objectfolder.text import in_html, in_script
-from objectfolder.viewer.page import filled_page, page_parts, static_text
+from objectfolder.viewer.page import fill_page, page_parts, static_text
 
 
 def write_site(
@@ -42,7 +42,7 @@ def write_site(
     Raises ObjectFolderError if two files hold objects of one key.
     """
     paths = list(files)
-    found = [key_of(path) for path in paths]
+    found = [read_key(path) for path in paths]
     taken = set(missing or {})
     for path, known in zip(paths, found):
         if known in taken:
@@ -99,7 +99,7 @@ def write_site(
 
 def _page(title: str, rows: list[dict[str, Any]], held: list[str], single_file: bool) -> str:
     # What the live viewer is made of; the page puts an object into it.
-    frame = filled_page(
+    frame = fill_page(
         "page.html", page_parts({}, "{{title}}") | {"objects": "{{objects}}", "script": "{{script}}"}
     )
     content = {
@@ -109,7 +109,7 @@ def _page(title: str, rows: list[dict[str, Any]], held: list[str], single_file: 
         "viewer": in_script(static_text("viewer.js")) if single_file else "null",
         "script": static_text("report.js"),
     }
-    return filled_page("report.html", content)
+    return fill_page("report.html", content)
 
 
 def _script(report: ObjectReport) -> str:

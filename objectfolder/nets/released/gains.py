@@ -9,8 +9,8 @@ import torch
 from objectfolder.nets.released.network import (
     Frame,
     ReleasedNetwork,
+    build_network,
     float_tensors,
-    network_of,
     stored_tensors,
 )
 from objectfolder.nets.released.spectrogram import AXES
@@ -87,7 +87,7 @@ class ReleasedGains:
         """Invert `to_tensors`."""
         state = float_tensors(tensors)
         modes = [state.pop(name) for name in ("frequencies", "dampings", "low", "high")]
-        return cls([network_of(state, 3, f"{axis}.") for axis in AXES], dict(config), *modes)
+        return cls([build_network(state, 3, f"{axis}.") for axis in AXES], dict(config), *modes)
 
 
 def checked_bounds(bounds: Any) -> np.ndarray:

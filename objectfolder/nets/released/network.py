@@ -28,7 +28,7 @@ class ReleasedNetwork(SkipNetwork):
         return self.output(super().forward(encoded(x, self.octaves, 1.0)))
 
 
-def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") -> ReleasedNetwork:
+def build_network(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") -> ReleasedNetwork:
     """Build the network described by the tensors of a state dictionary; their shapes define its size.
 
     Raises ValueError, KeyError or RuntimeError if the tensors describe no such network.

@@ -10,8 +10,8 @@ from objectfolder.audio.spectrogram import SHAPE
 from objectfolder.nets.released.network import (
     Frame,
     ReleasedNetwork,
+    build_network,
     float_tensors,
-    network_of,
     stored_tensors,
 )
 
@@ -99,4 +99,4 @@ class ReleasedSpectrogram:
         """Invert `to_tensors`."""
         state = float_tensors(tensors)
         vertices = state.pop("voxel_vertex").numpy()
-        return cls([network_of(state, 5, f"{axis}.") for axis in AXES], vertices, dict(config))
+        return cls([build_network(state, 5, f"{axis}.") for axis in AXES], vertices, dict(config))

@@ -13,8 +13,8 @@ from objectfolder.nets.released.gains import checked_bounds
 from objectfolder.nets.released.network import (
     Frame,
     ReleasedNetwork,
+    build_network,
     float_tensors,
-    network_of,
     stored_tensors,
 )
 from objectfolder.touch.camera import ray_directions
@@ -67,7 +67,7 @@ class ReleasedImage:
         x = 2 * (self.frame.released(points) - self._low) / self._high - 1
         out = np.empty((len(x), *IMAGE_SIZE, 3), np.uint8)
         for image, point in zip(out, torch.from_numpy(x).float().to(self._pixels)):
-            grey = (evaluated(self.network, point, self._pixels) + 1) / 2 * 255
+            grey = (evaluate_pixels(self.network, point, self._pixels) + 1) / 2 * 255
             image[:] = grey.round().clamp(0, 255).to(torch.uint8).view(*IMAGE_SIZE, 3).cpu().numpy()
         return out
 
@@ -78,7 +78,7 @@ class ReleasedImage:
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedImage":
         """Invert `to_tensors`."""
-        return cls(network_of(float_tensors(tensors), 5), dict(config))
+        return cls(build_network(float_tensors(tensors), 5), dict(config))
 
 
 class ReleasedDepth:
@@ -136,16 +136,13 @@ class ReleasedDepth:
         )
         maps = np.empty((len(x), *DEPTH_SIZE), np.float32)
         for out, row in zip(maps, torch.from_numpy(x).float().to(self._pixels)):
-            depth = evaluated(self.network, row, self._pixels).view(*DEPTH_SIZE)
+            depth = evaluate_pixels(self.network, row, self._pixels).view(*DEPTH_SIZE)
             out[:] = depth.cpu().numpy() * (DEPTHS[1] - DEPTHS[0]) + DEPTHS[0]
         return maps
 
     def require(self, depths: np.ndarray, tilts: np.ndarray) -> None:
         """Raise ObjectFolderError unless press depths and tilts are in the net's training range."""
-        for name, values, (low, high) in (
-            ("depth", depths, PRESS_DEPTHS),
-            ("tilt", tilts, (0.0, MAX_TILT)),
-        ):
+        for name, values, (low, high) in (("depth", depths, PRESS_DEPTHS), ("tilt", tilts, (0.0, MAX_TILT))):
             wrong = np.flatnonzero(~((values >= low - _ROUNDING) & (values <= high + _ROUNDING)))
             if len(wrong):
                 raise ObjectFolderError(
@@ -218,10 +215,10 @@ class ReleasedDepth:
         """Invert `to_tensors`."""
         state = float_tensors(tensors)
         untouched = state.pop("untouched")
-        return cls(network_of(state, 9), untouched, dict(config))
+        return cls(build_network(state, 9), untouched, dict(config))
 
 
-def evaluated(network: ReleasedNetwork, row: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
+def evaluate_pixels(network: ReleasedNetwork, row: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
     """Evaluate a network at one contact and (P, 2) pixels; (P, outputs)."""
     parts = [network(torch.cat([row.expand(len(part), -1), part], 1)) for part in pixels.split(_CHUNK)]
     return torch.cat(parts)

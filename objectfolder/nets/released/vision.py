@@ -226,11 +226,11 @@ class ReleasedNerf(ReleasedVision):
         nets = {}
         for name in sorted({key.split(".")[0] for key in state}):
             part = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
-            nets[name] = scattering_of(part, *octaves)
+            nets[name] = build_scattering(part, *octaves)
         return cls(nets, March(**config), crop)
 
 
-def scattering_of(
+def build_scattering(
     state: dict[str, torch.Tensor], point_octaves: int, direction_octaves: int
 ) -> ScatteringFunction:
     """Build the `ScatteringFunction` described by tensors.
