@@ -44,9 +44,8 @@ from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image_training import train_image
-from objectfolder.objectfile.evaluation import touch_scores
-from objectfolder.objectfile.surface import ObjectSurface
-from objectfolder.objectfile.touch import UNMOVED
+from objectfolder.objectfile.evaluate_touch import score_images
+from objectfolder.objectfile.surface import UNMOVED, ObjectSurface
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps
 from objectfolder.touch.dataset import render_contacts
 from objectfolder.touch.gel import deform
@@ -258,7 +257,7 @@ def net(source: str, scale: str, count: str, resolution: str) -> dict:
         contact = places, fitted.normals(places), unknown["angles"], unknown["depths"]
         found = [(part.images, part.force) for part in fitted.touches(*contact)]
         images, force = (np.concatenate(parts) for parts in zip(*found))
-        scores = touch_scores(images, unknown)
+        scores = score_images(images, unknown)
         free = unknown["obstructed"] == 0
         row |= {
             f"{name}_offset_um": fitted.depth_offset * 1e6,
@@ -305,7 +304,7 @@ def image(source: str, scale: str, count: str, steps: str) -> dict:
     for name, contacts in (("known", known), ("unknown", unknown)):
         answers = trained.images(contacts["points"] / scale_m)
         for kind, images in (("net", answers), ("mean", np.broadcast_to(mean, answers.shape))):
-            scores = touch_scores(images, contacts)
+            scores = score_images(images, contacts)
             row |= {f"{name}_{kind}": scores["psnr"], f"{name}_{kind}_contact": scores.get("psnr_contact")}
     return row
 

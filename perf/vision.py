@@ -11,7 +11,6 @@ import argparse
 import lzma
 import resource
 import tempfile
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,15 +31,14 @@ from objectfolder.nets.settings import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
-from objectfolder.objectfile.evaluation import evaluate_vision
+from objectfolder.objectfile.evaluate_vision import evaluate_vision
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.vision import view_images
+from objectfolder.objectfile.vision import LitCameras, view_images
 from objectfolder.seeding import torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
-from objectfolder.vision.view import draw as draw_surface
 from objectfolder.vision.volume import Rays
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import SPLITS, Build
@@ -148,13 +146,22 @@ def train(workspace: str, key: str) -> dict:
     row["geometry_kb"] = len(lzma.compress(distances["values"].tobytes())) / 1000
 
     def score(net: SurfaceNet, split: str) -> dict:
-        drawer = partial(draw_surface, surface, net.shader(surface))
-        return evaluate_vision(partial(view_images, lambda: drawer), views[split])
+        return evaluate_vision(Shaded(surface, net), views[split])
 
     # Pooled: a mean over tiles would be that of the many without the object.
     row |= {"psnr_val": score(net, "val")["psnr_pooled"]}
     row |= {"psnr_val_stored": score(stored, "val")["psnr_pooled"]}
     return row | score(stored, "test")
+
+
+class Shaded:
+    """A surface and its net, which are viewed as an Object File."""
+
+    def __init__(self, surface: Isosurface, net: SurfaceNet):
+        self._drawer = partial(draw_surface, surface, net.shader(surface))
+
+    def view(self, pose: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+        return view_images(self._drawer, LitCameras.checked(pose, light, (), intrinsics))
 
 
 def query(workspace: str, key: str, count: str) -> dict:

@@ -100,7 +100,8 @@ def vision(
     """Render views. Positions are in the unit frame, in which the object's longest side is 1."""
     from objectfolder.io import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
-    from objectfolder.objectfile.vision import poses_and_lights
+    from objectfolder.objectfile.vision import LitCameras
+    from objectfolder.vision.cameras import Intrinsics
     from objectfolder.vision.environment import gather_lamps
 
     given = lights is not None or environment is not None
@@ -108,8 +109,9 @@ def vision(
     obj, rows = ObjectFile.load(file), read_rows(queries, 3 if given else 6, hint)
     lamps = gather_lamps(_lamps(lights), environment)
     # Checked together, so that a bad row leaves no files; drawn one by one, which takes less memory.
-    poses, lamps_of = poses_and_lights(rows[:, :3], None if given else rows[:, 3:], lamps)
-    for i, (pose, lit_by) in enumerate(zip(poses, lamps_of), 1):
+    square = Intrinsics.square(resolution)
+    cameras = LitCameras.checked(rows[:, :3], None if given else rows[:, 3:], lamps, square)
+    for i, (pose, lit_by) in enumerate(cameras, 1):
         views = obj.render(pose, None, resolution, supersample=supersample, lights=lit_by)
         write_png(out / f"{i}.png", (views.rgb[0] * 255).round().astype(np.uint8))
         if buffers:
@@ -270,9 +272,9 @@ def touch(
         others: dict[str, Any] = {"sensor": sensor, "shear": shear, "twist": twist}
         others |= {"friction": friction, "markers": markers}
         obj.touches(points, **query)  # checks all contacts before any is written
-        contacts = vars(ContactPoses.checked(points, depths, 0.0, tilt, azimuth))
+        contacts = ContactPoses.checked(points, depths, 0.0, tilt, azimuth)
         batches: Iterator[Any] = (
-            obj.press(**{name: values[start : start + _BATCH] for name, values in contacts.items()}, **others)
+            obj.press(**vars(contacts[start : start + _BATCH]), **others)
             for start in range(0, len(points), _BATCH)
         )
         columns, forces = TOUCH_COLUMNS | SHEAR_COLUMNS, ["shear_right_N", "shear_up_N"]

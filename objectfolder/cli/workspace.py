@@ -146,7 +146,8 @@ def inspect(
     vtu: Annotated[bool, typer.Option(help="Also export the solid for ParaView (voxelize only).")] = False,
 ) -> None:
     """Summarize the artifacts of a stage in a table, and save a picture next to them."""
-    from objectfolder.inspection import STAGES, inspect_stage, print_inspection
+    from objectfolder.report.inspect_stage import STAGES, inspect_stage
+    from objectfolder.report.inspection import print_inspection
     from objectfolder.workspace.params import PARAMS_FILE, outside_workspace
 
     if not Path(PARAMS_FILE).is_file():

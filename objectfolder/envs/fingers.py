@@ -13,8 +13,8 @@ from objectfolder.envs.gripper import OPEN, PAD, STROKE, hand_axes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.surface import TOLERANCE
-from objectfolder.objectfile.touch import ContactPoses, DepthMapSense
+from objectfolder.objectfile.touch import ContactPoses
+from objectfolder.objectfile.touch_senses import DepthMapSense
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
@@ -98,10 +98,7 @@ def press_depths(file: ObjectFile, pressed: Presses, forces: np.ndarray) -> np.n
     contacts = _contacts(file, pressed, np.zeros(len(pressed.points)))
     at_depths = [replace(contacts, depth=np.full(len(contacts.points), depth)) for depth in depths]
     felt = np.stack(
-        [
-            np.concatenate([part.force for part in file.touch_sense.touches(one, TOLERANCE, coarse)])
-            for one in at_depths
-        ],
+        [np.concatenate([part.force for part in file.touch_sense.touches(one, coarse)]) for one in at_depths],
         1,
     )
     felt = np.maximum.accumulate(np.maximum(felt, 1e-9), 1)
@@ -116,7 +113,7 @@ def tactile_images(file: ObjectFile, pressed: Presses, depths: np.ndarray) -> np
     """
     if file.fixed_contact is not None:
         return file.touch(file.nearest(pressed.points)[0])
-    return file.touch_sense.images(_contacts(file, pressed, depths), TOLERANCE, None)
+    return file.touch_sense.images(_contacts(file, pressed, depths), None)
 
 
 class TrueSurface:

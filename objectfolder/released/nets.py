@@ -10,10 +10,10 @@ from torch.nn.functional import interpolate
 from objectfolder.nets.positional import SKIP
 from objectfolder.nets.released.gains import ReleasedGains
 from objectfolder.nets.released.kilo import MARGIN, MAX_CELLS, ReleasedKilo
-from objectfolder.nets.released.network import Frame, ReleasedNetwork, network_of
+from objectfolder.nets.released.network import Frame, ReleasedNetwork, build_network
 from objectfolder.nets.released.spectrogram import AXES, NEIGHBOURS, ReleasedSpectrogram
 from objectfolder.nets.released.touch import APEX, DEPTH_SIZE, DEPTHS, PIXEL, ReleasedDepth, ReleasedImage
-from objectfolder.nets.released.vision import MAX_SAMPLES, March, ReleasedNerf, scattering_of
+from objectfolder.nets.released.vision import MAX_SAMPLES, March, ReleasedNerf, build_scattering
 from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.released.checkpoint import ReleasedDict
 from objectfolder.touch.profiles import SensorProfile
@@ -112,7 +112,7 @@ def spectrogram_net(audio: ReleasedDict, frame: Frame) -> ReleasedSpectrogram:
     branches = []
     for axis in AXES:
         tensors = network(state.below(f"model_{axis}."), 5, 2)
-        branches.append(network_of(tensors, 5))
+        branches.append(build_network(tensors, 5))
     config = {
         "frame": frame.to_dict(),
         "translation": audio.numbers("translation", 3).tolist(),
@@ -145,7 +145,7 @@ def gains_net(audio: ReleasedDict, frame: Frame) -> ReleasedGains:
         tensors = network(state.below(f"model_{axis}."), 3, count)
         for name in ("output.weight", "output.bias"):
             tensors[name] = tensors[name][heard]
-        branches.append(network_of(tensors, 3))
+        branches.append(build_network(tensors, 3))
     config = {"frame": frame.to_dict(), "bounds": box(normalizer)}
     modes = (torch.from_numpy(frequencies), torch.from_numpy(dampings), low, high)
     return ReleasedGains(branches, config, *(x.float()[..., heard] for x in modes))
@@ -236,7 +236,7 @@ def _net(state: ReleasedDict, refeed: bool = True, depth: int = DEPTH) -> Scatte
     ):
         tensors[f"{ours}.weight"] = state.tensor(f"{theirs}.weight", *shape)
         tensors[f"{ours}.bias"] = state.tensor(f"{theirs}.bias", shape[0])
-    return scattering_of(tensors, octaves, direction_octaves)
+    return build_scattering(tensors, octaves, direction_octaves)
 
 
 def _kilo(vision: ReleasedDict, cfg: ReleasedDict, state: ReleasedDict) -> ReleasedKilo:
@@ -311,7 +311,7 @@ def image_net(touch: ReleasedDict, frame: Frame, bounds: np.ndarray) -> Released
     ``bounds`` (2, 3): bounds of the object in the file's coordinates. Raises ObjectFolderError if an entry is
     missing or not as documented.
     """
-    net = network_of(network(touch.state("model_state_dict"), 5, 3), 5)
+    net = build_network(network(touch.state("model_state_dict"), 5, 3), 5)
     config = {
         "frame": frame.to_dict(),
         "coordinates": [float(bounds.min()), float(bounds.max())],
@@ -332,7 +332,7 @@ def depth_net(
     depths of contacts across the object, pixel by pixel. Raises ObjectFolderError if an entry is missing or
     not as documented.
     """
-    net = network_of(network(touch.state("model_state_dict"), 9, 1), 9)
+    net = build_network(network(touch.state("model_state_dict"), 9, 1), 9)
     config = {"frame": frame.to_dict(), "bounds": box(touch), "sensor": profile.to_dict()}
     depth = (
         _estimate_gel(net) if gel is None else torch.from_numpy(APEX - PIXEL * np.asarray(gel, np.float64))

@@ -13,7 +13,7 @@ from objectfolder.nets.fit import Session
 from objectfolder.nets.settings import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, ScatteringFunction
 from objectfolder.nets.vision_osf_training import train_osf
-from objectfolder.objectfile.evaluation import evaluate_vision
+from objectfolder.objectfile.evaluate_vision import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 from objectfolder.vision.color import on_white
 from objectfolder.vision.volume import Rays
@@ -302,7 +302,7 @@ def file(brick, trained, tmp_path_factory):
 def test_it_learns_new_views_under_new_lights_from_pictures_alone(file, views, trained):
     """Far better than white and than the mean image, as the Object File answers."""
     test = painted_ball(8, 2)
-    scores = evaluate_vision(file.view, test)
+    scores = evaluate_vision(file, test)
     train_images, truth = (on_white(torch.from_numpy(v["rgba"].astype(np.float32))) for v in (views[0], test))
     mean_image = psnr((truth - train_images.mean(0)).square().mean().item())
     assert scores["psnr_pooled"] > mean_image + 5

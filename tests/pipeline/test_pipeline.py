@@ -274,7 +274,7 @@ def test_generated_mesh_is_the_same_bytes_twice(built, other_fork_server):
     assert path.read_bytes() == before
 
 
-@pytest.mark.slow  # tests/test_inspection.py has the cheap ones
+@pytest.mark.slow  # tests/report/test_inspection.py has the cheap ones
 def test_inspect(built, opengl):
     stages = ("voxelize", "modal", "pack", "evaluate")
     for stage in stages:

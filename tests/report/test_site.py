@@ -229,7 +229,7 @@ def hundred(report, monkeypatch, tmp_path):
         return replace(report, row=report.row | {"key": path.name}, detail=report.detail | {"key": path.name})
 
     monkeypatch.setattr("objectfolder.report.site.object_report", renamed)
-    monkeypatch.setattr("objectfolder.report.site.key_of", lambda path: path.name)
+    monkeypatch.setattr("objectfolder.report.site.read_key", lambda path: path.name)
     return write_site([Path(f"brick_{n}") for n in range(100)], tmp_path / "site")
 
 

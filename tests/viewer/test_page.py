@@ -21,7 +21,7 @@ from objectfolder.text import visible
 from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.viewer.background import STEP
-from objectfolder.viewer.page import filled_page, static_text, viewer_frame, viewer_page
+from objectfolder.viewer.page import fill_page, static_text, viewer_frame, viewer_page
 
 VIEWER = Path(__file__).parents[2] / "viewer"
 BUILT = Path(viewer_page.__code__.co_filename).parent / "static"
@@ -130,7 +130,7 @@ def sources(page):
 def test_a_page_runs_its_own_program_alone(name):
     names = re.findall(r"{{(\w+)}}", static_text(f"{name}.html"))
     program = static_text("viewer.js" if name == "page" else f"{name}.js")
-    page = filled_page(f"{name}.html", dict.fromkeys(names, "") | {"script": program})
+    page = fill_page(f"{name}.html", dict.fromkeys(names, "") | {"script": program})
     allowed = sources(page)
     assert {directive: allowed[directive] for directive in ("default-src", "base-uri", "form-action")} == {
         directive: ["'none'"] for directive in ("default-src", "base-uri", "form-action")

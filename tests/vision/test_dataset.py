@@ -7,7 +7,7 @@ from solids import box, join, sphere
 
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.metrics import psnr
-from objectfolder.objectfile.evaluation import evaluate_vision
+from objectfolder.objectfile.evaluate_vision import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics, image_intrinsics
 from objectfolder.vision.color import on_white
 from objectfolder.vision.dataset import TILES_PER_LIGHT, Shots, estimate_noise, render_shots
@@ -77,7 +77,7 @@ def test_the_noise_floor_is_what_a_perfect_answer_scores():
     renderer = Noisy()
     for samples in (16, 64, 256):
         views = split(renderer, samples, count=16)
-        scores = evaluate_vision(Perfect(*[renderer.truth] * 16).view, views)
+        scores = evaluate_vision(Perfect(*[renderer.truth] * 16), views)
         assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=0.5)
         assert scores["noise_floor_lit"] == pytest.approx(scores["psnr_lit_foreground"], abs=0.5)
         assert scores["noise_floor_lit"] < scores["noise_floor"]  # the background has no noise
@@ -91,7 +91,7 @@ def test_four_times_the_samples_are_six_decibels():
 def test_views_that_do_not_tell_their_noise_are_scored_without_a_floor():
     renderer = Noisy()
     views = split(renderer, 16, halves=False)
-    scores = evaluate_vision(Perfect(*[renderer.truth] * 4).view, views)
+    scores = evaluate_vision(Perfect(*[renderer.truth] * 4), views)
     assert "psnr_lit_foreground" in scores
     assert not any(name.startswith("noise_floor") for name in scores)
 
@@ -116,7 +116,7 @@ def test_the_noise_of_path_traced_views_is_their_error_against_the_converged(tab
         renderer.render(pose, light, SMALL, 1024, 1)
         for pose, light in zip(views["camera_to_world"], views["light"])
     ]
-    scores = evaluate_vision(Perfect(*truth).view, views)
+    scores = evaluate_vision(Perfect(*truth), views)
     assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=1.5)
 
 

@@ -10,7 +10,7 @@ from solids import box, isosurface, sphere, stored
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_png
-from objectfolder.objectfile.vision import lit_picture
+from objectfolder.objectfile.vision import light_picture
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.environment import MAX_PIXEL, environment_lamps, pixel_directions, read_environment
 from objectfolder.vision.lighting import (
@@ -142,7 +142,7 @@ def test_a_sky_lights_a_white_ball_as_its_integral(ball):
 
 def lit_by(surface, lamps):
     drawer = partial(draw, surface, lambert)
-    return lit_picture(drawer, look_at(np.array([2.0, 0.7, 0.4]))[0], lamps, Intrinsics.square(20))
+    return light_picture(drawer, look_at(np.array([2.0, 0.7, 0.4]))[0], lamps, Intrinsics.square(20))
 
 
 def radiance_on(surface, lamps):

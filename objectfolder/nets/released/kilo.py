@@ -23,23 +23,13 @@ class ReleasedKilo(ReleasedVision):
 
     A net has hidden layers, then a density and a feature; the feature and the directions pass through one
     more layer to the colour. The first dimension of weights is the cell; they multiply row vectors from the
-    right.
+    right. Their names are ``points.N``, ``density``, ``feature``, ``direction`` and ``color``, each with
+    ``.weight`` and ``.bias``.
 
-    Parameters
-    ----------
-    weights : dict of str to (K, ...) tensor
-        ``points.N``, ``density``, ``feature``, ``direction``, ``color``, each ``.weight`` and ``.bias``.
-    cells : (K,) tensor
-        Flat indices of the cells with a net, in row-major order, ascending.
-    occupied : tensor of bool
-        Mask of occupied voxels.
-    march : March
-    grid, voxels : (int, int, int)
-        Cells and voxels along x, y and z of the box.
-    box : (2, 3) nested list
-        Lowest and highest coordinates, unit frame.
-    octaves : (int, int, int)
-        Octaves of the encodings of point (-1 to 1 within its cell), view and light.
+    ``cells`` (K,) are the flat indices of the cells with a net, in row-major order, ascending; ``occupied``
+    is the mask of occupied voxels; ``grid`` and ``voxels`` count both along x, y and z of the ``box``: its
+    lowest and highest corner, unit frame. ``octaves`` are those of the encodings of point (-1 to 1 within its
+    cell), view and light.
     """
 
     def __init__(

@@ -16,14 +16,7 @@ from objectfolder.nets.storage import UNFILLED, fill
 
 
 class ReleasedNetwork(SkipNetwork):
-    """ReLU network with encoded inputs: each x with sin and cos of 2^k x, for k below ``octaves``.
-
-    Parameters
-    ----------
-    inputs : int
-        Number of inputs before encoding.
-    width, depth, octaves, outputs : int
-    """
+    """ReLU network with encoded inputs: each x with sin and cos of 2^k x, for k below ``octaves``."""
 
     def __init__(self, inputs: int, width: int, depth: int, octaves: int, outputs: int):
         super().__init__(inputs * (1 + 2 * octaves), width, depth)
@@ -35,13 +28,10 @@ class ReleasedNetwork(SkipNetwork):
         return self.output(super().forward(append_octaves(x, self.octaves, 1.0)))
 
 
-def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") -> ReleasedNetwork:
+def build_network(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") -> ReleasedNetwork:
     """Build the network described by the tensors of a state dictionary; their shapes define its size.
 
-    Raises
-    ------
-    ValueError, KeyError, RuntimeError
-        If the tensors describe no such network.
+    Raises ValueError, KeyError or RuntimeError if the tensors describe no such network.
     """
     state = {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
     width, channels = state["hidden.0.weight"].shape

@@ -13,7 +13,7 @@ from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.hashgrid import WeightedRows
 from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.objectfile.gradients.gel import SoftGel
+from objectfolder.objectfile.gradients.touch import SoftGel
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.radiosity import Bounced
 

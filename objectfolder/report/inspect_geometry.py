@@ -11,8 +11,6 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.figures import page, page_rows, save_page, show_image
-from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
-from objectfolder.inspection.scene import CLAY, VIEW_FROM, add_textured, draw_scene, hexahedra, triangles
 from objectfolder.io import atomic, read_json, read_npz
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
@@ -20,6 +18,8 @@ from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.mesh.topology import signed_volume
+from objectfolder.report.inspect_scene import CLAY, VIEW_FROM, add_textured, draw_scene, hexahedra, triangles
+from objectfolder.report.inspection import Inspection, kilobytes, picture_path, require, span
 from objectfolder.workspace.layout import Build
 
 if TYPE_CHECKING:

@@ -1,9 +1,12 @@
-"""Result of an inspection, and helpers for its rows."""
+"""Inspection of a stage: a table for the terminal, and pictures; and helpers for its rows."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.layout import Build
@@ -22,10 +25,7 @@ class Inspection:
 def require(build: Build, stage: str, *paths: Path) -> None:
     """Check that a stage's artifacts exist.
 
-    Raises
-    ------
-    ObjectFolderError
-        If one is missing.
+    Raises ObjectFolderError if one is missing.
     """
     for path in paths:
         if not path.is_file():
@@ -54,3 +54,16 @@ def span(values: np.ndarray, unit: str = "", form: str = ".4g") -> str:
     if np.size(values) == 0:
         return "none"
     return f"{np.min(values):{form}} to {np.max(values):{form}} {unit}".rstrip()
+
+
+def print_inspection(inspection: Inspection, console: Console) -> None:
+    """Print the table, and the paths of pictures and exported files."""
+    table = Table(title=inspection.title, show_header=False, title_justify="left")
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in inspection.rows:
+        table.add_row(Text(name), Text(value))  # text, not markup: values may contain brackets
+    console.print(table)
+    for kind, paths in (("picture", inspection.pictures), ("file", inspection.files)):
+        for path in paths:
+            console.print(Text(f"{kind}: {path}"), soft_wrap=True)

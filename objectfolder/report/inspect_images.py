@@ -9,10 +9,10 @@ import numpy as np
 import torch
 
 from objectfolder.figures import page, page_columns, page_rows, save_page, show_image
-from objectfolder.inspection.record import Inspection, kilobytes, picture_path, require, span
-from objectfolder.inspection.scene import CLAY, VIEW_FROM, draw_scene, triangles
 from objectfolder.io import read_json, read_npz
 from objectfolder.mesh.ply import read_surface
+from objectfolder.report.inspect_scene import CLAY, VIEW_FROM, draw_scene, triangles
+from objectfolder.report.inspection import Inspection, kilobytes, picture_path, require, span
 from objectfolder.vision.cameras import image_intrinsics, project
 from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
 from objectfolder.workspace.layout import SPLITS, Build
@@ -142,13 +142,7 @@ def _show_views(panels: np.ndarray, views: dict[str, np.ndarray]) -> None:
         before = depth[0] < np.linalg.norm(pose[:3, 3])
         margin = rgba.shape[1] / 64
         column, row = np.clip(place[0], margin, np.array([rgba.shape[2], rgba.shape[1]]) - margin)
-        axes.scatter(
-            column,
-            row,
-            s=45,
-            facecolors="#facc15" if before else "none",
-            edgecolors="#a16207",
-        )
+        axes.scatter(column, row, s=45, facecolors="#facc15" if before else "none", edgecolors="#a16207")
 
 
 def _show_touches(panels: Iterable["Axes"], contacts: dict[str, np.ndarray]) -> None:

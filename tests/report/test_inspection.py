@@ -22,17 +22,6 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.elements import solid_arrays, solid_from_arrays
 from objectfolder.fem.modal import modal_analysis
-from objectfolder.inspection import (
-    STAGES,
-    Inspection,
-    images,
-    inspect_stage,
-    nets,
-    print_inspection,
-    radiation,
-    sound,
-)
-from objectfolder.inspection.scene import triangles
 from objectfolder.io import (
     atomic,
     read_json,
@@ -59,6 +48,10 @@ from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.packing import pack_object_file
+from objectfolder.report import inspect_images, inspect_nets, inspect_sound
+from objectfolder.report.inspect_scene import triangles
+from objectfolder.report.inspect_stage import STAGES, inspect_stage
+from objectfolder.report.inspection import Inspection, print_inspection
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import look_at, sphere_points
 from objectfolder.workspace.layout import MODALITIES, SPLITS, Build
@@ -301,6 +294,16 @@ def test_modal_rows(root):
     assert grams == pytest.approx(VOLUME * 2.7, rel=2e-3)
 
 
+def copied_modes(root, folder, **changed):
+    """Rows of an inspection of the same modes, of which the report says other things."""
+    source, build = Build("brick", root), Build("brick", folder)
+    for name in ("modes", "surface"):
+        getattr(build, name).parent.mkdir(parents=True, exist_ok=True)
+        getattr(build, name).write_bytes(getattr(source, name).read_bytes())
+    write_json(build.modal, read_json(source.modal) | changed)
+    return dict(inspect_stage("modal", "brick", folder).rows)
+
+
 @pytest.mark.parametrize(
     ("errors", "row", "first", "second"),
     [
@@ -309,13 +312,8 @@ def test_modal_rows(root):
     ],
 )
 def test_modal_tells_the_estimated_error(tmp_path, root, monkeypatch, errors, row, first, second):
-    source, build = Build("brick", root), Build("brick", tmp_path)
-    monkeypatch.setattr(sound, "_modal_picture", lambda *arguments: None)
-    for name in ("modes", "surface"):
-        getattr(build, name).parent.mkdir(parents=True, exist_ok=True)
-        getattr(build, name).write_bytes(getattr(source, name).read_bytes())
-    write_json(build.modal, read_json(source.modal) | {"discretisation_error": errors})
-    rows = dict(inspect_stage("modal", "brick", tmp_path).rows)
+    monkeypatch.setattr(inspect_sound, "_modal_picture", lambda *arguments: None)
+    rows = copied_modes(root, tmp_path, discretisation_error=errors)
     assert rows["estimated error"] == row
     for mode, error in ((1, first), (2, second), (3, None)):
         told = rows[f"  mode {mode}"].partition(", estimated error ")[2]
@@ -324,13 +322,7 @@ def test_modal_tells_the_estimated_error(tmp_path, root, monkeypatch, errors, ro
 
 @pytest.mark.slow
 def test_modal_tells_of_a_reused_solve(tmp_path, root):
-    source, build = Build("brick", root), Build("brick", tmp_path)
-    report = read_json(source.modal) | {"reused": True, "count_below_max_frequency": None, "truncated": True}
-    for name in ("modes", "surface"):
-        getattr(build, name).parent.mkdir(parents=True, exist_ok=True)
-        getattr(build, name).write_bytes(getattr(source, name).read_bytes())
-    write_json(build.modal, report)
-    rows = dict(inspect_stage("modal", "brick", tmp_path).rows)
+    rows = copied_modes(root, tmp_path, reused=True, count_below_max_frequency=None, truncated=True)
     assert rows["below 20 kHz"] == "not counted (truncated)"
     assert rows["solved"] == "no: scaled from an earlier solve"
     assert "solved" not in _rows(root, "modal")
@@ -352,17 +344,14 @@ def test_modal_of_an_object_without_modes(tmp_path, root):
 
 def test_render_views_rows(root):
     rows = _inspected(root, "render_views").rows
-    assert [value.partition(",")[0] for name, value in rows if name in SPLITS] == [
-        "20 tiles",
-        "3 views",
-        "4 views",
-    ]
+    kinds = [value.partition(",")[0] for name, value in rows if name in SPLITS]
+    assert kinds == ["20 tiles", "3 views", "4 views"]
     assert dict(rows)["  pixels"] == "object covers 25.0% of the image; 50.0% of that is lit"
     assert dict(rows)["  camera distance"] == "2.5 to 2.5 sizes"
 
 
 def drawn(monkeypatch, module, root, stage):
-    """Figure that a module of `objectfolder.inspection` draws of a stage."""
+    """Figure that a module of `objectfolder.report` draws of a stage."""
     figures = []
     monkeypatch.setattr(module, "save_page", lambda figure, path: figures.append(figure) or path)
     inspect_stage(stage, "brick", root)
@@ -371,7 +360,7 @@ def drawn(monkeypatch, module, root, stage):
 
 
 def test_the_legend_of_directions_hides_none(root, monkeypatch):
-    figure = drawn(monkeypatch, images, root, "render_views")
+    figure = drawn(monkeypatch, inspect_images, root, "render_views")
     (legend,) = figure.findobj(Legend)
     assert [text.get_text() for text in legend.get_texts()] == ["train (20)", "val (3)", "test (4)"]
     plots = [axes for axes in figure.findobj(Axes) if axes.get_xlabel() == "azimuth [°]"]
@@ -384,14 +373,14 @@ def test_test_views_are_shown_best_lit_first(root):
     views["rgba"] = views["rgba"].copy()
     views["rgba"][[0, 2], ..., :3] = 0  # black
     panels = Figure().subplots(2, 3)
-    images._show_views(panels, views)
-    azimuth, _ = images._angles(views["camera_to_world"][:, :3, 3])
+    inspect_images._show_views(panels, views)
+    azimuth, _ = inspect_images._angles(views["camera_to_world"][:, :3, 3])
     titles = [axes.get_title().partition("°")[0] for axes in panels.flat]
     assert titles == [*(f"az {azimuth[row]:.0f}" for row in (1, 3, 0, 2)), "", ""]
 
 
 def test_levels_over_directions_have_a_scale(root, monkeypatch):
-    figure = drawn(monkeypatch, radiation, root, "radiation")
+    figure = drawn(monkeypatch, inspect_sound, root, "radiation")
     (scale,) = [
         axes for axes in figure.findobj(Axes) if axes.get_ylabel() == "dB relative to the loudest direction"
     ]
@@ -403,7 +392,7 @@ def test_a_curve_is_drawn_from_zero_unless_it_falls_by_a_decade(tmp_path, root, 
     build = Build("brick", tmp_path)
     write_curve(build.curve("touch"), [CurvePoint(n + 1, loss, loss, 1.0) for n, loss in enumerate(losses)])
     build.net("touch").write_bytes(Build("brick", root).net("touch").read_bytes())
-    (axes,) = drawn(monkeypatch, nets, tmp_path, "train_touch").findobj(Axes)
+    (axes,) = drawn(monkeypatch, inspect_nets, tmp_path, "train_touch").findobj(Axes)
     assert axes.get_yscale() == scale
     assert (axes.get_ylim()[0] == 0) == (scale == "linear")
     assert all(tick == round(tick) for tick in axes.get_xticks())
@@ -450,7 +439,7 @@ def test_pack_rows(root):
 
 
 def test_the_picture_of_a_strike_has_its_quantity_and_unit(root, monkeypatch, tmp_path):
-    figure = drawn(monkeypatch, nets, root, "pack")
+    figure = drawn(monkeypatch, inspect_nets, root, "pack")
     (axes,) = [axes for axes in figure.findobj(Axes) if axes.get_ylabel().startswith("sum of modal")]
     assert axes.get_ylabel() == "sum of modal displacements [$10^{-6}$ m kg$^{1/2}$]"
     file = ObjectFile.load(Build("brick", root).object_file)
@@ -485,7 +474,7 @@ def test_evaluate_rows(root):
     ],
 )
 def test_scores_have_their_units(name, value, shown):
-    assert nets._score(name, value) == shown
+    assert inspect_nets._score(name, value) == shown
 
 
 def test_unknown_stage_names_the_close_ones(tmp_path):
@@ -515,7 +504,7 @@ def test_bad_key_and_vtu_of_another_stage(tmp_path):
     reason="needs VTK's off-screen window to be unusable",
 )
 def test_without_opengl_the_error_says_what_to_install():
-    code = "from objectfolder.inspection.scene import draw_scene; draw_scene(lambda plotter: None)"
+    code = "from objectfolder.report.inspect_scene import draw_scene; draw_scene(lambda plotter: None)"
     environment = os.environ | {"VTK_DEFAULT_OPENGL_WINDOW": "vtkOSOpenGLRenderWindow"}
     ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
     assert ran.returncode == 1

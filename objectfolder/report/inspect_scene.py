@@ -22,25 +22,11 @@ def draw_scene(
     view_from: tuple[float, float, float] = VIEW_FROM,
     size: tuple[int, int] = (800, 800),
 ) -> np.ndarray:
-    """Draw a scene on white and crop the picture to it.
+    """Draw a scene on white and crop the picture to it; (H, W, 3) uint8.
 
-    Parameters
-    ----------
-    add : callable
-        Function that adds meshes to the plotter.
-    view_from : (3,) tuple
-        Direction from the scene to the camera.
-    size : (2,) tuple
-        Width and height before cropping, pixels.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-
-    Raises
-    ------
-    ObjectFolderError
-        If pyvista is not installed, or the machine has no OpenGL.
+    ``add`` adds meshes to the plotter, which looks from the direction ``view_from`` and has the size, width
+    and height in pixels, before cropping. Raises ObjectFolderError if pyvista is not installed, or the
+    machine has no OpenGL.
     """
     pyvista = _pyvista()
     from vtkmodules.vtkCommonCore import vtkLogger
@@ -91,16 +77,8 @@ def hexahedra(
 ) -> "pyvista.UnstructuredGrid":
     """Return a VTK mesh of cubic cells that share their corners.
 
-    Parameters
-    ----------
-    index : (E, 3) int array
-        Position of each cell in the grid.
-    lower : (3,) array
-        Lower corner of the grid.
-    size : float
-        Side of a cell.
-    width : (E,) int array
-        Side of each cube, in cells.
+    ``index`` (E, 3) is the position of each cell in the grid, whose lower corner is ``lower``; ``size`` is
+    the side of a cell, and ``width`` (E,) that of each cube, in cells.
     """
     pyvista = _pyvista()
     # Corners in VTK's order: around the bottom, then around the top.
