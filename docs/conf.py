@@ -119,7 +119,7 @@ def keep_signature(
 
 def prepare_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Link pages by name; warn about parameters that do not exist and unknown sections."""
-    lines[:] = [re.sub(r"\bdocs/(\w+)\.md\b", r":doc:`/\1`", line) for line in lines]
+    lines[:] = [re.sub(r"\bdocs/([\w/]+)\.md\b", r":doc:`/\1`", line) for line in lines]
     if (getattr(obj, "__module__", None) or "").startswith("objectfolder."):
         for code, problem in validate(name)["errors"]:
             if code in ("PR02", "GL06", "GL07"):

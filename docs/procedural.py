@@ -30,7 +30,7 @@ def main() -> None:
     for name in CATALOGUES:
         catalogue = DOCS.parent / f"catalogs/{name}.yaml"
         pictures = [
-            captioned(thumbnail(key, catalogue), key, entry["material"], entry["scale"])
+            add_caption(render_thumbnail(key, catalogue), key, entry["material"], entry["scale"])
             for key, entry in params.read(catalogue)["objects"].items()
         ]
         page = Image.fromarray(tile(np.stack(pictures), COLUMNS))
@@ -38,7 +38,7 @@ def main() -> None:
             page.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
-def thumbnail(key: str, catalogue: Path) -> np.ndarray:
+def render_thumbnail(key: str, catalogue: Path) -> np.ndarray:
     """Render an object of a catalogue so that it fills the thumbnail; (SIZE, SIZE, 3) uint8."""
     generator, parameters = params.procedural_entry(key, catalogue)
     mesh = in_unit_frame(generate(generator, **parameters | {"texture_size": TEXTURE_SIZE}))
@@ -60,7 +60,7 @@ def in_unit_frame(mesh: TexturedMesh) -> TexturedMesh:
     return mesh.with_vertices((mesh.vertices - (lower + upper) / 2) / (upper - lower).max())
 
 
-def captioned(picture: np.ndarray, key: str, material: str, scale: float) -> np.ndarray:
+def add_caption(picture: np.ndarray, key: str, material: str, scale: float) -> np.ndarray:
     """Add the object's key, material and size below a picture; (SIZE + CAPTION, SIZE, 3) uint8."""
     image = Image.new("RGB", (SIZE, SIZE + CAPTION), "white")
     image.paste(Image.fromarray(picture))

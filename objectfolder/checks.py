@@ -25,10 +25,7 @@ _WEB_ADDRESS = re.compile(
 def finite_number(name: str, value: object) -> float:
     """Return a real, finite number; numpy's and torch's scalars are numbers, texts and truth values are not.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is anything else.
+    Raises ObjectFolderError if it is anything else.
     """
     given = _scalar(value)
     if isinstance(given, Real) and not isinstance(given, bool):
@@ -44,23 +41,15 @@ def finite_number(name: str, value: object) -> float:
 def real_array(name: str, values: Any) -> np.ndarray:
     """Return real numbers as a new float64 array, without gradients.
 
-    Parameters
-    ----------
-    name : str
-        For the message.
-    values : array, tensor on any device, or nested sequence
-
-    Raises
-    ------
-    ObjectFolderError
-        If they are not real numbers, not a rectangular array, or some are masked.
+    ``name``: for the message. Raises ObjectFolderError if they are not real numbers, not a rectangular array,
+    or some are masked.
     """
     rows = values if isinstance(values, list | tuple) else [values]
     if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
         raise ObjectFolderError(f"{name} holds masked values, expected numbers: leave them out or fill them")
     try:
         if hasattr(values, "detach"):  # a tensor, without importing torch
-            if _transformed(values):
+            if _is_transformed(values):
                 raise ObjectFolderError(f"{name}: {TRANSFORMED}")
             values = values.detach().cpu()
             values = values.double() if values.is_floating_point() else values
@@ -90,10 +79,7 @@ def holds_tensors(values: object) -> bool:
 def whole_number(name: str, value: object, least: int = 0) -> int:
     """Return a whole number of an integer type.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is of another type, less than ``least``, or beyond 64 bits.
+    Raises ObjectFolderError if it is of another type, less than ``least``, or beyond 64 bits.
     """
     given = _scalar(value)
     if isinstance(given, Integral) and not isinstance(given, bool) and least <= int(given) < 2**63:
@@ -104,10 +90,7 @@ def whole_number(name: str, value: object, least: int = 0) -> int:
 def one_of(name: str, value: object, choices: Sequence[str]) -> str:
     """Return a text that is one of a few.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is another, or no text.
+    Raises ObjectFolderError if it is another, or no text.
     """
     if isinstance(value, str) and value in choices:
         return value
@@ -122,10 +105,7 @@ def is_web_address(text: str) -> bool:
 def one_line(name: str, value: str, most: int = 200) -> str:
     """Return a text that people will read: not blank, one line, without control characters.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is another, or longer.
+    Raises ObjectFolderError if it is another, or longer.
     """
     if not value.strip() or len(value) > most or visible(value) != value:
         raise ObjectFolderError(
@@ -137,26 +117,15 @@ def one_line(name: str, value: str, most: int = 200) -> str:
 def require_memory(what: str, needed: int, remedy: str) -> None:
     """Refuse work that does not fit into the memory of this machine.
 
-    Parameters
-    ----------
-    what : str
-        Name of the work, for the message.
-    needed : int
-        Bytes.
-    remedy : str
-        What to ask for instead.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the machine has less memory.
+    ``what``: name of the work, for the message; ``needed``: bytes; ``remedy``: what to ask for instead.
+    Raises ObjectFolderError if the machine has less memory.
     """
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > memory:
         raise ObjectFolderError(f"{what}: needs {needed:,} bytes, this machine has {memory:,}; {remedy}")
 
 
-def _transformed(tensor: Any) -> bool:
+def _is_transformed(tensor: Any) -> bool:
     """Return whether torch.func or vmap has wrapped a tensor, whose values then cannot be read."""
     import torch  # it is there, as there is a tensor
 

@@ -12,15 +12,15 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.locks import left_folders, private_path
 
 #: Free bytes below which a disk counts as full.
-LOW = 2**20
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+FULL_BELOW = 2**20
+_FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
 _log = logging.getLogger(__name__)
 
 
 def is_shortage(error: BaseException | None) -> bool:
     """Return whether an error or one of its causes reports a full disk."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in _FULL:
+        if isinstance(error, OSError) and error.errno in _FULL_DISK:
             return True
         error = error.__cause__ or error.__context__
     return False
@@ -28,7 +28,7 @@ def is_shortage(error: BaseException | None) -> bool:
 
 def mentions_shortage(lines: Iterable[str]) -> bool:
     """Return whether a log reports a full disk."""
-    return any(os.strerror(number) in line for line in lines for number in _FULL)
+    return any(os.strerror(number) in line for line in lines for number in _FULL_DISK)
 
 
 def free_bytes(path: Path) -> int:
@@ -36,7 +36,7 @@ def free_bytes(path: Path) -> int:
     return shutil.disk_usage(_existing(path)).free
 
 
-def fullest(paths: Iterable[Path]) -> tuple[Path, int]:
+def find_fullest(paths: Iterable[Path]) -> tuple[Path, int]:
     """Return the path whose disk has the least free space, and its free bytes."""
     free = {path: free_bytes(path) for path in paths}
     path = min(free, key=free.__getitem__)
@@ -54,21 +54,9 @@ def describe_full(path: Path) -> str:
 def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[None]:
     """Check free space before the block writes into a folder, and report a disk that fills up in the block.
 
-    Parameters
-    ----------
-    what : str
-        Name of the data, for messages.
-    folder : Path
-        Destination; it need not exist.
-    needed : int
-        Lower bound of the bytes to write.
-    hint : str
-        Alternative to freeing space, appended to the message.
-
-    Raises
-    ------
-    ObjectFolderError
-        If fewer bytes are free, or the disk fills up before the block ends.
+    ``what``: name of the data, for messages; ``folder``: destination; it need not exist; ``needed``: lower
+    bound of the bytes to write; ``hint``: alternative to freeing space, appended to the message. Raises
+    ObjectFolderError if fewer bytes are free, or the disk fills up before the block ends.
     """
 
     def shortage(place: object) -> ObjectFolderError:
@@ -82,7 +70,7 @@ def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[No
     try:
         yield
     except OSError as error:
-        if error.errno in _FULL:
+        if error.errno in _FULL_DISK:
             raise shortage(f"{folder} to write {error.filename}" if error.filename else folder) from error
         raise
 
@@ -94,10 +82,7 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
     Its name is drawn at random. Of several who write the same folder the first that ends wins; the others
     raise.
 
-    Raises
-    ------
-    ObjectFolderError
-        If ``out`` exists already, before the block or after it.
+    Raises ObjectFolderError if ``out`` exists already, before the block or after it.
     """
     if os.path.lexists(out):
         raise _exists(out)
@@ -110,7 +95,7 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
             yield temporary
             _place(temporary, out)
         except OSError as error:
-            if error.errno in _FULL:  # name the file; libraries may not
+            if error.errno in _FULL_DISK:  # name the file; libraries may not
                 name = error.filename2 or error.filename or _last_written(temporary)
                 error.filename = str(name).replace(str(temporary), str(out))
                 del error.filename2
@@ -122,10 +107,7 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
 def refuse_links(folder: Path, below: Path) -> None:
     """Check that no folder that the project makes, from ``folder`` up to one ``below``, is a link.
 
-    Raises
-    ------
-    ObjectFolderError
-        If one is: what is written there would go elsewhere.
+    Raises ObjectFolderError if one is: what is written there would go elsewhere.
     """
     for path in (folder, *folder.parents):
         if path == below:

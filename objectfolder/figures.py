@@ -1,20 +1,17 @@
 """Pages of panels drawn with matplotlib's object-oriented interface (no global state, no window)."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from objectfolder.io import atomic_stream
-from objectfolder.metrics import psnr
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
 DPI = 120
-ENLARGED = 4  #: amplification of displayed differences
 
 
 def page(width: float, height: float, title: str) -> "Figure":
@@ -49,31 +46,6 @@ def show_image(axes: "Axes", image: np.ndarray, title: str = "") -> None:
     axes.set_anchor("N")  # images of different heights line up under their titles
     axes.set_title(title, fontsize=11)
     axes.set_axis_off()
-
-
-def show_views(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
-    """Fill a page with one view per column; ground truth, answer and difference in rows.
-
-    The absolute difference, amplified `ENLARGED` times, is shown dark on white.
-
-    Parameters
-    ----------
-    truth, answers : (N, H, W, 3) arrays in [0, 1]
-    titles : sequence of str
-        One per view; the PSNR of the answer stands below it.
-    """
-    panels = figure.subplots(3, len(truth), squeeze=False)
-    for column, image, answer, title in zip(panels.T, truth, answers, titles):
-        difference = np.abs(answer - image)
-        shown = (image, answer, 1 - np.clip(ENLARGED * difference, 0, 1))
-        for axes, values in zip(column, shown):
-            show_image(axes, values)
-        column[0].set_title(f"{title}\n{float(psnr((difference**2).mean())):.1f} dB", fontsize=9)
-    for axes, name in zip(panels[:, 0], ("ground truth", "Object File", f"difference, {ENLARGED} times")):
-        axes.set_axis_on()  # for its label alone
-        axes.set(xticks=[], yticks=[])
-        axes.spines[:].set_visible(False)
-        axes.set_ylabel(name, fontsize=9)
 
 
 def tile(images: np.ndarray, columns: int, gap: int = 4) -> np.ndarray:

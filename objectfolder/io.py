@@ -20,9 +20,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from objectfolder.disk import LOW, free_bytes, is_shortage
+from objectfolder.disk import FULL_BELOW, free_bytes, is_shortage
 from objectfolder.errors import ObjectFolderError, shortened
-from objectfolder.locks import claimed_file, private_path
+from objectfolder.locks import claim_file, private_path
 
 MAX_BYTES = 2**30  #: size limit of a safetensors file; a thousand times that of an Object File
 MAX_HEADER = 2**20  #: length limit of its JSON header, characters
@@ -41,14 +41,10 @@ def atomic(path: str | Path) -> Iterator[Path]:
     who write the same path the last one wins. What killed writers leave, the next process that writes in the
     folder removes.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the directory cannot be written, or the path is a folder or a device.
-    OSError
-        Of the block, or a full disk that the block met; it names ``path``.
+    Raises ObjectFolderError if the directory cannot be written, or the path is a folder or a device. Raises
+    OSError of the block, or of a full disk that the block met, which names ``path``.
     """
-    with _replacing(Path(path)) as (temporary, _):
+    with _replace(Path(path)) as (temporary, _):
         yield temporary
         with temporary.open("rb") as stream:  # a library may have replaced the file
             os.fsync(stream.fileno())
@@ -60,23 +56,23 @@ def atomic_stream(path: str | Path) -> Iterator[BinaryIO]:
 
     Nobody can divert it: the file stays open from when it is made.
     """
-    with _replacing(Path(path)) as (_, handle), os.fdopen(handle, "wb", closefd=False) as stream:
+    with _replace(Path(path)) as (_, handle), os.fdopen(handle, "wb", closefd=False) as stream:
         yield stream
         stream.flush()
         os.fsync(handle)
 
 
 @contextmanager
-def _replacing(path: Path) -> Iterator[tuple[Path, int]]:
+def _replace(path: Path) -> Iterator[tuple[Path, int]]:
     """Yield a new file beside ``path`` and its descriptor; then rename it into place, or remove it."""
-    temporary, lock = _claimed(path)
+    temporary, lock = _claim(path)
     try:
         yield temporary, lock
         temporary.replace(path)
     except BaseException as error:
         # What torch, numpy and Pillow raise if a disk is full has no number.
         vague = isinstance(error, RuntimeError) or (isinstance(error, OSError) and error.errno is None)
-        full = vague and free_bytes(path.parent) < LOW
+        full = vague and free_bytes(path.parent) < FULL_BELOW
         temporary.unlink(missing_ok=True)
         if full:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
@@ -90,12 +86,12 @@ def _replacing(path: Path) -> Iterator[tuple[Path, int]]:
 
 def check_output(path: str | Path) -> None:
     """Raise ObjectFolderError unless a file can be written at a path: before work that takes long."""
-    temporary, lock = _claimed(Path(path))
+    temporary, lock = _claim(Path(path))
     temporary.unlink(missing_ok=True)
     os.close(lock)
 
 
-def _claimed(path: Path) -> tuple[Path, int]:
+def _claim(path: Path) -> tuple[Path, int]:
     """Return a new file beside ``path``, whose folder is made, and a descriptor that locks it."""
     if not path.name:
         raise ObjectFolderError(f"cannot write {str(path)!r}: it is a folder, expected a file's name")
@@ -105,10 +101,10 @@ def _claimed(path: Path) -> tuple[Path, int]:
                 f"cannot write {path}: it is a folder or a device, expected a file's name"
             )
         try:
-            return claimed_file(path)
+            return claim_file(path)
         except FileNotFoundError:
             path.parent.mkdir(parents=True, exist_ok=True)
-            return claimed_file(path)
+            return claim_file(path)
     except OSError as error:
         folder = shortened(path.parent, 300)
         full = is_shortage(error)
@@ -222,10 +218,7 @@ def file_digest(path: str | Path) -> str:
 def read_json(path: str | Path) -> Any:
     """Read a JSON file.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing or damaged.
+    Raises ObjectFolderError if the file is missing or damaged.
     """
     path = _existing(path)
     try:
@@ -237,10 +230,7 @@ def read_json(path: str | Path) -> Any:
 def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
     """Read an ``.npz`` and check that it holds the required arrays.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, damaged, or lacks an array.
+    Raises ObjectFolderError if the file is missing, damaged, or lacks an array.
     """
     path = _existing(path)
     try:
@@ -260,10 +250,7 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
 class StoredTensors(Mapping[str, np.ndarray]):
     """Mapping of the tensors of a safetensors file; its bytes are in memory, and each access gives a copy.
 
-    Raises
-    ------
-    ObjectFolderError
-        On access, if numpy does not support the type of a tensor.
+    Raises ObjectFolderError on access, if numpy does not support the type of a tensor.
     """
 
     def __init__(self, path: Path, stored: dict[str, dict[str, Any]]):
@@ -291,10 +278,8 @@ def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
     The file is not mapped: it may change or shrink afterwards. Nothing in it is executed. All sizes are
     checked before memory is allocated.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, damaged, too large, or not a safetensors file, or holds a name twice.
+    Raises ObjectFolderError if the file is missing, damaged, too large, or not a safetensors file, or holds a
+    name twice.
     """
     from safetensors import deserialize
 
@@ -339,16 +324,9 @@ def torch_problem(error: Exception) -> str:
 def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
     """Read an (N, width) array of real numbers from a ``.npy`` file as float64.
 
-    Parameters
-    ----------
-    hint : str
-        Text appended to errors about the shape.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, or not an array of real numbers of this shape. The file is never unpickled,
-        and no more memory is allocated than its size justifies.
+    ``hint``: text appended to errors about the shape. Raises ObjectFolderError if the file is missing, or not
+    an array of real numbers of this shape. The file is never unpickled, and no more memory is allocated than
+    its size justifies.
     """
     path = _existing(path, f"expected a .npy file of shape (N, {width})")
     try:

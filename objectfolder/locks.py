@@ -63,7 +63,7 @@ def left_folders(path: Path) -> list[Path]:
     return sorted(left for left in found if _PRIVATE.fullmatch(left.name) and left.is_dir())
 
 
-def claimed_file(path: Path) -> tuple[Path, int]:
+def claim_file(path: Path) -> tuple[Path, int]:
     """Make an empty file beside ``path``; return it and a descriptor that locks it while it is open.
 
     The first call for a folder removes the files there that killed processes left, see `remove_abandoned`.
@@ -85,7 +85,7 @@ def claimed_file(path: Path) -> tuple[Path, int]:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove the files of `claimed_file` in a folder that no process has locked any more."""
+    """Remove the files of `claim_file` in a folder that no process has locked any more."""
     with suppress(OSError), os.scandir(folder) as entries:
         for name in [entry.name for entry in entries if _PRIVATE.fullmatch(entry.name)]:
             with suppress(OSError):

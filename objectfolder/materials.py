@@ -1,15 +1,24 @@
-"""Materials: those of the supplementary material, Table 1, with two laws of damping, and objects' own."""
+"""Materials, a YAML file each: those of the package in ``materials/``, and a user's own.
+
+The names are those of the supplementary material, Table 1.
+"""
 
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from objectfolder.checks import finite_number
 from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.yamlfile import is_yaml_name, read_yaml
 
 LAWS = ("rayleigh", "loss_factor")
+_FOLDER = Path(__file__).with_suffix("")
+_REQUIRED = ("density", "youngs_modulus", "poisson_ratio", "friction", "roughness")
+_SOURCES = "sources"
 
 
 @dataclass(frozen=True)
@@ -23,8 +32,8 @@ class Material:
     Raises
     ------
     ObjectFolderError
-        If a value is not physical: density or modulus not positive, Poisson's ratio outside (-1, 0.5),
-        negative damping, frequencies of loss factors that do not ascend.
+        If a value is not physical: density, modulus or roughness not positive, Poisson's ratio outside
+        (-1, 0.5), negative damping or friction, frequencies of loss factors that do not ascend.
 
     Examples
     --------
@@ -42,9 +51,11 @@ class Material:
     beta: float = 0.0  #: stiffness-proportional Rayleigh damping, s
     #: (Hz, loss factor) by ascending frequency, linear between and constant beyond; replaces alpha and beta
     loss_factor: tuple[tuple[float, float], ...] = ()
+    friction: float = 0.5  #: of dry sliding, against a table or an elastomer
+    roughness: float = 1e-6  #: m, root mean square within a contact
 
     def __post_init__(self) -> None:
-        for name in ("density", "youngs_modulus", "poisson_ratio", "alpha", "beta"):
+        for name in (field.name for field in fields(self) if field.type is float):
             number = finite_number(f"material {self.name!r}: {name}", getattr(self, name))
             object.__setattr__(self, name, number)  # hashable, whatever was given
         object.__setattr__(self, "loss_factor", _knots(self.name, self.loss_factor))
@@ -54,6 +65,8 @@ class Material:
             "poisson_ratio": (-1 < self.poisson_ratio < 0.5, "a number between -1 and 0.5"),
             "alpha": (0 <= self.alpha < math.inf, "a non-negative number of 1/s"),
             "beta": (0 <= self.beta < math.inf, "a non-negative number of s"),
+            "friction": (0 <= self.friction <= 1000, "a number between 0 and 1000"),
+            "roughness": (0 < self.roughness <= 0.01, "a positive number of metres, at most 0.01"),
         }
         for name, (holds, expected) in physical.items():
             if not holds:
@@ -110,81 +123,153 @@ def _knots(name: str, given: Any) -> tuple[tuple[float, float], ...]:
     return knots
 
 
-MATERIALS: dict[str, Material] = {
-    m.name: m
-    for m in (
-        Material("ceramic", 2700.0, 7.2e10, 0.19, 6.0, 1e-7),
-        Material("glass", 2600.0, 6.2e10, 0.20, 1.0, 1e-7),
-        Material("wood", 750.0, 1.1e10, 0.25, 60.0, 2e-6),
-        Material("plastic", 1070.0, 1.4e9, 0.35, 30.0, 1e-6),
-        Material("iron", 8000.0, 2.1e11, 0.28, 5.0, 1e-7),
-        Material("polycarbonate", 1190.0, 2.4e9, 0.37, 0.5, 4e-7),
-        Material("steel", 7850.0, 2.0e11, 0.29, 5.0, 3e-8),
-    )
-}
+def material_names() -> list[str]:
+    """Return the names of the materials in the package."""
+    return sorted(path.stem for path in _FOLDER.glob("*.yaml"))
 
 
-#: (Hz, loss factor) of the same materials. Ceramic: taps on a bowl (docs/sound.md). Metals, glass, wood:
-#: ranges of Cremer and Heckl, Structure-Borne Sound, 1988. Plastics: handbook values at room temperature.
-LOSS_FACTORS: dict[str, tuple[tuple[float, float], ...]] = {
-    "ceramic": ((1500.0, 6.5e-4), (8000.0, 1.2e-3)),
-    "glass": ((1000.0, 1e-3),),
-    "wood": ((500.0, 0.01), (5000.0, 0.02)),
-    "plastic": ((1000.0, 0.03),),
-    "iron": ((1000.0, 5e-4),),
-    "polycarbonate": ((1000.0, 0.012),),
-    "steel": ((1000.0, 3e-4),),
-}
-
-
-def material(name: str, law: str = "rayleigh") -> Material:
-    """Look up a material by name, case-insensitively.
+def material(name: str | Path, law: str = "rayleigh") -> Material:
+    """Return a material of the package by its name, in any case, or that of a ``.yaml`` file.
 
     Parameters
     ----------
-    name : str
+    name : str or Path
     law : {"rayleigh", "loss_factor"}
-        Of damping: that of the table in the supplementary material, or that of `LOSS_FACTORS`.
+        Of damping.
 
     Raises
     ------
     ObjectFolderError
-        If the name is not in the table.
+        If there is none of this name, or the file is not there or not valid; see `read_material`.
     """
-    found = MATERIALS.get(name.lower()) if isinstance(name, str) else None
-    if found is None:
+    if is_yaml_name(name):
+        return read_material(Path(name), law)
+    if not (isinstance(name, str) and name.lower() in material_names()):
         raise ObjectFolderError(
-            f"unknown material {quoted(name)}: expected one of {', '.join(MATERIALS)} (docs/conventions.md)"
+            f"unknown material {quoted(name)}: expected one of {', '.join(material_names())}, or a "
+            "file such as materials/NAME.yaml (docs/conventions.md)"
         )
-    return replace(found, loss_factor=LOSS_FACTORS[found.name]) if law == "loss_factor" else found
+    return _of_package(name.lower(), law)
 
 
-def own_material(described: str | Mapping[str, Any], law: str = "rayleigh") -> Material:
+@cache
+def _of_package(name: str, law: str) -> Material:
+    return read_material(_FOLDER / f"{name}.yaml", law)
+
+
+def read_material(path: Path, law: str = "loss_factor") -> Material:
+    """Read a material from its YAML file, whose name it has.
+
+    Parameters
+    ----------
+    path : Path
+        With density, youngs_modulus, poisson_ratio, friction, roughness, and loss_factor or alpha and beta;
+        ``sources`` may say by name where a number is from.
+    law : {"rayleigh", "loss_factor"}
+        Of damping, if the file gives both.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such file, a property is missing, unknown or not physical, or nothing damps it.
+    """
+    properties = material_properties(path)
+    if law == "rayleigh" and {"alpha", "beta"} & properties.keys():
+        properties.pop("loss_factor", None)
+    try:
+        found = Material(path.stem, **properties)
+        found.require_damping()
+    except ObjectFolderError as error:
+        raise ObjectFolderError(f"{path}: {error}") from error
+    return found
+
+
+def material_properties(path: Path) -> dict[str, Any]:
+    """Return the properties in a material's file, without their sources; see `read_material`.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there is no such file, or a property is missing or unknown.
+    """
+    if not path.is_file():
+        raise ObjectFolderError(f"{path} does not exist; expected a material's file (docs/conventions.md)")
+    properties = read_yaml(path)
+    known = [field.name for field in fields(Material) if field.name != "name"]
+    if not isinstance(properties, dict):
+        raise ObjectFolderError(f"{path} holds {quoted(properties)}, expected {', '.join(known)} by name")
+    sources = properties.pop(_SOURCES, {})
+    for given in (properties, sources if isinstance(sources, dict) else [_SOURCES]):
+        for name in given:
+            if name not in known:
+                raise ObjectFolderError(f"{path}: unknown {quoted(name)}, expected {', '.join(known)}")
+    if lacking := [name for name in _REQUIRED if name not in properties]:
+        raise ObjectFolderError(f"{path} lacks {', '.join(lacking)}; copy one of {_FOLDER}")
+    return properties
+
+
+def own_material(
+    described: str | Mapping[str, Any], law: str = "rayleigh", root: str | Path = "."
+) -> Material:
     """Return the material of an object's entry in ``params.yaml``.
 
     Parameters
     ----------
     described : str or mapping
-        A name, or ``{base: NAME, ...}`` with properties that differ from those of the named material.
+        A name, the path of a file, or ``{base: NAME or path, ...}`` with properties that differ from those
+        of the named material.
     law : {"rayleigh", "loss_factor"}
-        Of damping, where the entry gives none.
+        Of damping, where the entry leaves the choice.
+    root : path
+        Workspace, from which paths count.
 
     Raises
     ------
     ObjectFolderError
-        If the name or a property is unknown, a value is not physical, or nothing damps the object.
+        If the name or a property is unknown, a file has the name of a material of the package, a value is not
+        physical, or nothing damps the object.
     """
-    if not isinstance(described, Mapping):
+    if isinstance(described, Mapping):
+        properties = {name: value for name, value in described.items() if name != "base"}
+        known = [field.name for field in fields(Material) if field.name != "name"]
+        for name in properties:
+            if name not in known:
+                raise ObjectFolderError(
+                    f"unknown property {quoted(name)}: expected base or one of {', '.join(known)}"
+                )
+        if {"alpha", "beta"} & properties.keys():
+            law = "rayleigh"
+            properties.setdefault("loss_factor", ())
+        found = replace(own_material(described.get("base", ""), law, root), **properties)
+        found.require_damping()
+        return found
+    if not is_yaml_name(described):
         return material(described, law)
-    properties = {name: value for name, value in described.items() if name != "base"}
-    known = [field.name for field in fields(Material) if field.name != "name"]
-    for name in properties:
-        if name not in known:
-            raise ObjectFolderError(
-                f"unknown property {quoted(name)}: expected base or one of {', '.join(known)}"
-            )
-    if {"alpha", "beta"} & properties.keys():
-        law = "rayleigh"
-    found = replace(material(described.get("base", ""), law), **properties)
-    found.require_damping()
-    return found
+    path = Path(root, described)
+    if path.stem.lower() in material_names():
+        raise ObjectFolderError(f"{path} has the name of a material of the package; rename it")
+    return material(path, law)
+
+
+def stored_material(name: str, properties: Mapping[str, Any]) -> Material:
+    """Return the material of an Object File; of files before format 1.5, the package knows the surface.
+
+    Parameters
+    ----------
+    name : str
+    properties : mapping
+        ``material_properties`` of the header; fields of newer versions are ignored.
+    """
+    surface = {"friction": friction_of(name), "roughness": roughness_of(name)} | dict(properties)
+    known = {field.name: surface[field.name] for field in fields(Material) if field.name in surface}
+    return Material(**{**known, "name": name})
+
+
+def friction_of(name: str) -> float:
+    """Return the coefficient of dry sliding friction of a material's name, in any case; 0.5 if unknown."""
+    return material(name).friction if name.lower() in material_names() else Material.friction
+
+
+def roughness_of(name: str) -> float:
+    """Return the roughness of a material's name, in any case, m root mean square; 1e-6 if unknown."""
+    return material(name).roughness if name.lower() in material_names() else Material.roughness

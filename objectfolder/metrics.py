@@ -70,18 +70,9 @@ def gain_errors(
 ) -> dict[str, float]:
     """Compute the relative errors of mode shapes (P, 3, M).
 
-    Parameters
-    ----------
-    energy : (M,) array
-        Weight of a squared shape error in the energy-weighted error.
-    gain : (M,) array
-        Gain of a unit shape value; its square weights the Frobenius error.
-
-    Returns
-    -------
-    dict
-        ``gain_error``, ``gain_error_frobenius``, and ``gain_error_worst``, that of the mode ``worst_mode``
-        (counted from 0).
+    ``gain_error`` weights the squared error of each mode by its energy (M,); ``gain_error_frobenius`` by the
+    square of its gain (M,), that of a unit shape value; ``gain_error_worst`` is that of the mode
+    ``worst_mode``, counted from 0.
     """
     squared, truth = ((predicted - shapes) ** 2).sum((0, 1)), (shapes**2).sum((0, 1))
     each = np.sqrt(np.divide(squared, truth, out=np.zeros_like(truth), where=truth > 0))

@@ -16,22 +16,10 @@ MAX_SIDE = 8192  #: pixels, of a square picture; others may have as many pixels
 
 
 def decoded(source: Path | BinaryIO, where: str, mode: str = "RGB", upright: bool = False) -> Image.Image:
-    """Decode a picture.
+    """Decode a picture into Pillow's pixels ``mode``, upright as its EXIF orientation says if asked.
 
-    Parameters
-    ----------
-    source : Path or binary file
-    where : str
-        Name of the picture; errors begin with it.
-    mode : str
-        Pillow's name of the result's pixels, such as "RGBA".
-    upright : bool
-        Turn it as its EXIF orientation says.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is damaged, not in one of `PICTURE_FORMATS`, or has more pixels than a square of `MAX_SIDE`.
+    Raises ObjectFolderError, which begins with ``where``, if it is damaged, not in one of `PICTURE_FORMATS`,
+    or has more pixels than a square of `MAX_SIDE`.
     """
     try:
         with warnings.catch_warnings():

@@ -13,10 +13,7 @@ class Recent(Generic[_Value]):
     Unlike a method in `functools.lru_cache`, it holds no reference to the object whose method it is, which
     can therefore go as soon as nobody else needs it, and its memory with it.
 
-    Parameters
-    ----------
-    size : int
-        Values that are kept.
+    ``size``: values that are kept.
     """
 
     def __init__(self, size: int):

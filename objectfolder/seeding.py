@@ -18,7 +18,7 @@ def numpy_generator(seed: int, *purpose: str) -> np.random.Generator:
     return np.random.default_rng(_digest(seed, purpose))
 
 
-def drawn_seed(seed: int, *purpose: str) -> int:
+def draw_seed(seed: int, *purpose: str) -> int:
     """Return a seed for one purpose, below 2**31, for libraries that take a number."""
     return int(numpy_generator(seed, *purpose).integers(2**31))
 

@@ -28,12 +28,8 @@ def visible(text: object, lines: bool = False) -> str:
     So do those that cannot be seen, reverse the order of others (bidirectional overrides), or cannot be
     encoded (bytes of file names).
 
-    Parameters
-    ----------
-    text : object
-        Converted to a text.
-    lines : bool
-        Whether line breaks and tabs stay. Without them, a text cannot pass for two messages.
+    ``text``: converted to a text. ``lines``: whether line breaks and tabs stay. Without them, a text cannot
+    pass for two messages.
     """
     shown = str(text)
     if shown.isprintable():

@@ -16,17 +16,19 @@ MAX_SCALAR = 2000  #: length limit of a value in it, characters
 MAX_NESTING = 50  #: limit of collections in each other
 
 
-def read_yaml(path: str | Path) -> Any:
-    """Read a YAML file; otherwise as `checked_yaml`.
+def is_yaml_name(value: object) -> bool:
+    """Return whether a value is a name or path that ends like a YAML file's."""
+    return isinstance(value, str | Path) and Path(value).suffix in (".yaml", ".yml")
 
-    Raises
-    ------
-    ObjectFolderError
-        Also if a value does not have its type, or a key is there twice.
+
+def read_yaml(path: str | Path) -> Any:
+    """Read a YAML file; otherwise as `check_yaml`.
+
+    Also raises ObjectFolderError if a value does not have its type, or a key is there twice.
     """
     from ruamel.yaml import YAML
 
-    text = checked_yaml(path)
+    text = check_yaml(path)
     try:
         return YAML(typ="safe").load(text)
     except Exception as error:  # of a value's own type as well
@@ -34,25 +36,16 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
-    """Return a mapping as YAML; lists of texts take one line.
+    """Return a mapping as YAML; see `inline_lists`.
 
-    Parameters
-    ----------
-    values : mapping
-    *in_quotes : str
-        Names of texts that are written in quotes whether they need them or not.
+    ``*in_quotes``: names of texts that are written in quotes whether they need them or not.
     """
     from ruamel.yaml import YAML
-    from ruamel.yaml.comments import CommentedSeq
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
     written: dict[str, Any] = {}
     for name, value in values.items():
-        if name in in_quotes:
-            value = DoubleQuotedScalarString(visible(value))
-        elif isinstance(value, list) and all(isinstance(each, str) for each in value):
-            value = CommentedSeq(value)
-            value.fa.set_flow_style()
+        value = DoubleQuotedScalarString(visible(value)) if name in in_quotes else inline_lists(value)
         written[name] = value
     yaml, stream = YAML(), io.StringIO()
     yaml.width = MAX_YAML  # a line is never broken
@@ -60,16 +53,27 @@ def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
     return stream.getvalue()
 
 
-def checked_yaml(path: str | Path) -> str:
+def inline_lists(value: Any) -> Any:
+    """Return nested values whose lists take one line in YAML, if they hold no mapping."""
+    from ruamel.yaml.comments import CommentedSeq
+
+    if isinstance(value, Mapping):
+        return {name: inline_lists(each) for name, each in value.items()}
+    if not isinstance(value, list):
+        return value
+    written = CommentedSeq(map(inline_lists, value))
+    if not any(isinstance(each, Mapping) for each in value):
+        written.fa.set_flow_style()
+    return written
+
+
+def check_yaml(path: str | Path) -> str:
     """Return the text of a YAML file that is safe to load.
 
     Loading descends into nested collections, and what is loaded may be written out: a copy for each alias.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it cannot be read, is not YAML, is nested too deeply, has a very long value, refers to itself, or
-        would be too large with a copy for each alias.
+    Raises ObjectFolderError if it cannot be read, is not YAML, is nested too deeply, has a very long value,
+    refers to itself, or would be too large with a copy for each alias.
     """
     from ruamel.yaml import YAML
 

@@ -17,12 +17,13 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
-from objectfolder.audio.synthesis import audible, sinusoid_bank
+from objectfolder.audio.synthesis import is_audible, sinusoid_bank
 from objectfolder.io import read_npz, read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors, gain_errors
-from objectfolder.nets.audio_config import AudioConfig
 from objectfolder.nets.audio_gains import GainsNet, energy_weights
-from objectfolder.nets.audio_gains_training import train_gains
+from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import AudioConfig
 from objectfolder.seeding import torch_generator
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
@@ -62,7 +63,9 @@ def measure(workspace: str, key: str) -> dict:
     size = config.size(len(damping))
     generator = torch_generator(values["seed"], key, "train_audio")
     start = time.process_time()
-    net, _ = train_gains(points, shapes, damped, damping, train, val, size, config.batch, generator)
+    net, _ = train_gains(
+        ModeSamples(points, shapes, damped, damping, train, val), size, config.batch, Session(generator)
+    )
     row = {"object": key, "modes": len(damping), "points": len(train), "steps": size.steps}
     row["seconds"] = time.process_time() - start
     with tempfile.TemporaryDirectory() as folder:
@@ -83,7 +86,7 @@ def measure(workspace: str, key: str) -> dict:
 
 def loudness(predicted: np.ndarray, truth: np.ndarray, damped: np.ndarray, damping: np.ndarray) -> dict:
     """Return the PSNR of random unit impulses in the paper's convention, and its margin above silence."""
-    heard = audible(torch.from_numpy(damped), SAMPLE_RATE)
+    heard = is_audible(torch.from_numpy(damped), SAMPLE_RATE)
     if not heard.any():
         return {}
     bank = spectrogram(sinusoid_bank(torch.from_numpy(damped), torch.from_numpy(damping)))

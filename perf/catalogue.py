@@ -21,7 +21,7 @@ from rich.table import Table
 
 from objectfolder import ObjectFile
 from objectfolder.audio.spectrogram import spectrogram
-from objectfolder.engine.costs import recall_costs
+from objectfolder.engine.records import recall_costs
 from objectfolder.figures import tile
 from objectfolder.io import atomic, read_json, read_npz
 from objectfolder.workspace import params

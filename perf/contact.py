@@ -17,7 +17,7 @@ from rich.table import Table
 
 from objectfolder import ObjectFile
 from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
-from objectfolder.audio.contact import STRIKERS
+from objectfolder.audio.contact import striker_names
 from objectfolder.objectfile.samples import file_or_sample
 
 RATE, SECONDS = 44100, 0.1
@@ -42,7 +42,7 @@ def main() -> None:
     table = Table("object", "striker", "contact, ms", "error, dB", "energy below, %")
     for path in given.files:
         file = ObjectFile.load(file_or_sample(path))
-        for name in STRIKERS:
+        for name in striker_names():
             row = {"object": file.key, "striker": name} | compared(file, name, given.strikes, given.seed)
             rows.append(row)
             figures = 1000 * row["contact"], row["error"], 100 * row["below"]

@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from workspaces import OwnWorkspace
 
-from objectfolder.engine.costs import recall_costs
+from objectfolder.engine.records import recall_costs
 from objectfolder.io import read_json, read_npz, write_json
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.positional import PointwiseNetwork, train_in

@@ -32,12 +32,11 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.metrics import psnr
 from objectfolder.touch.ball import BallModel
 from objectfolder.touch.calibration import SensorFit, fit_sensor_lights, save_fit
-from objectfolder.touch.imprint import find_imprint, overflowed
-from objectfolder.touch.lightfit import Photograph, disc_of, fit_pose, squared_error
+from objectfolder.touch.imprint import find_imprint, find_overflow
+from objectfolder.touch.lightfit import Photograph, circle_mask, fit_pose, squared_error
 from objectfolder.touch.optics import Optics
-from objectfolder.touch.photographs import read_photograph
+from objectfolder.touch.photographs import Pack, read_pack, read_photograph
 from objectfolder.touch.profiles import SensorProfile, load_profile
-from objectfolder.touch.taxim import Pack, read_pack
 
 FITTED = 7  # photographs
 SEEDS = 0, 1, 2
@@ -216,7 +215,7 @@ def located(
         for pose, of in zip(halves, (~even, even)):
             shown["halves"].append(Photograph(photograph.picture, photograph.disc & of, pose))
         y, x, size = sensor.pack.circles[i]
-        disc, far = disc_of((y, x, size), rest.shape), disc_of((y, x, 2 * size), rest.shape)
+        disc, far = circle_mask((y, x, size), rest.shape), circle_mask((y, x, 2 * size), rest.shape)
         shown["poses found"].append(found)
         shown["beside"].append(replace(found, disc=far & ~disc))
         shown["circles, all pixels"].append(replace(photograph, disc=disc))
@@ -252,7 +251,7 @@ def measure(sensor: Sensor, seed: int) -> tuple[dict, SensorFit, list[Photograph
     marked = [
         Photograph(
             picture.astype(np.float32),
-            disc_of(circle, rest.shape) & ~overflowed(picture),
+            circle_mask(circle, rest.shape) & ~find_overflow(picture),
             np.array([circle[0] + shift[0], circle[1] + shift[1], poses[:, 2].mean()]),
         )
         for picture, circle in zip(pack.pictures, pack.circles)
@@ -304,7 +303,7 @@ def main() -> None:
                 shown = [
                     Photograph(
                         picture.astype(np.float32),
-                        disc_of(circle, rest) & ~overflowed(picture),
+                        circle_mask(circle, rest) & ~find_overflow(picture),
                         np.zeros(3),
                     )
                     for picture, circle in zip(sensor.pack.pictures, sensor.pack.circles)

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder.audio.synthesis import sinusoid_bank
-from objectfolder.fem.adaptive import refined
+from objectfolder.fem.adaptive import refine_grid
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.elements import solid_from_arrays
@@ -125,7 +125,7 @@ def compare(workspace: str, key: str) -> dict:
     """
     solid, surface, entry, section = load(workspace, key)
     stuff, scale, fine = material(entry["material"]), float(entry["scale"]), FineGrids(**section["fine"])
-    fem = refined(solid, surface, fine, stuff, scale, key).vibration.fem
+    fem = refine_grid(solid, surface, fine, stuff, scale, key).vibration.fem
     stiffness, mass = fem.stiffness.tocsc(), fem.mass.tocsc()
     limit = (2 * np.pi * section["max_frequency"]) ** 2
     middle = (limit + (2 * np.pi * MIN_FREQUENCY) ** 2) / 2

@@ -36,9 +36,9 @@ from objectfolder.materials import material
 from objectfolder.mesh.closing.piercing import self_intersections
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.procedural import generate
+from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh, signed_volume
 from objectfolder.workspace import params
 
@@ -140,7 +140,7 @@ def largest_volume(surface: Mesh, name: str, size: str, cache: str) -> float:
     return SIZES[size] * min(MAX_VOLUME, max(wall**3, volume / TETRAHEDRA), volume / FEWEST)
 
 
-def filled(surface: Mesh, largest: float) -> tuple[Tetrahedra, Mesh]:
+def fill(surface: Mesh, largest: float) -> tuple[Tetrahedra, Mesh]:
     """Fill a surface with tetrahedra that keep its facets or, if TetGen refuses it, stay near them.
 
     Returns the surface that was filled, too.
@@ -176,7 +176,7 @@ def reference(name: str, size: str, objects: str, cache: str) -> dict:
     """Solve an object on tetrahedra; write solid, frequencies and shapes to the cache."""
     surface = surface_of(name, objects)
     stuff, scale = body(name)
-    solid, surface = filled(surface, largest_volume(surface, name, size, cache))
+    solid, surface = fill(surface, largest_volume(surface, name, size, cache))
     points = sample_surface(*surface, POINTS, np.random.default_rng(1))
     fem = solid.assemble(material(stuff), scale)
     values, vectors = FreeVibration(fem).lowest(lambda found: MODES + SPARES, TOLERANCE)

@@ -19,7 +19,7 @@ from rich.table import Table
 from scipy import ndimage
 
 from objectfolder.benchmarks.datasets.occupancy import is_inside, uniform_points
-from objectfolder.benchmarks.models.framing import framed
+from objectfolder.benchmarks.models.framing import frame_cutout
 from objectfolder.benchmarks.models.shape_model import ShapeModel, load_model
 from objectfolder.benchmarks.reporting.shape_pictures import sheet
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
@@ -135,7 +135,7 @@ def main() -> None:
         depth = np.asarray(Image.open(f"{stem}-depth.png")).astype(np.float64)
         shown = mask(depth, photograph)
         picture = read_picture(f"{stem}-color.png")
-        view = framed(cut_out(picture, 255 * shown.astype(np.uint8)), model.setup.view)
+        view = frame_cutout(cut_out(picture, 255 * shown.astype(np.uint8)), model.setup.view)
         vertices, faces = photograph_to_mesh(model, view)
         truth = (np.zeros((0, 3)), np.zeros((0, 3), int))
         row = {"image": photograph.image, "object": photograph.name, "key": photograph.key}

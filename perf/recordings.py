@@ -26,7 +26,7 @@ from scipy.optimize import least_squares, linear_sum_assignment
 from objectfolder.acoustics.radiation import radiate
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED
 from objectfolder.audio.fitting import fit_sound, match_modes
-from objectfolder.audio.recordings import at_one_rate, read_recording
+from objectfolder.audio.recordings import read_recording, resample_to_lowest
 from objectfolder.audio.ringdown import BAND, LN_1000, Ringdown, ringdown, strikes
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import solve_modes
@@ -75,7 +75,7 @@ def bowl(folder: Path, console: Console) -> dict:
     cells = cut_cells((vertices - (lower + upper) / 2) / size, faces, CELLS, SUBDIVISIONS, "bowl")
     modes = solve_modes(cells.assemble(ceramic, size), 20000.0, 256, "bowl")
     computed = np.sqrt(modes.eigenvalues) / (2 * np.pi)
-    sounds, rate = at_one_rate([read_recording(path) for path in sorted(folder.glob("mic*.wav"))])
+    sounds, rate = resample_to_lowest([read_recording(path) for path in sorted(folder.glob("mic*.wav"))])
     fit = fit_sound(computed, ceramic, sounds, rate, "loss_factor")
     match, heard = fit.match, fit.heard
     hertz = heard.frequency[match.heard]

@@ -1,9 +1,9 @@
-"""Render docs/results.md, docs/faithful.md and docs/catalogue.md: `python perf/results.py [--collect [DIR]]`.
+"""Render the pages of results, docs/results.md and others: `python perf/results.py [--collect [DIR]]`.
 
-The pages are perf/*.md.j2, filled with the records in docs/results/. Most records are the `--json` output of
-another script in perf/. With `--collect`, the scores that `objectfolder build` and `objectfolder bench` left
-in metrics/ and benchmarks/ of a workspace, by default the repository, update the records scores, benchmarks
-and robots first.
+The pages are perf/pages/**/*.md.j2, filled with the records in docs/results/. Most records are the `--json`
+output of another script in perf/. With `--collect`, the scores that `objectfolder build` and `objectfolder
+bench` left in metrics/ and benchmarks/ of a workspace, by default the repository, update the records scores
+and robots first. `perf/benchmarks.py` records the benchmarks of a hundred objects.
 """
 
 import argparse
@@ -27,10 +27,12 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_json, write_text
 from objectfolder.workspace.layout import Benchmarks
 from objectfolder.workspace.params import BENCHMARKS
+from objectfolder.workspace.presets import read_preset
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"
-PAGES = {name: ROOT / "docs" / f"{name}.md" for name in ("results", "faithful", "catalogue")}
+TEMPLATES = ROOT / "perf" / "pages"
+PAGES = sorted(path.relative_to(TEMPLATES).as_posix()[:-3] for path in TEMPLATES.rglob("*.md.j2"))
 PRESETS = ("quick", "laptop", "standard", "faithful", "faithful-small")
 EXEMPT = {
     "render_views": "renderer",
@@ -71,9 +73,9 @@ def bench_commands() -> dict[str, tuple[Task, str, str]]:
 
 
 def render(page: str, records: Path = RECORDS) -> str:
-    """Return a page, one of `PAGES`."""
+    """Return a page, one of `PAGES`: paths in docs/."""
     environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
+        loader=FileSystemLoader(TEMPLATES),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -90,10 +92,10 @@ def render(page: str, records: Path = RECORDS) -> str:
         "score": score,
         "significant": significant,
     }
-    values = {path.stem: read_json(path) for path in records.glob("*.json")}
-    template = environment.get_template(f"{page}.md.j2")
-    text = template.render(**values, query_figures=FIGURES, fitted=FITTED)
-    return re.sub(r"\n{3,}", "\n\n", text)
+    values = {path.stem: read_json(path) for path in sorted(records.glob("*.json"))}
+    template = environment.get_template(f"{page}.j2")
+    text = template.render(**values, records=values, query_figures=FIGURES, fitted=FITTED)
+    return re.sub(r"\n{3,}", "\n\n", text).rstrip("\n") + "\n"
 
 
 def by_commit(objects: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
@@ -156,28 +158,18 @@ def collect(workspace: Path) -> None:
             metrics = read_json(path)["objects"] | metrics
         record = {"machine": machine("cpu"), "preset": preset, "seed": values["seed"]}
         write_record(path, record | {"objects": dict(sorted(metrics.items()))})
-    keys: dict[str, None] = {}
     folders = {preset: Benchmarks(workspace / "benchmarks" / preset) for preset in PRESETS}
-    shared = [table for preset, folder in folders.items() for table in shared_tables(folder, preset, keys)]
-    single = [table for preset, folder in folders.items() for table in object_tables(folder, preset)]
-    found = {"benchmarks": shared, "robots": single}
-    for name, new in found.items():
-        record = read_json(RECORDS / f"{name}.json")
-        by_command = {table["command"]: table for table in record["tables"] + new}
-        record["tables"] = list(by_command.values())
-        if name == "benchmarks" and keys:
-            catalogues = ("catalogs/procedural.yaml", "catalogs/thin.yaml")
-            procedural = {key for path in catalogues for key in read_yaml(path)["procedural"]}
-            record["procedural"] = [key for key in keys if key in procedural]
-            record["scanned"] = [key for key in keys if key not in procedural]
-        rewrite(RECORDS / f"{name}.json", record)
+    record = read_json(RECORDS / "robots.json")
+    tables = record["tables"] + [
+        table for preset, folder in folders.items() for table in object_tables(folder, preset)
+    ]
+    record["tables"] = list({table["command"]: table for table in tables}.values())
+    rewrite(RECORDS / "robots.json", record)
 
 
-def shared_tables(
-    folder: Benchmarks, preset: str, keys: dict[str, None], options: str = ""
-) -> Iterator[dict]:
+def shared_tables(folder: Benchmarks, preset: str, keys: dict[str, None], options: str) -> Iterator[dict]:
     """Yield the tables of tasks over many objects, and add these objects to `keys`."""
-    sections = read_yaml(f"params/{preset}.yaml")
+    sections = read_preset(preset)[0]
     for task, (declared, command, section) in bench_commands().items():
         for split in declared.splits if task != "grasp_stability" else ():
             if folder.result(task, split).is_file():
@@ -198,7 +190,7 @@ def shared_tables(
 
 def object_tables(folder: Benchmarks, preset: str, options: str = "") -> Iterator[dict]:
     """Yield the tables of grasp stability and of tasks on single objects."""
-    sections = read_yaml(f"params/{preset}.yaml")
+    sections = read_preset(preset)[0]
     stability = find_task("grasp_stability")
     for split in stability.splits:
         if folder.result("grasp_stability", split).is_file():
@@ -251,7 +243,7 @@ def seeds_option(score: dict, section: dict) -> str:
 def preset_of(values: dict) -> str:
     """Return the preset whose sections all agree with the parameters, but for `EXEMPT`."""
     for name in PRESETS:
-        sections = read_yaml(f"params/{name}.yaml")
+        sections = read_preset(name)[0]
         if all(scored(key, values.get(key)) == scored(key, sections[key]) for key in sections):
             return name
     return "custom"
@@ -279,8 +271,8 @@ def main() -> None:
     )
     if workspace := parser.parse_args().collect:
         collect(workspace.resolve())
-    for name, path in PAGES.items():
-        write_text(path, render(name))
+    for page in PAGES:
+        write_text(ROOT / "docs" / page, render(page))
 
 
 if __name__ == "__main__":

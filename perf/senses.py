@@ -33,7 +33,7 @@ BODIES, PADS = (1, 10, 30), (2, 16)
 TARGETS = {"bodies 1": 1.0, "bodies 10": 1.0, "pads 2": 1.0}
 MATERIAL = 0.9  #: least share of materials told right
 ODD = 0.9  #: least share of odd ones found
-SURE = 0.99  #: probability at which an object is named
+CERTAINTY = 0.99  #: probability at which an object is named
 TOUCHES, FEWER = 0.5, 0.02  #: greatest ratio of touches to random's, and by how much fewer names are right
 KINDS = ("mug", "die", "bell")
 SECONDS = 1.0
@@ -207,7 +207,7 @@ def tap(folder: str, train: str) -> dict:
     import numpy as np
     import torch
 
-    from objectfolder.envs.odd import SURE, OddEar, find_odd
+    from objectfolder.envs.ears import THRESHOLDS, OddEar, find_odd
     from objectfolder.envs.tap import TapEnv
 
     torch.set_num_threads(1)
@@ -217,7 +217,7 @@ def tap(folder: str, train: str) -> dict:
         np.concatenate([part[name] for part in parts])[:known] for name in ("heard", "odd", "stuff")
     )
     env, net = TapEnv(), OddEar(heard, odd, stuff)
-    tried = {sure: [find_odd(env, net, sure, known + k) for k in range(TRIED)] for sure in SURE}
+    tried = {sure: [find_odd(env, net, sure, known + k) for k in range(TRIED)] for sure in THRESHOLDS}
     sure = max(tried, key=lambda one: np.mean([each["reward"] for each in tried[one]]))
     seeds = range(known + TRIED, known + TRIED + UNSEEN)
     played = {"trained": [find_odd(env, net, sure, seed) for seed in seeds], "random": [], "oracle": []}
@@ -249,15 +249,14 @@ def touches(count: str, *files: str) -> dict:
     import torch
 
     from objectfolder import ObjectFile
-    from objectfolder.envs.explore import ExploreEnv
-    from objectfolder.envs.explorer import Explorer, explore
+    from objectfolder.envs.explore import ExploreEnv, Explorer, explore
 
     torch.set_num_threads(1)
     env = ExploreEnv([ObjectFile.load(file) for file in files] or KINDS)
     explorer = Explorer(env)
     found = {}
     for who in ("trained", "random"):
-        played = [explore(env, explorer, SURE, seed, who == "random") for seed in range(int(count))]
+        played = [explore(env, explorer, CERTAINTY, seed, who == "random") for seed in range(int(count))]
         found[who] = {
             **{
                 name: float(np.mean([one[name] for one in played])) for name in ("right", "touches", "reward")
@@ -267,7 +266,7 @@ def touches(count: str, *files: str) -> dict:
     return {
         "objects": [file.key for file in env.files],
         "episodes": int(count),
-        "sure": SURE,
+        "sure": CERTAINTY,
         "widths": list(explorer.widths),
         **found,
         "oracle": {"right": 1.0, "touches": 0.0, "reward": 1.0, "most": 0},

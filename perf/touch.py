@@ -39,13 +39,13 @@ from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image_training import train_image
-from objectfolder.objectfile.evaluation import touch_scores
-from objectfolder.objectfile.surface import ObjectSurface
-from objectfolder.objectfile.touch import UNMOVED
+from objectfolder.objectfile.evaluate_touch import score_images
+from objectfolder.objectfile.surface import UNMOVED, ObjectSurface
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps
 from objectfolder.touch.dataset import render_contacts
 from objectfolder.touch.gel import deform
@@ -201,7 +201,7 @@ def accuracy(source: str, scale: str, count: str, picture: str) -> dict:
         return row
     truth, contact = reference.render(*touched.contacts)
     drawn, _ = TactoRays(touched.vertices, touched.faces, profile, touched.scale).render(*touched.contacts)
-    heights, obstructed = heightmaps(touched.caster, *touched.contacts, profile, touched.scale)
+    heights, obstructed, _ = heightmaps(touched.caster, *touched.contacts, profile, touched.scale)
     flat = Optics(profile).render(torch.from_numpy(deform(heights, profile)[0])).numpy()
     free = obstructed == 0
     row |= {"unobstructed": int(free.sum()), "contact_pixels": float(contact.mean())}
@@ -257,7 +257,7 @@ def net(source: str, scale: str, count: str, resolution: str) -> dict:
         contact = places, fitted.normals(places), unknown["angles"], unknown["depths"]
         found = [(part.images, part.force) for part in fitted.touches(*contact)]
         images, force = (np.concatenate(parts) for parts in zip(*found))
-        scores = touch_scores(images, unknown)
+        scores = score_images(images, unknown)
         free = unknown["obstructed"] == 0
         row |= {
             f"{name}_offset_um": fitted.depth_offset * 1e6,
@@ -298,13 +298,13 @@ def image(source: str, scale: str, count: str, steps: str) -> dict:
     config = replace(IMAGE, steps=int(steps))
     some = {name: values[:16] for name, values in known.items()}  # the paper stops at no held-out loss
     generator = torch.Generator().manual_seed(0)
-    trained, _ = train_image(known, some, scale_m, SOFT, config, generator)
+    trained, _ = train_image(known, some, scale_m, SOFT, config, Session(generator))
     row = {"contacts": int(count), "steps": int(steps), "seconds": time.process_time() - start}
     mean = known["images"].mean(axis=0).round()
     for name, contacts in (("known", known), ("unknown", unknown)):
         answers = trained.images(contacts["points"] / scale_m)
         for kind, images in (("net", answers), ("mean", np.broadcast_to(mean, answers.shape))):
-            scores = touch_scores(images, contacts)
+            scores = score_images(images, contacts)
             row |= {f"{name}_{kind}": scores["psnr"], f"{name}_{kind}_contact": scores.get("psnr_contact")}
     return row
 

@@ -24,14 +24,14 @@ from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.sampling import ask, draw_queries
 from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.models.classifier import Classifier
-from objectfolder.benchmarks.models.encode_config import InputSizes
-from objectfolder.benchmarks.models.inputs import encoder_inputs, shifted
+from objectfolder.benchmarks.models.inputs import encoder_inputs, shift_each
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.run import BenchmarkOptions, LoadedFile, collect_observations, load_object_files
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognize import TASK, RecognizeConfig
 from objectfolder.benchmarks.tasks.recognize_training import FLAT, recognize
 from objectfolder.benchmarks.tasks.running import Run
-from objectfolder.engine.pool import in_processes
+from objectfolder.engine.process import in_processes
 from objectfolder.io import write_npz
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator, seeded
@@ -101,7 +101,7 @@ class Learnt:
         for some in np.split(order[: steps * batch], steps):
             plain = torch.from_numpy(self._inputs[rows[some]]).float()
             yield (
-                shifted(self.job.ground.subtracted(plain), self.job.shift, rng),
+                shift_each(self.job.ground.subtracted(plain), self.job.shift, rng),
                 torch.from_numpy(labels[some]),
             )
 

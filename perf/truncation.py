@@ -20,7 +20,7 @@ from objectfolder.fem.modal import modal_analysis
 from objectfolder.io import read_json, read_npz
 from objectfolder.materials import LAWS, material
 from objectfolder.nets.audio_gains import energy_weights
-from objectfolder.objectfile.truncation import lost_energy
+from objectfolder.objectfile.evaluate_sound import lost_energy
 from objectfolder.workspace.layout import Build
 
 FACTOR = 1.5

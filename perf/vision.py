@@ -3,19 +3,14 @@
 Every figure comes from a fresh process with one thread; seconds are CPU seconds. `renderers` (needs
 `objectfolder build render_views`) draws the same views with every renderer that is installed: ms per image,
 peak memory, and how far apart the pictures are. `training` (needs voxelize as well) trains the surface net
-with the workspace's params.yaml; it scores the test views once, at the end. `tiles` (needs the same) trains
-it on new tiles and, apart, on whole views, with several seeds. `query` (needs pack) times the views of the
-Object File, beside a net of the paper's size. `primary` (needs pack) finds what each pixel's ray meets in two
-ways: triangles of the stored surface in a ray caster, which views use, and a sphere tracer that steps through
-the stored distances. Exits with 1 if a target is missed.
+with the workspace's params.yaml; it scores the test views once, at the end. `query` (needs pack) times the
+views of the Object File, beside a net of the paper's size. Exits with 1 if a target is missed.
 """
 
 import argparse
 import lzma
 import resource
 import tempfile
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +19,6 @@ from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.errors import ObjectFolderError
 from objectfolder.figures import tile
 from objectfolder.io import read_npz, write_npz, write_png
 from objectfolder.mesh.grid import DistanceGrid
@@ -32,22 +26,19 @@ from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.metrics import psnr
-from objectfolder.nets.vision_config import VisionConfig
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
-from objectfolder.objectfile.evaluation import evaluate_vision
+from objectfolder.objectfile.evaluate_vision import evaluate_vision
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.vision import view_images
-from objectfolder.seeding import numpy_generator, torch_generator
-from objectfolder.vision.cameras import Intrinsics, camera_rays, covered_rectangle, look_at, sphere_points
-from objectfolder.vision.color import COVERED, lit_foreground, on_white
-from objectfolder.vision.dataset import Shots, render_split
+from objectfolder.objectfile.vision import LitCameras, view_images
+from objectfolder.seeding import torch_generator
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
+from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
-from objectfolder.vision.settings import RenderViewsConfig
-from objectfolder.vision.trace import weighted_rows
-from objectfolder.vision.view import draw as draw_surface
 from objectfolder.vision.volume import Rays
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import SPLITS, Build
@@ -63,23 +54,17 @@ MAX_TRAINING_SECONDS = 60.0
 MAX_TRAINING_MB = 3072.0
 MIN_DB = {"psnr": 41.0, "psnr_worst": 34.0, "psnr_lit_foreground": 32.0}  # of test views
 MAX_QUERY_MS = {"ms_single": 25.0, "ms_adaptive": 40.0}  # of a view at 256 x 256
-# What the surface net was trained on before tiles.
-WHOLE_VIEWS = {"train": 120, "val": 8, "train_samples": 16}
-MAX_TILES_LOSS = 0.1  # dB, mean over seeds against whole views
 TARGETS = {
     "renderers": f"mitsuba: {MAX_GROUND_TRUTH_SECONDS:g} s for {TRAIN_VIEWS} views; "
     f"all: {MAX_RENDERING_MB:g} MB",
     "training": f"{MAX_TRAINING_SECONDS:g} s, {MAX_TRAINING_MB:g} MB, "
     + ", ".join(f"{name} {limit:g} dB" for name, limit in MIN_DB.items()),
-    "tiles": f"tiles {MAX_TILES_LOSS:g} dB worse than whole views, at most",
     "query": ", ".join(f"{name} {limit:g}" for name, limit in MAX_QUERY_MS.items()),
-    "primary": "",
 }
 OSF_SAMPLES = (64, 128)  # the paper's (supplementary E), as is the shape
 OSF_SHAPE = {"width": 256, "depth": 8, "branch_width": 128, "branch_depth": 4}
 OSF_OCTAVES = {"point_octaves": 10, "direction_octaves": 4}
 OSF_ROWS = 2  # of pixels that are timed
-MAX_STEPS = 500  # of a ray that a sphere tracer follows
 SHOWN = 6  # views in a picture
 
 
@@ -137,7 +122,7 @@ def train(workspace: str, key: str) -> dict:
     config = params.settings(VisionConfig, values)
     views = {split: read_npz(build.views(split)) for split in SPLITS}
     # The loss is a mean over pixels that are covered fully; the background of whole views has no error.
-    covered = float((views["test"]["rgba"][..., 3] >= COVERED).mean())
+    covered = float((views["test"]["rgba"][..., 3] >= MIN_FOREGROUND_ALPHA).mean())
     distances = read_npz(build.sdf, "values", "band")
     surface, scene = (
         Isosurface(DistanceGrid.from_arrays(distances)),
@@ -151,7 +136,9 @@ def train(workspace: str, key: str) -> dict:
             row["steps_reached"], row["seconds_reached"] = row["steps"], row["seconds"]
 
     generator = torch_generator(values["seed"], key, "train_vision")
-    net, _ = train_surface(surface, scene, views["train"], views["val"], config, generator, report)
+    net, _ = train_surface(
+        surface, scene, views["train"], views["val"], config, Session(generator, report=report)
+    )
     row |= {"seconds": cpu_seconds(), "peak_mb": peak_mb()}
     tensors, header = net.to_tensors()
     stored = SurfaceNet.from_tensors(tensors, header)
@@ -159,8 +146,7 @@ def train(workspace: str, key: str) -> dict:
     row["geometry_kb"] = len(lzma.compress(distances["values"].tobytes())) / 1000
 
     def score(net: SurfaceNet, split: str) -> dict:
-        drawer = partial(draw_surface, surface, net.shader(surface))
-        return evaluate_vision(partial(view_images, lambda: drawer), views[split])
+        return evaluate_vision(Shaded(surface, net), views[split])
 
     # Pooled: a mean over tiles would be that of the many without the object.
     row |= {"psnr_val": score(net, "val")["psnr_pooled"]}
@@ -168,38 +154,14 @@ def train(workspace: str, key: str) -> dict:
     return row | score(stored, "test")
 
 
-def fit(workspace: str, key: str, images: str, seed: str) -> dict:
-    """Render training images in this process, train the surface net on them and score the built test views.
+class Shaded:
+    """A surface and its net, which are viewed as an Object File."""
 
-    Training and validation images come from the seed, as does the training; the test views are the same for
-    all seeds.
-    """
-    torch.set_num_threads(1)
-    build, values = Build(key, workspace), params.read(Path(workspace) / "params.yaml")
-    rendering, config = params.settings(RenderViewsConfig, values), params.settings(VisionConfig, values)
-    scene, whole = Scene(load_mesh(build.visual, "y", AS_STORED)), Intrinsics.square(rendering.resolution)
-    renderer = make_renderer(rendering.renderer, scene)
-    row: dict = {"object": key, "images": images, "seed": int(seed)}
-    if images == "tiles":
-        if rendering.tile is None:
-            raise ObjectFolderError("render_views.tile in params.yaml is null; expected a number of pixels")
-        draw, rendered = partial(Shots.tiles, side=rendering.tile, points=scene.mesh.vertices), rendering
-    else:
-        draw, rendered = Shots.views, replace(rendering, **WHOLE_VIEWS)
-    start, views = cpu_seconds(), {}
-    for split, samples in (("train", rendered.train_samples), ("val", rendered.test_samples)):
-        rng, count = numpy_generator(int(seed), key, "render_views", split), getattr(rendered, split)
-        shots = draw(count, intrinsics=whole, rng=rng)
-        views[split] = render_split(renderer, shots, samples, rng, halves=split == "val")
-        row[f"{split}_images"], row[f"{split}_seconds"] = count, cpu_seconds() - start
-        start = cpu_seconds()
-    surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
-    generator = torch_generator(int(seed), key, "train_vision")
-    net, _ = train_surface(surface, scene, views["train"], views["val"], config, generator, lambda _: None)
-    row["fit_seconds"] = cpu_seconds() - start
-    stored = SurfaceNet.from_tensors(*net.to_tensors())
-    drawer = partial(draw_surface, surface, stored.shader(surface))
-    return row | evaluate_vision(partial(view_images, lambda: drawer), read_npz(build.views("test")))
+    def __init__(self, surface: Isosurface, net: SurfaceNet):
+        self._drawer = partial(draw_surface, surface, net.shader(surface))
+
+    def view(self, pose: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+        return view_images(self._drawer, LitCameras.checked(pose, light, (), intrinsics))
 
 
 def query(workspace: str, key: str, count: str) -> dict:
@@ -217,81 +179,6 @@ def query(workspace: str, key: str, count: str) -> dict:
         file.view(cameras, lights, supersample=supersample)
         row[name] = 1000 * (cpu_seconds() - start) / len(cameras)
     return row | {"peak_mb": peak_mb()}
-
-
-def primary(workspace: str, key: str, count: str) -> dict:
-    """Time what the rays of views meet, with the ray caster and with a sphere tracer, in this process.
-
-    The picture that is compared is the cosine between ray and normal.
-    """
-    torch.set_num_threads(1)
-    rng = np.random.default_rng(0)
-    poses, intrinsics = look_at(sphere_points(int(count), 2.5, rng)), Intrinsics()
-    surface = ObjectFile.load(Build(key, workspace).object_file).surface
-    start = cpu_seconds()
-    corners, table = (
-        np.array(np.meshgrid(*surface.bounds.T)).reshape(3, -1).T,
-        torch.from_numpy(surface.shading.normals),
-    )
-    surface.caster.occluded(np.ones((1, 3)), np.ones((1, 3)))  # Embree builds its tree at the first ray
-    row: dict = {
-        "object": key,
-        "ms_extract": 1000 * (cpu_seconds() - start),
-        "ms_caster": 0.0,
-        "ms_tracer": 0.0,
-    }
-    pictures, apart, steps = [], [], 0
-    for pose in poses:
-        left, top, right, bottom = covered_rectangle(corners, pose, intrinsics)
-        columns, rows = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
-        origins, directions = camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1))
-        start = cpu_seconds()
-        ray, distance, face, weights = surface.caster.intersect(origins, directions)
-        corner = torch.from_numpy(surface.corners(face))
-        normals = weighted_rows(table, corner, torch.from_numpy(weights)).numpy()
-        between = cpu_seconds()
-        met, depth, seen, taken = sphere_trace(surface, origins, directions)
-        row["ms_caster"] += 1000 * (between - start) / len(poses)
-        row["ms_tracer"] += 1000 * (cpu_seconds() - between) / len(poses)
-        steps = max(steps, taken)
-        picture, depths = np.zeros((2, intrinsics.height * intrinsics.width)), np.zeros((2, len(origins)))
-        for i, (hit, along, n) in enumerate(((ray, distance, normals), (met, depth, seen))):
-            cosine = -(n / np.linalg.norm(n, axis=1, keepdims=True) * directions[hit]).sum(1)
-            picture[i, hit], depths[i, hit] = cosine.clip(0), along
-        pictures.append(np.square(picture[0] - picture[1]).mean())
-        both = (depths > 0).all(0)
-        apart.append(np.abs(depths[0] - depths[1])[both] / surface.grid.spacing)
-        row["hits_apart"] = row.get("hits_apart", 0) + int(((depths > 0).any(0) & ~both).sum()) / len(poses)
-    voxels = np.concatenate(apart)
-    row |= {"steps": steps, "psnr_picture": float(psnr(np.mean(pictures)))}
-    return row | {"voxels_median": float(np.median(voxels)), "voxels_99": float(np.quantile(voxels, 0.99))}
-
-
-def sphere_trace(
-    surface: Isosurface, origins: np.ndarray, directions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Where rays meet the zero level of the distances: rays, depths, normals, and steps taken.
-
-    Each ray steps by the distance that the grid tells, from the surface's bounds on, and ends within a
-    fiftieth of a voxel of the surface. Rays that are through are left out of further steps.
-    """
-    low, high = (torch.from_numpy(b.astype(np.float32)) for b in surface.bounds)
-    origin, direction = torch.from_numpy(origins), torch.from_numpy(directions)
-    planes = torch.stack([(low - origin) / direction, (high - origin) / direction])
-    near, far = planes.amin(0).amax(1), planes.amax(0).amin(1)
-    active = (near < far).nonzero()[:, 0]
-    along, found, depths, steps = near[active], [], [], 0
-    while len(active) and steps < MAX_STEPS:
-        distance = surface.grid.distance(origin[active] + direction[active] * along[:, None])
-        met = distance < surface.grid.spacing / 50
-        found.append(active[met])
-        depths.append(along[met])
-        along = along + distance
-        going = ~met & (along < far[active])
-        active, along, steps = active[going], along[going], steps + 1
-    ray, depth = torch.cat(found), torch.cat(depths)
-    normals = surface.grid.normals(origin[ray] + direction[ray] * depth[:, None])
-    return ray.numpy(), depth.numpy(), normals.numpy(), steps
 
 
 def query_osf() -> dict:
@@ -329,7 +216,7 @@ def compare(truth: np.ndarray, other: np.ndarray) -> dict:
     """
     a, b = (on_white(torch.from_numpy(x)).numpy().astype(np.float64) for x in (truth, other))
     foreground = (truth[..., 3] > 0) | (other[..., 3] > 0)
-    lit = lit_foreground(truth)
+    lit = find_lit_foreground(truth)
     squared = (a - b) ** 2
     return {
         "psnr_foreground": float(psnr(squared[foreground].mean())),
@@ -366,7 +253,7 @@ def renderers(workspace: Path, key: str, count: int) -> list[dict]:
     return rows
 
 
-JOBS = {"draw": draw, "train": train, "fit": fit, "query": query, "query_osf": query_osf, "primary": primary}
+JOBS = {"draw": draw, "train": train, "query": query, "query_osf": query_osf}
 
 
 def show_renderers(rows: list[dict], console: Console) -> None:
@@ -422,20 +309,6 @@ TRAINING = {
     "noise_floor_lit": ("lit noise", ".1f"),
     "baseline_white": ("white", ".1f"),
 }
-TILES = {
-    "object": ("object", ""),
-    "images": ("images", ""),
-    "seed": ("seed", ""),
-    "train_images": ("train", ""),
-    "train_seconds": ("CPU s", ".1f"),
-    "val_images": ("val.", ""),
-    "val_seconds": ("CPU s", ".1f"),
-    "fit_seconds": ("fit, CPU s", ".1f"),
-    "psnr": ("test dB", ".2f"),
-    "psnr_worst": ("worst", ".1f"),
-    "psnr_lit_foreground": ("lit", ".2f"),
-    "baseline_white": ("white", ".1f"),
-}
 QUERY = {
     "object": ("object", ""),
     "net": ("net", ""),
@@ -446,35 +319,8 @@ QUERY = {
 }
 
 
-PRIMARY = {
-    "object": ("object", ""),
-    "ms_extract": ("extract ms", ".0f"),
-    "ms_caster": ("ms, ray caster", ".1f"),
-    "ms_tracer": ("ms, sphere tracer", ".1f"),
-    "steps": ("steps", ""),
-    "voxels_median": ("depth apart, voxels", ".3f"),
-    "voxels_99": ("99 %", ".2f"),
-    "hits_apart": ("pixels only one meets", ".0f"),
-    "psnr_picture": ("picture dB", ".1f"),
-}
-
-
 def show_training(rows: list[dict], console: Console) -> None:
     show_rows(rows, "Training of the surface net, and its PSNR", TRAINING, console)
-
-
-def show_tiles(rows: list[dict], console: Console) -> None:
-    show_rows(rows, "The surface net after tiles and after whole views", TILES, console)
-    for key, means in means_of_tiles(rows).items():
-        console.print(f"{key}: " + ", ".join(f"{name} {mean:.2f} dB" for name, mean in means.items()))
-
-
-def means_of_tiles(rows: list[dict]) -> dict[str, dict[str, float]]:
-    """Mean test PSNR over seeds, by object and kind of images."""
-    found: dict[str, dict[str, list[float]]] = {}
-    for row in (row for row in rows if "failed" not in row):
-        found.setdefault(row["object"], {}).setdefault(row["images"], []).append(row["psnr"])
-    return {key: {name: float(np.mean(v)) for name, v in kinds.items()} for key, kinds in found.items()}
 
 
 def show_query(rows: list[dict], console: Console) -> None:
@@ -486,15 +332,6 @@ def show_query(rows: list[dict], console: Console) -> None:
         console.print(note, markup=False, soft_wrap=True)
 
 
-def show_primary(rows: list[dict], console: Console) -> None:
-    show_rows(
-        rows,
-        "What the rays of a view of 256 x 256 meet: CPU ms, and how far two ways are apart",
-        PRIMARY,
-        console,
-    )
-
-
 def misses_training(rows: list[dict]) -> list[str]:
     """Targets that are missed; an object that fails misses."""
     limits = {"seconds": (MAX_TRAINING_SECONDS, "s"), "peak_mb": (MAX_TRAINING_MB, "MB")}
@@ -503,15 +340,6 @@ def misses_training(rows: list[dict]) -> list[str]:
         for row in rows
         for name, limit in MIN_DB.items()
         if row.get(name, limit) < limit
-    ]
-
-
-def misses_tiles(rows: list[dict]) -> list[str]:
-    """Targets that are missed; an object that fails misses."""
-    return beyond(rows, {}) + [
-        f"{key}: tiles {means['tiles'] - means['views']:+.2f} dB, target {-MAX_TILES_LOSS:g} dB"
-        for key, means in means_of_tiles(rows).items()
-        if len(means) == 2 and means["tiles"] < means["views"] - MAX_TILES_LOSS
     ]
 
 
@@ -557,17 +385,13 @@ def main() -> None:
     for name, text in (
         ("renderers", "time and compare the renderers"),
         ("training", "time the training of the surface net"),
-        ("tiles", "train the surface net on tiles and on whole views"),
         ("query", "time views of Object Files"),
-        ("primary", "compare the ray caster with a sphere tracer"),
     ):
         command = commands.add_parser(name, help=text)
         command.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
         command.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
         command.add_argument("--json", type=Path, help="file for the figures")
-        if name == "tiles":
-            command.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-        elif name != "training":
+        if name != "training":
             command.add_argument("--views", type=int, default=12, help="drawn by each")
     arguments = parsed(parser)
     workspace, command = arguments.workspace, arguments.command
@@ -581,20 +405,6 @@ def main() -> None:
         rows = [{"object": key} | fresh(__file__, "train", workspace, key) for key in keys]
         missed = misses_training(rows)
         show_training(rows, console)
-    elif command == "tiles":
-        rows = [
-            {"object": key, "images": images, "seed": seed}
-            | fresh(__file__, "fit", workspace, key, images, seed)
-            for key in keys
-            for images in ("views", "tiles")
-            for seed in arguments.seeds
-        ]
-        missed = misses_tiles(rows)
-        show_tiles(rows, console)
-    elif command == "primary":
-        rows = [{"object": key} | fresh(__file__, "primary", workspace, key, arguments.views) for key in keys]
-        missed = beyond(rows, {})
-        show_primary(rows, console)
     else:
         rows = [{"object": key} | fresh(__file__, "query", workspace, key, arguments.views) for key in keys]
         rows.append({"object": "any", "net": "osf"} | fresh(__file__, "query_osf"))

@@ -1,7 +1,7 @@
 """close_ups: ObjectFile.safetensors -> benchmarks/close_ups/<object>: close views, and touches there."""
 
 from objectfolder.benchmarks.datasets.close_ups import sample_close_ups
-from objectfolder.benchmarks.models.encode_config import EncodeConfig
+from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.benchmarks.tasks.vision_to_touch import VisionToTouchConfig
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Benchmarks, Build

@@ -2,22 +2,14 @@
 
 import numpy as np
 
-from objectfolder.audio.figures import show_sounds
-from objectfolder.figures import page, save_page, show_views
+from objectfolder.figures import page, save_page
 from objectfolder.io import file_digest, read_json, read_npz, write_json
-from objectfolder.objectfile.evaluation import (
-    Strikes,
-    evaluate_gains,
-    evaluate_sounds,
-    evaluate_touch,
-    evaluate_truncation,
-    evaluate_vision,
-    shown_views,
-    strike_sounds,
-    view_answers,
-)
-from objectfolder.objectfile.placed import load_placed
+from objectfolder.objectfile.evaluate_sound import SoundTruth, UnitStrikes, compare_sounds, evaluate_sound
+from objectfolder.objectfile.evaluate_touch import evaluate_touch
+from objectfolder.objectfile.evaluate_vision import choose_views, compare_views, evaluate_vision
+from objectfolder.objectfile.file import load_placed
 from objectfolder.objectfile.settings import EvaluateConfig
+from objectfolder.report.comparison import show_sounds, show_views
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
@@ -39,26 +31,23 @@ def main(key: str) -> None:
     )
     # The baseline of touch: what knows the training images but not the contact.
     mean_image = read_npz(build.touch("train"), "images")["images"].mean(0, dtype=np.float64).round()
-    rows = np.flatnonzero(modes["split"] == 2)
-    strikes = Strikes.random(rows, params.settings.impacts, rng)
-    vision = evaluate_vision(file.view, views)
+    strikes = UnitStrikes.random(np.flatnonzero(modes["split"] == 2), params.settings.impacts, rng)
+    vision = evaluate_vision(file, views)
     metrics = {
         "vision": vision,
-        "audio": (evaluate_gains(file, modes, rows) if file.has_modes else {})
-        | evaluate_sounds(file, modes, strikes, rng)
-        | evaluate_truncation(modes, read_json(build.modal)),
-        "touch": evaluate_touch(file, contacts, mean_image),
+        "audio": evaluate_sound(file, SoundTruth(modes, read_json(build.modal), strikes, rng)),
+        "touch": evaluate_touch(file, contacts | {"mean_image": mean_image}),
         "file_bytes": build.object_file.stat().st_size,
         "file_sha256": file_digest(build.object_file),
     }
     write_json(build.metrics, metrics)
-    titles = shown_views(vision, SHOWN_VIEWS)
+    titles = choose_views(vision, SHOWN_VIEWS)
     sheet = page(1.6 * len(titles), 5.8, f"{key}: held-out views")
-    show_views(sheet, *view_answers(file, views, list(titles)), list(titles.values()))
+    show_views(sheet, *compare_views(file, views, list(titles)), list(titles.values()))
     save_page(sheet, build.vision_sheet)
     shown = strikes[:SHOWN]
     sheet = page(3.6 * SHOWN, 9, f"{key}: 1 N s at held-out points of the surface, displacement")
-    show_sounds(sheet, *strike_sounds(file, modes, shown), shown.titles(modes["points"] * file.scale))
+    show_sounds(sheet, *compare_sounds(file, modes, shown), shown.describe(modes["points"] * file.scale))
     save_page(sheet, build.sound_sheet)
 
 

@@ -3,19 +3,24 @@
 from contextlib import suppress
 from dataclasses import asdict
 
-from objectfolder import materials
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.band import solved_band
+from objectfolder.fem.certainty import solver_warning, uncertainty_warning
 from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.fem.modal import refined_analysis, shape_points, solver_warning, uncertainty_warning
+from objectfolder.fem.modal import (
+    refined_analysis,
+    shape_points,
+    solved_band,
+)
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.fem.settings import ModalConfig
 from objectfolder.io import keep, read_npz, write_json, write_npz
+from objectfolder.materials import own_material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import split_rows
 from objectfolder.seeding import numpy_generator
 from objectfolder.text import visible
-from objectfolder.workspace.layout import Build, code_list
+from objectfolder.workspace.code_digests import code_digest
+from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
 from stages import run
 
@@ -25,11 +30,11 @@ def main(key: str) -> None:
     build, settings = Build(key), params.settings
     rng = numpy_generator(params.seed, key, "modal")
     points = shape_points(*read_surface(build.surface), settings.surface_points, rng)
-    material = materials.own_material(params.entry.material, settings.damping)
+    material = own_material(params.entry.material, settings.damping)
     request = Request(material, params.entry.scale, settings.max_frequency, settings.max_modes)
     options = {"fine": asdict(settings.fine), "surface_points": settings.surface_points}
-    inputs = (build.solid, build.solid_surface, code_list("modal"))
-    task = problem_digest(inputs, points, material.poisson_ratio, options)
+    inputs = (build.solid, build.solid_surface)
+    task = problem_digest(inputs, code_digest(refined_analysis), points, material.poisson_ratio, options)
     data = None
     with suppress(ObjectFolderError):  # no earlier solve, or not a readable one
         data = rescaled(read_npz(build.solved_modes, "solution", "band_hz"), task, request)

@@ -18,7 +18,7 @@ def main(key: str) -> None:
     wall = params.entry.wall and params.entry.wall / params.entry.scale
     bridging = params.entry.bridge != "off"
     normalized = normalize(mesh, key, wall, bridging, params.entry.scale)
-    seen, solid = normalized.seen(params.entry.bridge), normalized.surface.mesh
+    seen, solid = normalized.select_visible(params.entry.bridge), normalized.surface.mesh
     for warning in normalized.surface.warnings:
         print(f"warning: {key}: {visible(warning)}")
     with atomic(build.visual) as path:

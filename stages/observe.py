@@ -2,7 +2,7 @@
 
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.settings import ObserveConfig
-from objectfolder.objectfile.placed import load_placed
+from objectfolder.objectfile.file import load_placed
 from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.params import stage_params
 from stages import run

@@ -1,6 +1,6 @@
 """radiation: surface, modes, scale -> radiation.safetensors."""
 
-from objectfolder.acoustics.radiation import radiate, stored_radiation
+from objectfolder.acoustics.radiation import pack_radiation, radiate
 from objectfolder.acoustics.settings import RadiationConfig
 from objectfolder.io import read_npz, write_safetensors
 from objectfolder.mesh.ply import read_surface
@@ -22,7 +22,7 @@ def main(key: str) -> None:
         modes["damped_frequency"],
         params.settings.triangles,
     )
-    tensors, header = stored_radiation(field, surface, scale, 1000 * params.settings.kilobytes)
+    tensors, header = pack_radiation(field, surface, scale, 1000 * params.settings.kilobytes)
     write_safetensors(build.radiation, tensors, header)
 
 

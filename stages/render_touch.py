@@ -4,7 +4,7 @@ from objectfolder.figures import tile
 from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.ply import read_surface
 from objectfolder.seeding import numpy_generator
-from objectfolder.touch.dataset import contact_places, render_contacts
+from objectfolder.touch.dataset import draw_contacts, render_contacts
 from objectfolder.touch.profiles import load_profile
 from objectfolder.touch.settings import RenderTouchConfig
 from objectfolder.workspace.installed import sensor_file
@@ -19,7 +19,7 @@ def main(key: str) -> None:
     vertices, faces = read_surface(build.surface)
     profile = load_profile(sensor_file(params.sensor))
     rng = numpy_generator(params.seed, key, "render_touch")
-    places = contact_places(vertices, faces, settings, rng)
+    places = draw_contacts(vertices, faces, settings, rng)
     for split, (points, normals) in zip(SPLITS, places):
         contacts = render_contacts(
             vertices,

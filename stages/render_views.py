@@ -7,9 +7,8 @@ from objectfolder.figures import tile
 from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.seeding import numpy_generator
-from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import Shots, render_split
+from objectfolder.vision.dataset import draw_shots, render_shots
 from objectfolder.vision.renderers.registry import make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.settings import RenderViewsConfig
@@ -23,16 +22,11 @@ def main(key: str) -> None:
     build, settings = Build(key), params.settings
     scene = Scene(load_mesh(build.visual, "y", AS_STORED), settings.ambient)
     renderer = make_renderer(settings.renderer, scene)
-    whole = Intrinsics.square(settings.resolution)
     for split in SPLITS:
-        count, rng = getattr(settings, split), numpy_generator(params.seed, key, "render_views", split)
-        if settings.tile and split != "test":
-            shots = Shots.tiles(count, settings.tile, scene.mesh.vertices, whole, rng)
-        else:
-            shots = Shots.views(count, whole, rng)
-        views = render_split(
+        rng = numpy_generator(params.seed, key, "render_views", split)
+        views = render_shots(
             renderer,
-            shots,
+            draw_shots(scene.mesh.vertices, settings, split, rng),
             settings.train_samples if split == "train" else settings.test_samples,
             rng,
             progress(f"{key}: {split} images"),

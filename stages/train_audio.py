@@ -4,12 +4,13 @@ import numpy as np
 import torch
 
 from objectfolder.io import read_npz, write_curve, write_safetensors
-from objectfolder.nets.audio_config import AudioConfig
 from objectfolder.nets.audio_gains import GainsNet
-from objectfolder.nets.audio_gains_training import train_gains
+from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
-from objectfolder.nets.checkpoint import Checkpoint, identity
+from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import AudioConfig
 from objectfolder.seeding import torch_generator
 from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params
@@ -24,25 +25,23 @@ def main(key: str) -> None:
     )
     generator = torch_generator(params.seed, key, "train_audio")
 
-    data = (
-        modes["points"],
-        modes["shapes"],
-        modes["damped_frequency"],
-        modes["damping"],
-        np.flatnonzero(modes["split"] == 0),
-        np.flatnonzero(modes["split"] == 1),
+    samples = ModeSamples(
+        **{name: modes[name] for name in ("points", "shapes", "damped_frequency", "damping")},
+        train=np.flatnonzero(modes["split"] == 0),
+        val=np.flatnonzero(modes["split"] == 1),
     )
     net: GainsNet | SpectrogramNet
     if settings.net == "gains":
         size = settings.size(len(modes["damping"]))
-        net, curve = train_gains(*data, size, settings.batch, generator, log_point)
+        net, curve = train_gains(samples, size, settings.batch, Session(generator, report=log_point))
     else:
         # The paper's net takes core-days; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"
         inputs = (build.modes, code_list("train_audio"))
-        task = identity(settings.spectrogram, params.seed, inputs)
-        checkpoint = Checkpoint(build.checkpoint("audio"), task, generator)
-        net, curve = train_spectrogram(*data, settings.spectrogram, generator, log_point, device, checkpoint)
+        task = identity((settings.spectrogram, params.seed), inputs)
+        checkpoint = Checkpoint(build.checkpoint("audio"), task, INTERVAL, replaces=True)
+        session = Session(generator, device, checkpoint, log_point)
+        net, curve = train_spectrogram(samples, settings.spectrogram, session)
     tensors, header = net.to_tensors()
     write_safetensors(
         build.net("audio"),

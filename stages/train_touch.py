@@ -5,8 +5,9 @@ import torch
 from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.nets.checkpoint import Checkpoint, identity
-from objectfolder.nets.touch_config import TouchConfig
+from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import TouchConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image import ImageTouch
@@ -37,11 +38,10 @@ def main(key: str) -> None:
         generator = torch_generator(params.seed, key, "train_touch")
         device = "cuda" if torch.cuda.is_available() else "cpu"
         inputs = (build.touch("train"), build.touch("val"), code_list("train_touch"))
-        task = identity(settings.image, params.seed, inputs)
-        checkpoint = Checkpoint(build.checkpoint("touch"), task, generator)
-        net, curve = train_image(
-            train, val, scale, profile.name, settings.image, generator, log_point, device, checkpoint
-        )
+        task = identity((settings.image, params.seed), inputs)
+        checkpoint = Checkpoint(build.checkpoint("touch"), task, INTERVAL, replaces=True)
+        session = Session(generator, device, checkpoint, log_point)
+        net, curve = train_image(train, val, scale, profile.name, settings.image, session)
     tensors, header = net.to_tensors()
     write_safetensors(build.net("touch"), tensors, {"kind": settings.net, "net": header})
     write_curve(build.curve("touch"), curve)

@@ -6,8 +6,9 @@ from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
-from objectfolder.nets.checkpoint import Checkpoint, identity
-from objectfolder.nets.vision_config import VisionConfig
+from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_osf_training import train_osf
 from objectfolder.nets.vision_surface import SurfaceNet
@@ -31,14 +32,14 @@ def main(key: str) -> None:
     if settings.net == "surface":
         surface = Isosurface(DistanceGrid.from_arrays(read_npz(build.sdf, "values", "band")))
         scene = Scene(load_mesh(build.visual, "y", AS_STORED))
-        net, curve = train_surface(surface, scene, train, val, settings, generator, log_point)
+        net, curve = train_surface(surface, scene, train, val, settings, Session(generator, report=log_point))
     else:
         # The paper's net takes core-months; where there is a GPU, it trains there.
         device = "cuda" if torch.cuda.is_available() else "cpu"
         inputs = (build.views("train"), build.views("val"), code_list("train_vision"))
-        task = identity(settings.osf, params.seed, inputs)
-        checkpoint = Checkpoint(build.checkpoint("vision"), task, generator)
-        net, curve = train_osf(train, val, settings.osf, generator, log_point, device, checkpoint)
+        task = identity((settings.osf, params.seed), inputs)
+        checkpoint = Checkpoint(build.checkpoint("vision"), task, INTERVAL, replaces=True)
+        net, curve = train_osf(train, val, settings.osf, Session(generator, device, checkpoint, log_point))
     tensors, header = net.to_tensors()
     kind = net.kind if isinstance(net, OsfNet) else settings.net
     write_safetensors(build.net("vision"), tensors, {"kind": kind, "net": header})

@@ -14,8 +14,8 @@ from sharing import shared_folder
 from threadpoolctl import threadpool_limits
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.inspection.scene import draw_scene
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.report.inspect_scene import draw_scene
 
 # The same examples everywhere; `make fuzz` tries others. Tests that set a number of examples keep to it.
 settings.register_profile("same", derandomize=True, database=None, deadline=None)

@@ -1,22 +1,40 @@
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+import objectfolder.materials
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import MATERIALS, Material, material, own_material
+from objectfolder.materials import (
+    LAWS,
+    Material,
+    friction_of,
+    material,
+    material_names,
+    material_properties,
+    own_material,
+    read_material,
+    roughness_of,
+    stored_material,
+)
 from objectfolder.objectfile.header import checked_name
+from objectfolder.yamlfile import read_yaml
+
+FOLDER = Path(objectfolder.materials.__file__).with_suffix("")
 
 
-@pytest.mark.parametrize("name", [*MATERIALS, "unknown", "Stainless steel 304", "PVC+ABS", "a", "x_1-2.5"])
+@pytest.mark.parametrize(
+    "name", [*material_names(), "unknown", "Stainless steel 304", "PVC+ABS", "a", "x_1-2.5"]
+)
 def test_names_of_materials_are_those_of_object_files(name):
     assert checked_name("material", name, "material") == name
 
 
 def test_table_is_that_of_the_supplement():
-    assert set(MATERIALS) == {"ceramic", "glass", "wood", "plastic", "iron", "polycarbonate", "steel"}
+    assert set(material_names()) == {"ceramic", "glass", "wood", "plastic", "iron", "polycarbonate", "steel"}
     steel = material("Steel")
     assert (steel.density, steel.youngs_modulus, steel.poisson_ratio, steel.alpha, steel.beta) == (
         7850,
@@ -27,8 +45,9 @@ def test_table_is_that_of_the_supplement():
     )
 
 
-@pytest.mark.parametrize("m", MATERIALS.values(), ids=MATERIALS)
-def test_materials_are_physical(m):
+@pytest.mark.parametrize("name", material_names())
+def test_materials_are_physical_and_say_where_each_number_is_from(name):
+    m = material(name)
     assert 100 < m.density < 20000
     assert 1e8 < m.youngs_modulus < 1e12
     assert 0 < m.poisson_ratio < 0.5
@@ -36,6 +55,10 @@ def test_materials_are_physical(m):
     assert m.beta > 0
     # Sound travels at hundreds to thousands of metres per second.
     assert 500 < (m.youngs_modulus / m.density) ** 0.5 < 7000
+    assert 0 < m.friction < 1
+    assert 1e-7 < m.roughness < 1e-5
+    path = FOLDER / f"{name}.yaml"
+    assert list(read_yaml(path)["sources"]) == list(material_properties(path))
 
 
 @pytest.mark.parametrize("name", ["gold", "", None, 3])
@@ -49,7 +72,8 @@ def test_an_unknown_material_lists_the_known_ones(name):
     [
         *((f, v) for f in ("density", "youngs_modulus") for v in (0.0, -1.0, math.nan, math.inf)),
         *(("poisson_ratio", v) for v in (-1.0, 0.5, 0.7, -2.0, math.nan)),
-        *((f, v) for f in ("alpha", "beta") for v in (-1e-9, math.nan, math.inf)),
+        *((f, v) for f in ("alpha", "beta", "friction") for v in (-1e-9, math.nan, math.inf)),
+        *(("roughness", v) for v in (0.0, 1.0, math.nan)),
     ],
 )
 def test_an_unphysical_material_is_refused(field, value):
@@ -60,7 +84,7 @@ def test_an_unphysical_material_is_refused(field, value):
 def test_auxetic_and_undamped_materials_exist():
     m = dataclasses.replace(material("steel"), poisson_ratio=-0.7, alpha=0.0, beta=0.0)
     assert m.poisson_ratio == -0.7
-    assert Material("steel", 7850.0, 2e11, -0.7) == m
+    assert Material("steel", 7850.0, 2e11, -0.7, friction=m.friction, roughness=m.roughness) == m
     with pytest.raises(ObjectFolderError, match="'steel': an undamped object rings for ever; give alpha"):
         m.require_damping()
 
@@ -88,7 +112,7 @@ def test_a_loss_factor_is_linear_between_its_knots_and_constant_beyond():
 
 
 def test_the_named_materials_differ_by_their_damping_only():
-    for name in MATERIALS:
+    for name in material_names():
         other = material(name, "loss_factor")
         assert (material(name).law, other.law) == ("rayleigh", "loss_factor")
         assert dataclasses.replace(other, loss_factor=()) == material(name)
@@ -135,6 +159,63 @@ def test_an_object_may_have_a_material_of_its_own():
 def test_a_material_of_its_own_that_is_none_is_refused(described, message):
     with pytest.raises(ObjectFolderError, match=message):
         own_material(described)
+
+
+OLIVE = """
+density: 990.0
+youngs_modulus: 1.2e+10
+poisson_ratio: 0.3
+loss_factor: [[500, 0.008]]
+friction: 0.55
+roughness: 3.0e-6
+"""
+
+
+def test_a_file_of_ones_own_is_a_material(tmp_path):
+    path = tmp_path / "olive_wood.yaml"
+    path.write_text(OLIVE)
+    olive = Material("olive_wood", 990.0, 1.2e10, 0.3, 0.0, 0.0, ((500, 0.008),), 0.55, 3e-6)
+    assert own_material("olive_wood.yaml", root=tmp_path) == read_material(path) == material(path) == olive
+    changed = own_material({"base": "olive_wood.yaml", "density": 900.0}, root=tmp_path)
+    assert changed == dataclasses.replace(olive, density=900.0)
+    both = tmp_path / "both.yaml"
+    both.write_text(OLIVE + "alpha: 60.0\nbeta: 2.0e-6\n")
+    assert [read_material(both, law).law for law in LAWS] == [*LAWS]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[]", r"olive_wood.yaml holds \[\], expected density"),
+        (OLIVE.replace("friction: 0.55\n", ""), "olive_wood.yaml lacks friction; copy one of"),
+        (OLIVE + "young: 3.0\n", "olive_wood.yaml: unknown 'young', expected density"),
+        (OLIVE + "sources: {name: me}\n", "olive_wood.yaml: unknown 'name', expected density"),
+        (OLIVE + "sources: weighed\n", "olive_wood.yaml: unknown 'sources'"),
+        (OLIVE.replace("990.0", "-1"), "olive_wood.yaml: material 'olive_wood': density is -1.0"),
+        (OLIVE.replace("990.0", "heavy"), "olive_wood.yaml: material 'olive_wood': density is 'heavy'"),
+        (OLIVE.replace("loss_factor: [[500, 0.008]]\n", ""), "olive_wood.yaml: material .* undamped"),
+    ],
+)
+def test_a_file_that_is_no_material_is_refused(tmp_path, text, message):
+    (tmp_path / "olive_wood.yaml").write_text(text)
+    with pytest.raises(ObjectFolderError, match=message):
+        own_material("olive_wood.yaml", root=tmp_path)
+
+
+def test_a_file_must_be_there_and_have_a_name_of_its_own(tmp_path):
+    with pytest.raises(ObjectFolderError, match=r"gone.yaml does not exist; expected a material's file"):
+        own_material("gone.yaml", root=tmp_path)
+    (tmp_path / "steel.yaml").write_text(OLIVE)
+    with pytest.raises(ObjectFolderError, match=r"steel.yaml has the name of a material of the package"):
+        own_material("steel.yaml", root=tmp_path)
+
+
+def test_the_surface_of_an_older_file_is_that_of_its_materials_name():
+    header = {"density": 700.0, "youngs_modulus": 1e10, "poisson_ratio": 0.2, "alpha": 1.0, "beta": 0.0}
+    old = stored_material("Wood", header)
+    assert (old.friction, old.roughness) == (friction_of("wood"), roughness_of("wood")) == (0.6, 5e-6)
+    assert stored_material("olive", header).friction == friction_of("olive") == 0.5
+    assert stored_material("wood", header | {"friction": 0.2, "newer": 1}).friction == 0.2
 
 
 def test_rayleigh_damping_is_half_of_alpha_and_beta_times_the_eigenvalue():

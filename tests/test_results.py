@@ -1,4 +1,4 @@
-"""docs/results.md is what its template and the committed records give."""
+"""Pages of results are what their templates and the committed records give."""
 
 import json
 import re
@@ -15,9 +15,8 @@ from harness import encoded, rewrite, write_record
 from objectfolder.benchmarks.tasks import grasp_policy, localize
 from objectfolder.io import read_json, write_json
 
-#: Records that are shown on other pages, or as means alone.
-ELSEWHERE = ("faithful", "faithful_cpu", "catalogue", "photographs")
-ELSEWHERE += ("real_photographs", "touch_curve")
+#: Records of rows that never fail, as their scripts stop at the first failure.
+WITHOUT_FAILURES = ("faithful", "faithful_cpu", "real_photographs", "query", "grasp_speed")
 RECOGNITION = {
     "keys": ["blue_vase", "scan"],
     "objects": 2,
@@ -43,6 +42,7 @@ GRASPING = dict.fromkeys(grasp_policy.GRASP_POLICIES, RATE) | {
     "episodes": 300,
     "presses": 40,
 }
+DOCS = results.ROOT / "docs"
 RUN = {"seconds": 120.0, "cpu_seconds": 180.0, "threads": 2, "machine": "a processor"}
 
 
@@ -57,9 +57,33 @@ def repository(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", results.PAGES)
-def test_the_pages_are_up_to_date(name):
-    assert results.PAGES[name].read_text() == results.render(name), "run `python perf/results.py`"
+def pages() -> str:
+    """Return all pages, one after the other, from the records of the copy."""
+    return "".join(results.render(page, results.RECORDS) for page in results.PAGES)
+
+
+@pytest.mark.parametrize("page", results.PAGES)
+def test_the_pages_are_up_to_date(page):
+    assert (results.ROOT / "docs" / page).read_text() == results.render(page), "run `python perf/results.py`"
+
+
+def test_every_page_of_measurements_has_its_template():
+    found = {path.relative_to(results.ROOT / "docs").as_posix() for path in DOCS.glob("measurements/*.md")}
+    assert found == {page for page in results.PAGES if page.startswith("measurements/")}
+
+
+def test_every_record_is_on_a_page():
+    templates = "".join(path.read_text() for path in results.TEMPLATES.rglob("*.j2"))
+    for path in results.RECORDS.glob("*.json"):
+        assert re.search(rf"\b{path.stem}\b[.)]", templates), path.name
+
+
+def test_the_first_page_is_short_and_lists_all_that_is_missed():
+    page = results.render("results.md")
+    assert len(page.splitlines()) <= 250
+    records = [read_json(path) for path in results.RECORDS.glob("*.json")]
+    assert sum(bool(record.get("missed")) for record in records) > 10
+    assert not [text for record in records for text in record.get("missed", []) if text not in page]
 
 
 def test_records_are_encoded_as_they_are_written():
@@ -73,20 +97,23 @@ def test_a_failed_object_is_printed_with_its_reason_in_every_table(repository):
         record = read_json(path)
         for name, rows in record.items():
             if isinstance(rows, list) and rows and isinstance(rows[0], dict) and "object" in rows[0]:
-                if path.stem in (*ELSEWHERE, "query", "grasp_speed"):
-                    continue  # the last two stop at the first failure
+                if path.stem in WITHOUT_FAILURES:
+                    continue
                 rows.append({"object": f"crashed_{path.stem}_{name}", "failed": "a reason"})
                 tables += 1
         rewrite(path, record)
-    page = results.render("results", results.RECORDS)
     assert tables > 10
-    assert len(set(re.findall(r"crashed_\w+", page))) == tables
+    assert len(set(re.findall(r"crashed_\w+", pages()))) == tables
 
 
 def test_what_missed_its_target_is_printed(repository):
     record = read_json(results.RECORDS / "audio.json")
     rewrite(results.RECORDS / "audio.json", record | {"targets": "1 %", "missed": ["mug: 2 %", "die: 3 %"]})
-    assert "Targets: 1 %. **Missed**: mug: 2 %; die: 3 %." in results.render("results", results.RECORDS)
+    page = results.render("measurements/sound.md", results.RECORDS)
+    assert "Targets: 1 %. **Missed**: mug: 2 %; die: 3 %." in page
+    assert "sound.md#audionet-gains): mug: 2 %; die: 3 %. *Why*:" in results.render(
+        "results.md", results.RECORDS
+    )
 
 
 def test_every_record_with_targets_says_what_missed_them():
@@ -108,7 +135,7 @@ def test_a_run_is_recorded_and_printed(repository, monkeypatch):
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", run["date"])
     assert (
         f"Run: `{run['command']}`; commit {run['commit']}; {run['machine']}; {run['date']}."
-        in results.render("results", results.RECORDS)
+        in results.render("measurements/sound.md", results.RECORDS)
     )
 
 
@@ -171,6 +198,11 @@ def test_benchmarks_that_did_not_run_are_neither_met_nor_missed(tmp_path, monkey
     assert (code, "V recognized 90.0 %, target 95 %" in text) == (1, True)
     record = read_json(tmp_path / "x.json")
     assert [table["title"].split()[0] for table in record["tables"]] == ["Classification", "Instance"]
+    assert [table["command"].partition(" bench ")[2] for table in record["tables"]] == [
+        "recognize --label material --preset laptop --split seen --seeds 2",
+        "recognize --preset laptop --seeds 2",
+    ]
+    assert record["tables"][1]["rows"][0] == ["V", "90.0 ± 10.0", "", "40.0 60.0", "94.8"]
     assert len(record["unmeasured"]) == 4
     assert verdict(one, "--keep")[0] == 1
     assert read_json(tmp_path / "x.json")["tables"] == record["tables"]
@@ -187,7 +219,7 @@ def test_unknown_optional_figures_are_dashes(repository):
     record = read_json(path)
     del record["peers"][0]["deepmodal_s"], record["objects"][0]["synthesis_ms_per_sound"]
     rewrite(path, record)
-    page = results.render("results", results.RECORDS)
+    page = results.render("measurements/modal.md", results.RECORDS)
     assert re.search(
         r"\| gso_salad_plate \| 32,697 \| 71 \| [\d.]+ \| fails \| - \| [\d.]+ \| [\d.]+ \|", page
     )
@@ -204,11 +236,6 @@ def test_scores_and_benchmarks_are_collected(repository):
     scores = read_json(results.RECORDS / "scores.json")["objects"]
     write_json(repository / "metrics/cup.json", scores["mug"])
     folder = results.Benchmarks(repository / "benchmarks/quick")
-    split = "seen"
-    write_json(folder.result("recognize", split), RECOGNITION)
-    write_json(folder.machine("recognize", split), RUN)
-    write_json(folder.result("materials", "unseen"), MATERIALS)
-    write_json(folder.machine("materials", "unseen"), RUN)
     write_json(folder.result("localize", "cup"), LOCALIZATION)
     write_json(folder.machine("localize", "cup"), RUN)
     folder.curve("localize", "cup").write_text("")
@@ -216,7 +243,7 @@ def test_scores_and_benchmarks_are_collected(repository):
     write_json(folder.machine("grasp_policy", "cup"), RUN)
     folder.curve("grasp_policy", "cup").write_text("")
     results.collect(repository)
-    page = results.render("results", results.RECORDS)
+    page = results.render("measurements/scores.md", results.RECORDS)
     vision = scores["mug"]["vision"]
     assert f"| cup | {vision['psnr']:.2f} | {vision['noise_floor']:.2f} |" in page
     # Other objects keep their scores, and the commit that built them.
@@ -226,12 +253,7 @@ def test_scores_and_benchmarks_are_collected(repository):
     assert commits.pop("cup") == results.this_run()["commit"]
     assert commits == {key: row["commit"] for key, row in scores.items()}
     assert "Preset `quick`, seed 0." in page
-    assert "1 objects of catalogs/procedural.yaml: blue_vase.\n1 scanned objects: scan." in page
-    took = "2 min wall-clock time with 2 thread(s), 3 CPU min in total"
-    assert f"`objectfolder bench recognize --preset quick --seeds 2`: {took}" in page
-    assert "| V | 50.0 ± 10.0 |  | 40.0 60.0 | 94.8 |" in page
-    assert "`objectfolder bench recognize --label material --preset quick --split unseen --seeds 2`" in page
-    assert "Classification of 2 materials, 2 objects, unseen: accuracy in %" in page
+    page = results.render("measurements/robots.md", results.RECORDS)
     assert "`objectfolder bench localize --preset quick build/cup`: 2 min" in page
     assert "| touch + sound | cup | 10.0 | 8.0 | 2.0 |" in page
     assert "`objectfolder bench grasp-policy --preset quick --seeds 1 build/cup`: 2 min" in page

@@ -15,7 +15,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 
 from objectfolder import io
@@ -30,16 +29,15 @@ from objectfolder.benchmarks.tasks.photograph import write_mesh
 from objectfolder.benchmarks.tasks.running import write_results
 from objectfolder.cli import app
 from objectfolder.cli.encoding import write_video
-from objectfolder.engine.costs import record_cost
 from objectfolder.engine.dvc.inputs import hold_params
 from objectfolder.engine.dvc.lockfile import LockFiles
-from objectfolder.engine.failures import record_failure
 from objectfolder.engine.process import Children, Command, CommandResult
+from objectfolder.engine.records import record_cost, record_failure
 from objectfolder.engine.summary import StageOutcome, StageResult
 from objectfolder.envs.export import write_mjcf, write_urdf
 from objectfolder.envs.gltf import write_glb
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fetch.checksums import record_checksums
+from objectfolder.fetch.run import record_checksums
 from objectfolder.figures import page, save_page
 from objectfolder.io import write_json
 from objectfolder.nets.checkpoint import Checkpoint
@@ -77,15 +75,15 @@ EXCEPTIONS = {
     # What the two ways are made of.
     "objectfolder/disk.py:new_folder": "makes and removes the folder, whose name is random",
     "objectfolder/disk.py:_place": "renames it over an empty folder that it has made itself",
-    "objectfolder/io.py:_replacing": "renames the file, whose name is random",
+    "objectfolder/io.py:_replace": "renames the file, whose name is random",
     "objectfolder/io.py:atomic_stream": "opens the descriptor of the file",
     "objectfolder/io.py:keep": "a hard link of a random name",
-    "objectfolder/locks.py:claimed_file": "O_EXCL and O_NOFOLLOW",
+    "objectfolder/locks.py:claim_file": "O_EXCL and O_NOFOLLOW",
     "objectfolder/locks.py:remove_unused": "rmtree follows no links; in a progress folder",
     # The caller gives a path or a folder of its own.
     "objectfolder/benchmarks/datasets/lerobot.py:_write_frames": "in the new folder of write_lerobot",
     "objectfolder/envs/export.py:_write_meshes": "in an export_folder",
-    "objectfolder/fetch/layout.py:collect": "in a folder that it makes, in a temporary one",
+    "objectfolder/fetch/files.py:collect": "in a folder that it makes, in a temporary one",
     "objectfolder/fetch/archive.py:extract": "removes the folder that it has made",
     "objectfolder/fetch/archive.py:_extract_tar": "in the folder that extract has made; members are no links",
     "objectfolder/mesh/ply.py:write_surface": "callers give the path of an atomic",
@@ -99,16 +97,15 @@ EXCEPTIONS = {
     "objectfolder/cli/view.py:view": "a new folder of mkdtemp",
     "objectfolder/engine/dvc/lockfile.py:LockFiles._restore": "a rename, which replaces links",
     "objectfolder/engine/dvc/replacements.py:replacements": "DVC gives a random name in the run cache",
-    "objectfolder/engine/dvc/savedruns.py:remove_saved_run": "a rename to a random name",
+    "objectfolder/engine/dvc/runcache.py:remove_saved_run": "a rename to a random name",
     "objectfolder/engine/process.py:Children.run": "a pipe",
     "objectfolder/engine/process.py:open_log": "O_NOFOLLOW; a link is removed before",
-    "objectfolder/engine/repair.py:restore_files": "rmtree of an output, which follows no links",
+    "objectfolder/engine/verify.py:restore_files": "rmtree of an output, which follows no links",
     "objectfolder/fetch/download.py:_receive": "O_EXCL, or goes on with a file that is no link",
     "objectfolder/fetch/download.py:download_to": "a rename, which replaces links, into a temporary folder",
     "objectfolder/fetch/run.py:_fetch": "temporary folders; those that were left, under a lock",
     "objectfolder/workspace/creation.py:_create": "removes what it has made under the lock of the folder",
     "objectfolder/workspace/objects.py:add_mesh": "removes the folder that it has placed",
-    "objectfolder/touch/taxim.py:export_taxim": "to the stream that its _write gives",
     "objectfolder/cli/__init__.py:main": "opens the null device",
     "objectfolder/engine/warm.py:serve": "opens the null device",
 }
@@ -326,7 +323,7 @@ WRITERS = {
     "cost": lambda given: record_cost(Path("logs"), "a@b", CommandResult(0, 1.0, 1.0)),
     "failure": lambda given: record_failure(Path("logs"), StageResult("a@b", StageOutcome.FAILED), {}),
     "log": log,
-    "checkpoint": lambda given: Checkpoint(Path("a.pt"), "x", torch.Generator()).save({}, {}),
+    "checkpoint": lambda given: Checkpoint(Path("a.pt"), "x").save({}),
     "results": results,
     "workspace": lambda given: create_workspace(Path("new"), lambda root: None),
     "observations": lambda given: sample_observations(given.brick, 10, 8, 0, "out"),

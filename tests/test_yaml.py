@@ -7,7 +7,7 @@ import pytest
 from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.errors import MAX_MESSAGE, ObjectFolderError, quoted
 from objectfolder.fetch.catalogue import read_catalogue
-from objectfolder.fetch.checksums import read_checksums
+from objectfolder.fetch.run import read_checksums
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace import params
 from objectfolder.workspace.discover import discover

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from objectfolder.acoustics.triangles import Triangles, static_integrals
 
-NEAR = 2.2  #: edge lengths within which static kernels are integrated exactly
+NEAR_DISTANCE = 2.2  #: edge lengths within which static kernels are integrated exactly
 COUPLING = 1.0  #: edge lengths, limit of the coupling at low frequencies
 _ROWS = 32  # of the matrix that are made at once: their intermediates stay in the cache
 _EDGE_POINTS = 8  # Gauss points on each edge, for a triangle's effect on itself
@@ -39,18 +39,9 @@ class _Near:
 
 
 class Boundary:
-    """Closed surface of triangles, outward.
+    """Closed surface of triangles, outward: vertices (V, 3), metres, and faces (N, 3).
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Metres.
-    faces : (N, 3) int array
-
-    Attributes
-    ----------
-    mean_edge : float
-        Edge of an equilateral triangle of mean area, metres.
+    ``mean_edge`` is the edge of an equilateral triangle of mean area, metres.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
@@ -70,20 +61,10 @@ class Boundary:
         return len(self.triangles.area)
 
     def pressure(self, wavenumber: float, slopes: np.ndarray) -> np.ndarray:
-        """Solve for the pressure on the surface.
+        """Solve for the pressure at a wavenumber, 1/m: means over the triangles, Pa, (N, M) complex64.
 
-        Parameters
-        ----------
-        wavenumber : float
-            1/m.
-        slopes : (N, M) array
-            Outward derivative of the pressure, Pa/m, of each triangle: minus the density of air times the
-            outward acceleration.
-
-        Returns
-        -------
-        (N, M) complex64
-            Means over the triangles, Pa.
+        Slopes (N, M) are the outward derivative of the pressure, Pa/m, of each triangle: minus the density of
+        air times the outward acceleration.
         """
         matrix, right = self.system(wavenumber, slopes)
         factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
@@ -92,8 +73,6 @@ class Boundary:
     def system(self, wavenumber: float, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return matrix (V, V) and right-hand sides (V, M) for the pressures of the vertices, complex64.
 
-        Notes
-        -----
         With single layer S, double layer D, its adjoint D' and hypersingular H, and the coupling i / k,
 
             (1/2 - D - i/k H) p = -(S + i/k (1/2 + D')) dp/dn
@@ -183,7 +162,7 @@ class Boundary:
     def _near_pairs(self) -> _Near:
         mesh = self.triangles
         tree = cKDTree(mesh.centroid)
-        pairs = tree.query_pairs(NEAR * self.mean_edge, output_type="ndarray")
+        pairs = tree.query_pairs(NEAR_DISTANCE * self.mean_edge, output_type="ndarray")
         rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
         order = np.lexsort((columns, rows))
         rows, columns = rows[order], columns[order]
@@ -212,12 +191,7 @@ class Boundary:
         wave = np.exp(1j * z)
         slope = ((1j * z - 1) * wave + 1) / r
         bend = ((3 - 3j * z - z * z) * wave - 3) * near.towards * near.outward
-        rest = (
-            wave - 1,
-            slope * near.outward,
-            -slope * near.towards,
-            -(bend / r + slope * near.aligned) / r,
-        )
+        rest = (wave - 1, slope * near.outward, -slope * near.towards, -(bend / r + slope * near.aligned) / r)
         return near.static + np.stack([(share * each).sum(0) for each in rest])
 
     def _own_integrals(self, k: float) -> tuple[np.ndarray, np.ndarray]:

@@ -24,20 +24,10 @@ class FarField:
     radius: float  #: of the ball about the origin that holds the surface, metres
 
     def pressure(self, wavenumbers: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return the pressure per unit of modal acceleration outside the ball; phasors of exp(-i w t).
+        """Return the pressure per unit of modal acceleration at places outside the ball; (N, M) complex128.
 
-        Parameters
-        ----------
-        wavenumbers : (M,) array
-            1/m.
-        places : (N, 3) array
-            Outside the ball, metres.
-
-        Returns
-        -------
-        (N, M) complex128
-            Pa / (m kg^1/2 / s^2), as of waves that leave the ball at once: the phase of the path from the
-            ball to the place is left out.
+        Phasors of exp(-i w t), Pa / (m kg^1/2 / s^2), as of waves that leave the ball at once: the phase of
+        the path from the ball to the place is left out. Wavenumbers (M,) are in 1/m, places (N, 3) in metres.
         """
         distance = np.linalg.norm(places, axis=1)
         order = int(np.sqrt(self.coefficients.shape[1])) - 1
@@ -59,7 +49,7 @@ class FarField:
         """Return the field of some of the modes."""
         return FarField(self.orders[modes], self.coefficients[modes], self.radius)
 
-    def truncated(self, order: int) -> "FarField":
+    def truncate(self, order: int) -> "FarField":
         """Return the field with degrees up to an order, at equal power."""
         kept = self.coefficients[:, : (order + 1) ** 2]
         power, left = ((abs(each) ** 2).sum(1) for each in (self.coefficients, kept))
@@ -70,14 +60,11 @@ class FarField:
 def pack_far_field(field: FarField, limit: int) -> dict[str, np.ndarray]:
     """Store a far field in at most about so many bytes.
 
-    Returns
-    -------
-    dict
-        ``orders`` (M,) uint8, ``steps`` (M,) float32, and ``coefficients``, an xz stream of int8: of each
-        mode the real parts of its harmonics, then the imaginary ones, over the mode's step.
+    As ``orders`` (M,) uint8, ``steps`` (M,) float32, and ``coefficients``, an xz stream of int8: of each mode
+    the real parts of its harmonics, then the imaginary ones, over the mode's step.
     """
     for codes, order in _STEPS:
-        less = field.truncated(order) if order < field.orders.max(initial=0) else field
+        less = field.truncate(order) if order < field.orders.max(initial=0) else field
         packed = _packed(less, codes)
         if len(packed["coefficients"]) + 5 * len(field.orders) <= limit:
             break
@@ -87,12 +74,7 @@ def pack_far_field(field: FarField, limit: int) -> dict[str, np.ndarray]:
 def unpack_far_field(tensors: dict[str, np.ndarray], radius: float) -> FarField:
     """Return what `pack_far_field` stored.
 
-    Raises
-    ------
-    ValueError
-        If sizes do not fit.
-    lzma.LZMAError
-        If the stream is not one.
+    Raises ValueError if sizes do not fit, lzma.LZMAError if the stream is not one.
     """
     orders, steps = tensors["orders"].astype(np.int64), tensors["steps"].astype(np.float64)
     if orders.ndim != 1 or steps.shape != orders.shape or orders.max(initial=0) > MAX_ORDER:

@@ -14,7 +14,7 @@ import numpy as np
 from objectfolder.acoustics.triangles import Triangles
 
 _SPACING = 0.05  # half the distance of the two poles of a dipole, edge lengths
-_EXTRA = 20  # orders beyond the largest argument at which the recurrence of Bessel functions starts
+_EXTRA_ORDERS = 20  # orders beyond the largest argument at which the recurrence of Bessel functions starts
 
 
 def real_harmonics(directions: np.ndarray, order: int) -> np.ndarray:
@@ -47,7 +47,7 @@ def spherical_bessel(order: int, x: np.ndarray) -> np.ndarray:
 
     Upward products of ratios from a continued fraction, which is stable where upward recurrence is not.
     """
-    start = max(order, int(x.max(initial=0))) + _EXTRA
+    start = max(order, int(x.max(initial=0))) + _EXTRA_ORDERS
     ratio, ratios = np.zeros_like(x), np.empty((order + 1, len(x)))
     for degree in range(start, 0, -1):
         ratio = 1 / ((2 * degree + 1) / x - ratio)
@@ -73,14 +73,7 @@ def outgoing(order: int, z: np.ndarray) -> np.ndarray:
 
 
 class Radiator:
-    """Map from the field on a surface to the harmonics of the sound that it sends out.
-
-    Parameters
-    ----------
-    triangles : Triangles
-    order : int
-        Highest degree of the harmonics.
-    """
+    """Map from the field on a surface to the harmonics, up to an order, of the sound that it sends out."""
 
     def __init__(self, triangles: Triangles, order: int):
         self.order = order
@@ -93,8 +86,6 @@ class Radiator:
     def coefficients(self, wavenumber: float, pressure: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Return coefficients (M, (order + 1)^2) of fields of pressure and slope (N, M) on the triangles.
 
-        Notes
-        -----
         The integral of Kirchhoff and Helmholtz in the far field, expanded by the theorem of Gegenbauer. The
         derivative along the normal is the difference of two poles.
         """

@@ -8,21 +8,28 @@ import numpy as np
 from objectfolder.acoustics.boundary import Boundary
 from objectfolder.acoustics.farfield import MAX_ORDER, FarField, pack_far_field
 from objectfolder.acoustics.harmonics import Radiator, degrees
-from objectfolder.acoustics.meshing import carried, even_surface, finer_surface, interpolated, outward_motion
+from objectfolder.acoustics.meshing import (
+    even_surface,
+    finer_surface,
+    interpolate_motion,
+    outward_motion,
+    transfer_flow,
+)
 from objectfolder.acoustics.triangles import Triangles
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.mesh.topology import face_areas, outer_shells
 
 EDGES_PER_WAVE = 2.0  #: of sound; with fewer, a surface radiates as plane waves do
-RESOLVED = 5.0  #: edges per wave that a mode's surface has, if it may have so many triangles
-FEWEST = 2000  #: triangles of a surface, however long the waves are
-_FINER = 0.5  # of a triangle's edge, on which modes' motions are read from the exact surface
-_BEYOND = 4  # orders of harmonics beyond the wavenumber times the radius
-_ALIKE = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
+MODE_EDGES_PER_WAVE = 5.0  #: edges per wave that a mode's surface has, if it may have so many triangles
+MIN_TRIANGLES = 2000  #: triangles of a surface, however long the waves are
+_MOTION_EDGE = 0.5  # of a triangle's edge, on which modes' motions are read from the exact surface
+_EXTRA_ORDERS = 4  # orders of harmonics beyond the wavenumber times the radius
+_SHARED_SPAN = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
 _STEP = 0.5  # between wavenumbers, times the radius, among which the fields of dense modes are interpolated
 _NODES = np.arange(-1, 3)  # of these wavenumbers, those around a mode: cubic polynomials
-_WORTH = 1.5  # times as many matrices, at least, that interpolation must save
-_DOUBT = 0.0075  # least difference of cubic and quadratic interpolation, relative, for which a mode is solved
+_MIN_SAVING = 1.5  # times as many matrices, at least, that interpolation must save
+# Least difference of cubic and quadratic interpolation, relative, for which a mode is solved
+_MAX_INTERPOLATION_ERROR = 0.0075
 
 
 def radiate(
@@ -31,35 +38,20 @@ def radiate(
     shapes: np.ndarray,
     frequencies: np.ndarray,
     triangles: int,
-    fewest: int = FEWEST,
+    fewest: int = MIN_TRIANGLES,
 ) -> FarField:
-    """Compute the far field of each mode.
+    """Compute the far field of each mode, per unit of modal acceleration: Pa m / (m kg^1/2 / s^2).
 
-    Parameters
-    ----------
-    surface : (V, 3) and (F, 3) arrays
-        Closed, metres, object frame. Cavities send nothing out, and are left out: the air in one is a
-        problem of its own, with resonances that the boundary elements would see.
-    points : (P, 3) array
-        Near the surface, metres.
-    shapes : (P, 3, M) array
-        Mass-normalised mode shapes at the points, kg^-1/2.
-    frequencies : (M,) array
-        Angular, rad/s.
-    triangles : int
-        At most, of the surfaces on which modes are solved; see `even_surface`.
-    fewest : int
-        Triangles under which modes of long waves, which take a half or a quarter of them, do not go.
-
-    Returns
-    -------
-    FarField
-        Per unit of modal acceleration: pressure times distance, Pa m / (m kg^1/2 / s^2).
+    The surface, (V, 3) and (F, 3), is closed, metres, object frame. Cavities send nothing out, and are left
+    out: the air in one is a problem of its own, with resonances that the boundary elements would see.
+    Mass-normalised mode shapes (P, 3, M), kg^-1/2, are known at points (P, 3) near the surface, metres;
+    frequencies (M,) are angular, rad/s. Modes are solved on surfaces of at most so many triangles, see
+    `even_surface`; those of long waves on a half or a quarter of them, but not fewer than ``fewest``.
     """
     surface = outer_shells(*surface)
     radius = float(np.linalg.norm(surface[0], axis=1).max(initial=0))
     area = float(face_areas(*surface).sum())
-    edge = 2 * np.pi * SOUND_SPEED / (RESOLVED * np.asarray(frequencies))
+    edge = 2 * np.pi * SOUND_SPEED / (MODE_EDGES_PER_WAVE * np.asarray(frequencies))
     needed = area / (edge**2 * np.sqrt(3) / 4)
     counts = [triangles]
     while counts[-1] // 2 >= fewest:
@@ -70,8 +62,8 @@ def radiate(
     for level in np.unique(levels):
         modes = np.flatnonzero(levels == level)
         boundary = Boundary(*even_surface(*surface, counts[level]))
-        motion = carried(source, flow[:, modes], boundary.triangles) / boundary.triangles.area[:, None]
-        parts.append((modes, of_motion(boundary, motion, np.asarray(frequencies)[modes], radius)))
+        motion = transfer_flow(source, flow[:, modes], boundary.triangles) / boundary.triangles.area[:, None]
+        parts.append((modes, radiate_motion(boundary, motion, np.asarray(frequencies)[modes], radius)))
     return _joined(parts, len(needed), radius)
 
 
@@ -79,9 +71,9 @@ def _outward_flow(
     surface: tuple[np.ndarray, np.ndarray], points: np.ndarray, shapes: np.ndarray, edge: float
 ) -> tuple[Triangles, np.ndarray]:
     """Return fine triangles of a surface, and the outward motion of each mode times their areas."""
-    fine, faces = finer_surface(*surface, _FINER * edge)
+    fine, faces = finer_surface(*surface, _MOTION_EDGE * edge)
     faces = faces[face_areas(fine, faces) > 0]
-    motion = interpolated(points, shapes.reshape(len(points), -1), fine).reshape(len(fine), 3, -1)
+    motion = interpolate_motion(points, shapes.reshape(len(points), -1), fine).reshape(len(fine), 3, -1)
     source = Triangles.of(fine, faces)
     return source, outward_motion(fine, faces, motion) * source.area[:, None]
 
@@ -96,17 +88,17 @@ def _joined(parts: list[tuple[np.ndarray, FarField]], count: int, radius: float)
     return FarField(orders, coefficients, radius)
 
 
-def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, radius: float) -> FarField:
+def radiate_motion(
+    boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, radius: float
+) -> FarField:
     """Compute the far field of motions (N, M) of a boundary's triangles in a ball of some radius.
 
-    Notes
-    -----
-    Where modes are dense, a mode's field is interpolated between fields at equally spaced wavenumbers.
-    Waves shorter than two edges are not solved for: the pressure is then that of a plane wave, the specific
+    Where modes are dense, a mode's field is interpolated between fields at equally spaced wavenumbers. Waves
+    shorter than two edges are not solved for: the pressure is then that of a plane wave, the specific
     impedance of air times the velocity. Fields with more detail than `MAX_ORDER` keep their power.
     """
     slopes, k = -AIR_DENSITY * motion, np.asarray(frequencies) / SOUND_SPEED
-    orders = np.minimum(np.ceil(k * radius).astype(int) + _BEYOND, MAX_ORDER)
+    orders = np.minimum(np.ceil(k * radius).astype(int) + _EXTRA_ORDERS, MAX_ORDER)
     radiator = Radiator(boundary.triangles, int(orders.max(initial=0)))
     coefficients = np.zeros((len(k), (radiator.order + 1) ** 2), np.complex128)
     of_degree = degrees(radiator.order)
@@ -120,7 +112,7 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, r
         return found
 
     short = k * boundary.mean_edge > 2 * np.pi / EDGES_PER_WAVE
-    for modes in _alike(k, _ALIKE / radius, short):
+    for modes in _alike(k, _SHARED_SPAN / radius, short):
         wavenumber = float(k[modes].mean())
         add(wavenumber, -1j * slopes[:, modes] / wavenumber, modes, np.ones(len(modes)))
     dense = _dense(k, radius, ~short)
@@ -129,9 +121,11 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, r
         found = add(wavenumber, boundary.pressure(wavenumber, slopes[:, modes]), modes, weights)
         differences[modes] += (weights - rough)[:, None] * found
     # Cavities resonate in narrow bands, which nodes do not resolve.
-    doubtful = dense & ((abs(differences) ** 2).sum(1) > _DOUBT**2 * (abs(coefficients) ** 2).sum(1))
+    doubtful = dense & (
+        (abs(differences) ** 2).sum(1) > _MAX_INTERPOLATION_ERROR**2 * (abs(coefficients) ** 2).sum(1)
+    )
     coefficients[doubtful], power[doubtful] = 0, 0
-    for modes in _alike(k, _ALIKE / radius, ~short & ~dense | doubtful):
+    for modes in _alike(k, _SHARED_SPAN / radius, ~short & ~dense | doubtful):
         wavenumber = float(k[modes].mean())
         add(wavenumber, boundary.pressure(wavenumber, slopes[:, modes]), modes, np.ones(len(modes)))
     coefficients[of_degree > orders[:, None]] = 0
@@ -141,20 +135,12 @@ def of_motion(boundary: Boundary, motion: np.ndarray, frequencies: np.ndarray, r
     return FarField(orders, coefficients, radius)
 
 
-def stored_radiation(
+def pack_radiation(
     field: FarField, surface: tuple[np.ndarray, np.ndarray], scale: float, limit: int
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return tensors and header of what an Object File stores of an object's radiation.
 
-    Parameters
-    ----------
-    field : FarField
-    surface : (V, 3) and (F, 3) arrays
-        Metres.
-    scale : float
-        Longest side, metres.
-    limit : int
-        Bytes.
+    The surface, (V, 3) and (F, 3), and the longest side, ``scale``, are in metres, the limit in bytes.
     """
     recoil = Recoil.of(surface[0], 1.0)
     header = {
@@ -185,12 +171,12 @@ def _dense(k: np.ndarray, radius: float, chosen: np.ndarray) -> np.ndarray:
 
     The field of a motion changes smoothly with the wavenumber. The lowest modes are few.
     """
-    apart, step = _alike(k, _ALIKE / radius, chosen), _STEP / radius
+    apart, step = _alike(k, _SHARED_SPAN / radius, chosen), _STEP / radius
     if not apart:
         return chosen
     lowest = np.array([k[group].min() for group in apart])
     nodes = np.ceil((k[chosen].max() - lowest) / step) + len(_NODES) - 1
-    saved = np.arange(len(apart), 0, -1) - _WORTH * nodes
+    saved = np.arange(len(apart), 0, -1) - _MIN_SAVING * nodes
     saved[lowest <= step] = 0  # a node would be at a negative wavenumber
     return chosen & (k >= lowest[saved.argmax()]) if saved.max() > 0 else np.zeros_like(chosen)
 

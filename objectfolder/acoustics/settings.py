@@ -10,5 +10,5 @@ from annotated_types import Ge
 class RadiationConfig:
     """Section ``radiation`` of ``params.yaml``."""
 
-    triangles: Annotated[int, Ge(100)]  #: at most, of the surface on which the sound is solved
-    kilobytes: Annotated[int, Ge(1)]  #: that the Object File may grow by
+    triangles: Annotated[int, Ge(100)] = 4000  #: at most, of the surface on which the sound is solved
+    kilobytes: Annotated[int, Ge(1)] = 56  #: that the Object File may grow by

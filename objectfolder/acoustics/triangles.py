@@ -33,27 +33,13 @@ class Triangles:
 def static_integrals(
     corners: np.ndarray, normals: np.ndarray, points: np.ndarray, directions: np.ndarray
 ) -> np.ndarray:
-    """Integrate 1 / (4 pi r) and its derivatives over triangles, each seen from one point off it.
+    """Integrate 1 / (4 pi r) and its derivatives over triangles, each seen from one point off it; (4, P).
 
-    Parameters
-    ----------
-    corners : (P, 3, 3) array
-    normals : (P, 3) array
-        Of the triangles.
-    points : (P, 3) array
-    directions : (P, 3) array
-        Unit vectors along which derivatives at the points are taken.
-
-    Returns
-    -------
-    (4, P) array
-        The integral of 1 / (4 pi r); of its derivative along the triangle's normal; the derivatives of both
-        along the direction at the point.
-
-    Notes
-    -----
-    Potential and solid angle: Wilton et al., IEEE Transactions on Antennas and Propagation 32, 1984. The
-    gradient of the solid angle is the field of Biot and Savart of a current along the edges.
+    The integral of 1 / (4 pi r); of its derivative along the triangle's normal; the derivatives of both along
+    the direction at the point. Corners (P, 3, 3) and normals (P, 3) are of the triangles, directions (P, 3)
+    unit vectors at the points (P, 3). Potential and solid angle: Wilton et al., IEEE Transactions on Antennas
+    and Propagation 32, 1984. The gradient of the solid angle is the field of Biot and Savart of a current
+    along the edges.
     """
     begin = corners - points[:, None]
     edge = np.roll(begin, -1, axis=1) - begin

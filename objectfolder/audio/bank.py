@@ -3,40 +3,21 @@
 import numpy as np
 import torch
 
-from objectfolder.audio.synthesis import audible, count_samples, responses
+from objectfolder.audio.synthesis import count_samples, is_audible, responses
 from objectfolder.audio.tuning import Tuning
 
 BLOCK = 16  # sounds mixed at once; fixed, so that a row's bits do not depend on its batch
 PIECE = 1 << 15  # samples mixed at once
-NARROWEST = 16  # samples of a piece; of fewer columns, the bits of a product depend on the row
-KEPT = 1 << 27  # bytes; larger responses are recomputed for every block of sounds
+MIN_COLUMNS = 16  # samples of a piece; of fewer columns, the bits of a product depend on the row
+MAX_CACHED_BYTES = 1 << 27  # bytes; larger responses are recomputed for every block of sounds
 
 
 class Bank:
     """Responses of modes to unit impulses, without modes at or above half the sample rate, which would alias.
 
-    Parameters
-    ----------
-    tuning : Tuning
-        Modes of the object.
-    sample_rate, duration, response, contact_time
-        See `objectfolder.audio.synthesis.sinusoid_bank`.
-    device : torch.device, optional
-        Device that mixes the sounds.
-    phases : bool
-        Whether gains are complex.
-
-    Attributes
-    ----------
-    heard : (H,) int64 tensor
-        Indices of the tuning's modes below half the sample rate.
-    sample_rate : float
-    samples : int
-
-    Raises
-    ------
-    ObjectFolderError
-        As `objectfolder.audio.synthesis.sinusoid_bank`.
+    Sounds are mixed on a device; with ``phases``, gains are complex. ``heard`` (H,) int64 holds the indices
+    of the tuning's modes below half the sample rate. Other parameters, and errors, are those of
+    `objectfolder.audio.synthesis.sinusoid_bank`.
     """
 
     def __init__(
@@ -51,12 +32,12 @@ class Bank:
     ):
         self.sample_rate = sample_rate
         self.samples = count_samples(sample_rate, duration)
-        self.heard = torch.nonzero(audible(tuning.damped_frequency, sample_rate))[:, 0]
+        self.heard = torch.nonzero(is_audible(tuning.damped_frequency, sample_rate))[:, 0]
         self.device = torch.device(device)
         self._modes = tuning.damped_frequency[self.heard], tuning.damping[self.heard]
         self._strike = response, contact_time
         self._phases = phases
-        kept = 4 * (1 + phases) * len(self.heard) * self.samples <= KEPT
+        kept = 4 * (1 + phases) * len(self.heard) * self.samples <= MAX_CACHED_BYTES
         self._pieces = [self._piece(start) for start in range(0, self.samples, PIECE)] if kept else []
         if not kept:
             self._piece(self.samples - 1)  # validates the response and the contact time
@@ -80,7 +61,7 @@ class Bank:
         return sounds
 
     def _piece(self, start: int) -> torch.Tensor:
-        span = range(start, max(min(start + PIECE, self.samples), start + NARROWEST))
+        span = range(start, max(min(start + PIECE, self.samples), start + MIN_COLUMNS))
         parts = [
             responses(*self._modes, self.sample_rate, span, *self._strike, ahead)
             for ahead in (False, True)[: 1 + self._phases]

@@ -17,7 +17,7 @@ from objectfolder.audio.synthesis import response_at
 
 AIR_DENSITY = 1.204  #: kg/m^3, at 20 degrees Celsius
 SOUND_SPEED = 343.2  #: m/s, at 20 degrees Celsius
-_FADED = 30.0  # exponent of the decay after which a click is silence
+_DECAY_EXPONENT = 30.0  # exponent of the decay after which a click is silence
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,7 @@ class Recoil:
 def added_mass(half: np.ndarray) -> np.ndarray:
     """Return the mass of fluid that moves with an ellipsoid along each axis, over that which it displaces.
 
-    Parameters
-    ----------
-    half : (3,) array
-        Semi-axes.
-
-    Notes
-    -----
-    Lamb, Hydrodynamics, section 114; 1/2 for a sphere.
+    Of its semi-axes (3,): Lamb, Hydrodynamics, section 114; 1/2 for a sphere.
     """
     from scipy.special import elliprd  # loading it takes a fifth of a second, which queries need not wait
 
@@ -71,34 +64,16 @@ def recoil_pressure(
     contact_time: float,
     delay: bool = False,
 ) -> np.ndarray:
-    """Compute the sound pressure of the recoils of impulses, in pascals.
+    """Compute the sound pressure of the recoils of impulses, in pascals; (N, samples) float32.
 
-    Parameters
-    ----------
-    body : Recoil
-    impulses : (N, 3) array
-        N s.
-    listeners : (N, 3) array
-        Object frame, metres; outside the body.
-    sample_rate : float
-        Hz.
-    samples : int
-    contact_time : float
-        Duration of the strikes, half sines of force; seconds.
-    delay : bool
-        Whether sounds start when they reach the listener, rather than with the contact.
-
-    Returns
-    -------
-    (N, samples) float32
-
-    Notes
-    -----
     A sphere of radius a that accelerates by A(t) gives, at distance r and angle theta to the motion,
 
         p = rho a^3 / r^2 cos(theta) (c / a)^2 (y + r / c y'),    y'' + 2 (c / a) y' + 2 (c / a)^2 y = A
 
     from the time at which sound leaves the nearest point of its surface: the recoil is one more damped mode.
+    Impulses (N, 3), N s, are half sines of force over the contact time, seconds; listeners (N, 3), object
+    frame, metres, are outside the body. With ``delay``, sounds start when they reach the listener, rather
+    than with the contact.
     """
     away = np.asarray(listeners, np.float64) - body.centre
     distance = np.linalg.norm(away, axis=1)
@@ -106,7 +81,7 @@ def recoil_pressure(
     rate = SOUND_SPEED / body.radii
     strength = AIR_DENSITY * body.radii**3 * rate**2 / body.mass * along / distance[:, None] ** 2
     lag = np.maximum(distance[:, None] - body.radii, 0) / SOUND_SPEED * delay  # (N, 3)
-    heard = math.ceil((lag.max(initial=0) + contact_time + _FADED / rate.min()) * sample_rate)
+    heard = math.ceil((lag.max(initial=0) + contact_time + _DECAY_EXPONENT / rate.min()) * sample_rate)
     time = torch.arange(min(heard, samples), dtype=torch.float64) / sample_rate
     s = torch.from_numpy(rate * (-1 + 1j))[:, None]
     sounds = np.zeros((len(along), samples), np.float32)

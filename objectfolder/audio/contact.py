@@ -3,10 +3,15 @@
 import math
 import sys
 from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
 
 from objectfolder.checks import finite_number, one_of
-from objectfolder.errors import ObjectFolderError
+from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material
+from objectfolder.yamlfile import is_yaml_name, read_yaml
+
+_STRIKERS = Path(__file__).with_name("strikers")
 
 #: Contact time over largest indentation times speed, of any Hertzian collision.
 _DURATION = 4 * math.sqrt(math.pi) * math.gamma(0.4) / (5 * math.gamma(0.9))
@@ -39,42 +44,51 @@ class Striker:
                 )
 
 
-#: Strikers by name. Tips of steel and wood have the moduli of the table of materials; those of rubber (Shore
-#: A 70) and of a finger's pad are typical values, of which the finger's varies most.
-STRIKERS: dict[str, Striker] = {
-    "steel": Striker(2.0e11, 0.29, radius=0.005, mass=0.01),
-    "wood": Striker(1.1e10, 0.25, radius=0.01, mass=0.01),
-    "rubber": Striker(5.5e6, 0.49, radius=0.01, mass=0.02),
-    "finger": Striker(1.0e6, 0.49, radius=0.008, mass=0.01),
-}
+def striker_names() -> list[str]:
+    """Return the names of the strikers in the package, a YAML file each in ``strikers/``."""
+    return sorted(path.stem for path in _STRIKERS.glob("*.yaml"))
 
 
-def as_striker(described: object) -> Striker:
-    """Return a striker, or the one of a name in `STRIKERS`.
+def load_striker(described: object) -> Striker:
+    """Return a striker.
+
+    Parameters
+    ----------
+    described : Striker, str or Path
+        A striker, one of `striker_names`, or the path of a ``.yaml`` file with the fields of `Striker`.
 
     Raises
     ------
     ObjectFolderError
-        If it is neither.
+        If there is none of this name, or the file is not there or not valid.
     """
-    return (
-        described if isinstance(described, Striker) else STRIKERS[one_of("striker", described, [*STRIKERS])]
-    )
+    if isinstance(described, Striker):
+        return described
+    if isinstance(described, str | Path) and is_yaml_name(described):
+        return _read_striker(Path(described))
+    return _of_package(one_of("striker", described, striker_names()))
+
+
+@cache
+def _of_package(name: str) -> Striker:
+    return _read_striker(_STRIKERS / f"{name}.yaml")
+
+
+def _read_striker(path: Path) -> Striker:
+    if not path.is_file():
+        raise ObjectFolderError(f"striker {path} does not exist; expected a file as those in {_STRIKERS}")
+    values, known = read_yaml(path), [field.name for field in fields(Striker)]
+    if not isinstance(values, dict) or not set(known) - {"speed"} <= values.keys() <= set(known):
+        raise ObjectFolderError(f"{path} holds {quoted(values)}, expected {', '.join(known)} by name")
+    try:
+        return Striker(**values)
+    except ObjectFolderError as error:
+        raise ObjectFolderError(f"{path}: {error}") from error
 
 
 def contact_time(striker: Striker, material: Material, mass: float) -> float:
-    """Return how long a striker and an object touch, seconds.
+    """Return how long a striker and an object of some mass, kg, which may be infinite, touch; seconds.
 
-    Parameters
-    ----------
-    striker : Striker
-    material : Material
-        Of the object.
-    mass : float
-        Of the object, kg; may be infinite.
-
-    Notes
-    -----
     The object counts as flat where it is struck, and moves as a whole. Both matter little: the time goes with
     the fifth root of the radius, and the lighter of two bodies dominates their reduced mass.
     """
@@ -94,20 +108,9 @@ def effective_modulus(one: tuple[float, float], other: tuple[float, float]) -> f
 def hertz_time(modulus: float, radius: float, mass: float, speed: float) -> float:
     """Return the duration of an elastic collision of two spheres, seconds.
 
-    Parameters
-    ----------
-    modulus : float
-        Of the contact, Pa; see `effective_modulus`.
-    radius : float
-        1 / (1 / R1 + 1 / R2), m; a flat body's own is infinite.
-    mass : float
-        Reduced, m1 m2 / (m1 + m2), kg.
-    speed : float
-        Of approach, m/s.
-
-    Notes
-    -----
-    K. L. Johnson, Contact Mechanics, 1985, section 11.4.
+    K. L. Johnson, Contact Mechanics, 1985, section 11.4: from the modulus of the contact, Pa, see
+    `effective_modulus`; the radius 1 / (1 / R1 + 1 / R2), m, where a flat body's own is infinite; the reduced
+    mass m1 m2 / (m1 + m2), kg; and the speed of approach, m/s.
     """
     indentation = (15 * mass * speed**2 / (16 * math.sqrt(radius) * modulus)) ** 0.4
     return _DURATION * indentation / speed

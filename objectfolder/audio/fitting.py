@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, linear_sum_assignment
 
-from objectfolder.audio.ringdown import LN_1000, RISE, SHORTEST, Ringdown, ringdown, strikes
+from objectfolder.audio.ringdown import LN_1000, MIN_TAP_LENGTH, RISE, Ringdown, ringdown, strikes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material, material, own_material
 
@@ -35,23 +35,11 @@ class Match:
 
 
 def match_modes(computed: np.ndarray, heard: np.ndarray) -> Match:
-    """Match heard frequencies to computed ones up to a common ratio.
+    """Match heard frequencies to computed ones up to a common ratio; (K,) and (M,), Hz, ascending.
 
-    For each ratio, heard and computed modes are paired one to one, so that the sum of squared distances,
-    none above the tolerance, is the least. The ratio with the most pairs, and the closest, is refined by the
-    median of its pairs.
-
-    Parameters
-    ----------
-    computed : (M,) array
-        Frequencies of the model, Hz, ascending.
-    heard : (K,) array
-        Frequencies in recordings, Hz, ascending.
-
-    Raises
-    ------
-    ObjectFolderError
-        If fewer than three modes match.
+    For each ratio, heard and computed modes are paired one to one, so that the sum of squared distances, none
+    above the tolerance, is the least. The ratio with the most pairs, and the closest, is refined by the
+    median of its pairs. Raises ObjectFolderError if fewer than three modes match.
     """
     if not len(computed) or not len(heard):
         raise ObjectFolderError(f"{len(computed)} computed and {len(heard)} heard modes: nothing to match")
@@ -139,23 +127,9 @@ def fit_sound(
 ) -> SoundFit:
     """Fit stiffness and damping of an object's material to recordings of taps on it.
 
-    Parameters
-    ----------
-    computed : (M,) array
-        Natural frequencies of the object, Hz.
-    solid : Material
-        For which they were computed.
-    sounds : sequence of (samples,) arrays
-        Recordings of one rate, each of one tap or more.
-    rate : float
-        Hz.
-    law : {"loss_factor", "rayleigh"}
-        Damping model to fit.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no tap, or fewer than three modes match.
+    Computed natural frequencies (M,), Hz, are those of the solid's material. Recordings (samples,) have one
+    rate, Hz, and each one tap or more. The law is "loss_factor" or "rayleigh". Raises ObjectFolderError if
+    there is no tap, or fewer than three modes match.
     """
     cut = [strikes(sound, rate) for sound in sounds]
     taps = [tap for found in cut for tap in found]
@@ -163,7 +137,7 @@ def fit_sound(
         rise = 10 * np.log10(RISE)
         raise ObjectFolderError(
             f"no strike in the recordings: nothing rises {rise:.0f} dB within a millisecond, and rings for "
-            f"{SHORTEST:g} s; record taps louder, or with less noise"
+            f"{MIN_TAP_LENGTH:g} s; record taps louder, or with less noise"
         )
     heard = ringdown(taps, rate, highest=RATIOS[1] * float(computed.max(initial=0)))
     match = match_modes(computed, heard.frequency)

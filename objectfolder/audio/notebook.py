@@ -7,26 +7,13 @@ import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 
-LOUDEST = 0.9  #: of full scale
+PEAK_LEVEL = 0.9  #: of full scale
 
 
 def players(sounds: np.ndarray, sample_rate: float) -> list[Any]:
-    """Return a player of each sound; their levels stay relative to each other.
+    """Return a player of each sound, (N, samples) or (samples,); their levels stay relative to each other.
 
-    Parameters
-    ----------
-    sounds : (N, samples) or (samples,) array
-    sample_rate : float
-        Hz.
-
-    Returns
-    -------
-    list of IPython.display.Audio
-
-    Raises
-    ------
-    ObjectFolderError
-        If IPython is missing, which every notebook has.
+    Raises ObjectFolderError if IPython is missing, which every notebook has.
     """
     try:
         audio = import_module("IPython.display").Audio
@@ -36,5 +23,5 @@ def players(sounds: np.ndarray, sample_rate: float) -> list[Any]:
         ) from error
     rows = np.atleast_2d(np.asarray(sounds, np.float64))
     peak = np.abs(rows).max(initial=0.0)
-    scaled = rows * (LOUDEST / peak if peak > 0 else 0.0)
+    scaled = rows * (PEAK_LEVEL / peak if peak > 0 else 0.0)
     return [audio(data=row, rate=sample_rate, normalize=False) for row in scaled]

@@ -16,62 +16,56 @@ from objectfolder.errors import ObjectFolderError
 if TYPE_CHECKING:
     import soundfile
 
-LOUDEST = 0.999  # of full scale; samples above are clipped if several follow each other
-CLIPPED = 3  # samples
-CUT = 2  # samples in a row at the highest level, where a sound was cut off below full scale
+CLIPPING_LEVEL = 0.999  # of full scale; samples above are clipped if several follow each other
+CLIPPED_RUN = 3  # samples
+FLAT_TOP_RUN = 2  # samples in a row at the highest level, where a sound was cut off below full scale
 LEVELS = 8  # below the highest, which together are taken more often unless the sound is cut off
-UNBOUNDED = ("FLOAT", "DOUBLE")  # subtypes of files that hold samples above full scale
-SILENT = 1e-4  # of full scale, peak
+FLOAT_SUBTYPES = ("FLOAT", "DOUBLE")  # subtypes of files that hold samples above full scale
+MIN_PEAK = 1e-4  # of full scale, peak
 MIN_RATE = 8000.0  # Hz
 MAX_SECONDS = 600.0
 MAX_RATIO = 1.5  # of the highest to the lowest sample rate
-LACKING = 0.05  # s that may lack at the end: some encoders write lengths that are wrong by less
-STREAMED = (
-    0x7FFF0000  # bytes; such sizes, and 0, stand for one that was not known when the header was written
-)
-ENDLESS = 2**62  # samples; as many or more stand for a number that is not known
+LENGTH_TOLERANCE = 0.05  # s that may lack at the end: some encoders write lengths that are wrong by less
+# Bytes; such sizes, and 0, stand for one that was not known when the header was written
+UNKNOWN_SIZE = 0x7FFF0000
+UNKNOWN_LENGTH = 2**62  # samples; as many or more stand for a number that is not known
 #: In the log of libsndfile: bytes of sound that the header says, and that the file has.
 _SIZES = re.compile(r"^\s*(?:data|SSND|Data Size|riff|Riff size)\s*: (\d+) \(should be (\d+)\)", re.MULTILINE)
 _PAGE = 65307  # bytes, of the longest page of Ogg
-USABLE = 0.45  #: of the sample rate: modes above are not looked for
+USABLE_BAND = 0.45  #: of the sample rate: modes above are not looked for
 
 
 def read_recording(path: Path) -> tuple[np.ndarray, float]:
     """Read a recording: the loudest of its channels, full scale 1, and its sample rate in Hz.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is not an audio file, or is silent, clipped, not finite, too long, of a low rate or cut off.
+    Raises ObjectFolderError if it is not an audio file, or is silent, clipped, not finite, too long, of a low
+    rate or cut off.
     """
-    with opened_sound(path) as file:
+    with open_sound(path) as file:
         rate, seconds = float(file.samplerate), file.frames / file.samplerate
         if rate < MIN_RATE or seconds > MAX_SECONDS:
             raise ObjectFolderError(
                 f"{path} has {rate:g} Hz and {seconds:.1f} s, expected at least {MIN_RATE:g} Hz and at "
                 f"most {MAX_SECONDS:g} s"
             )
-        channels, bounded = read_channels(file, path), file.subtype not in UNBOUNDED
+        channels, bounded = read_channels(file, path), file.subtype not in FLOAT_SUBTYPES
     sound = loudest_channel(channels, path)
     peak = np.abs(sound).max(initial=0)
-    if not peak > SILENT:
+    if not peak > MIN_PEAK:
         raise ObjectFolderError(f"{path} is silent: its peak is {peak:.1g} of full scale")
-    full = bounded and _in_a_row(np.abs(sound) > LOUDEST, CLIPPED)
+    full = bounded and _in_a_row(np.abs(sound) > CLIPPING_LEVEL, CLIPPED_RUN)
     if full or _cut_off(sound) or _cut_off(-sound):
         raise ObjectFolderError(f"{path} is clipped: record it again at a lower level, or leave it out")
     return sound, rate
 
 
 @contextmanager
-def opened_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
+def open_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
     """Open an audio file; its errors, also of what is done with it, become ObjectFolderError.
 
-    A WAV file whose header has no sizes, as of a program that wrote to a pipe, goes on to its end.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it does not exist, cannot be read, or does not say how long it is; if an OGG file lacks its end.
+    A WAV file whose header has no sizes, as of a program that wrote to a pipe, goes on to its end. Raises
+    ObjectFolderError if it does not exist, cannot be read, or does not say how long it is; if an OGG file
+    lacks its end.
     """
     import soundfile
 
@@ -84,7 +78,7 @@ def opened_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
                 f"{path} is cut off: its last page is not that of the end; copy or record it again"
             )
         with soundfile.SoundFile(_sized(path) or path) as file:
-            if file.frames >= ENDLESS:
+            if file.frames >= UNKNOWN_LENGTH:
                 raise ObjectFolderError(
                     f"{path} does not say how long it is; convert it, as by `ffmpeg -i FILE sound.wav`"
                 )
@@ -98,16 +92,13 @@ def opened_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
 def read_channels(file: "soundfile.SoundFile", path: Path, most: float = math.inf) -> np.ndarray:
     """Return the sound of an open file, (samples, channels), or its first ``most`` seconds.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it holds less than its header says.
+    Raises ObjectFolderError if it holds less than its header says.
     """
     import soundfile
 
     rate, expected = file.samplerate, float(file.frames)
     for said, there in _SIZES.findall(file.extra_info):
-        if int(there) < int(said) < STREAMED:
+        if int(there) < int(said) < UNKNOWN_SIZE:
             expected = max(expected, file.frames * int(said) / max(int(there), 1))
     failed: soundfile.LibsndfileError | None = None
     try:
@@ -115,7 +106,7 @@ def read_channels(file: "soundfile.SoundFile", path: Path, most: float = math.in
         found = len(channels)
     except soundfile.LibsndfileError as error:  # amid a block of FLAC
         failed, found = error, _readable(path)
-    if (found or not failed) and found < min(expected, most * rate) - LACKING * rate:
+    if (found or not failed) and found < min(expected, most * rate) - LENGTH_TOLERANCE * rate:
         raise ObjectFolderError(
             f"{path} is cut off or damaged: {found / rate:.2f} s can be read of the {expected / rate:.2f} s "
             "that its header says; copy or record it again, or save what is there as a new file"
@@ -177,10 +168,7 @@ def _sized(path: Path) -> io.BytesIO | None:
 def loudest_channel(channels: np.ndarray, path: Path) -> np.ndarray:
     """Return the channel of a recording, (samples, channels), that has the highest peak; (samples,).
 
-    Raises
-    ------
-    ObjectFolderError
-        If a channel holds values that are not finite.
+    Raises ObjectFolderError if a channel holds values that are not finite.
     """
     peaks = np.abs(channels).max(0, initial=0)
     if not np.isfinite(peaks).all():
@@ -190,22 +178,13 @@ def loudest_channel(channels: np.ndarray, path: Path) -> np.ndarray:
     return channels[:, peaks.argmax()]
 
 
-def at_one_rate(
+def resample_to_lowest(
     recordings: Sequence[tuple[np.ndarray, float]], names: Sequence[object] | None = None
 ) -> tuple[list[np.ndarray], float]:
-    """Resample recordings to the lowest of their rates.
+    """Resample recordings, (samples,) of a rate in Hz each, to the lowest of their rates.
 
-    Parameters
-    ----------
-    recordings : sequence of ((samples,) array, float)
-        Sounds and their sample rates, Hz.
-    names : sequence, optional
-        Names of the recordings in error messages.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the rates differ so much that high modes would be lost.
+    Raises ObjectFolderError, with the names of the recordings, if the rates differ so much that high modes
+    would be lost.
     """
     names = names or [f"recording {i}" for i in range(1, len(recordings) + 1)]
     rates = [rate for _, rate in recordings]
@@ -213,13 +192,13 @@ def at_one_rate(
     if highest > MAX_RATIO * lowest:
         raise ObjectFolderError(
             f"{names[rates.index(lowest)]} has {lowest:g} Hz, the others up to {highest:g} Hz; all are "
-            f"brought to the lowest rate, and modes above {USABLE * lowest:.0f} Hz would be lost: leave out "
-            f"recordings of {lowest:g} Hz"
+            f"brought to the lowest rate, and modes above {USABLE_BAND * lowest:.0f} Hz would be lost: leave "
+            f"out recordings of {lowest:g} Hz"
         )
-    return [at_rate(sound, own, lowest) for sound, own in recordings], lowest
+    return [resample_sound(sound, own, lowest) for sound, own in recordings], lowest
 
 
-def at_rate(sound: np.ndarray, own: float, rate: float) -> np.ndarray:
+def resample_sound(sound: np.ndarray, own: float, rate: float) -> np.ndarray:
     """Resample a sound, (samples,), from its own sample rate to another, Hz."""
     from scipy.signal import resample_poly
 
@@ -238,4 +217,4 @@ def _cut_off(sound: np.ndarray) -> bool:
     highest = sound.max()
     levels, counts = np.unique(sound[sound > highest / 2], return_counts=True)
     piled = len(levels) > LEVELS and counts[-1] > counts[-LEVELS - 1 : -1].sum()
-    return bool(piled) and _in_a_row(sound == highest, CUT)
+    return bool(piled) and _in_a_row(sound == highest, FLAT_TOP_RUN)

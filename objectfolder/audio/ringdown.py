@@ -6,23 +6,25 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage, signal
 
-from objectfolder.audio.recordings import USABLE
+from objectfolder.audio.recordings import USABLE_BAND
 
 LN_1000 = np.log(1000.0)  # an amplitude falls by 60 dB in T60 = ln(1000) / decay rate
 RISE = 10.0  # of the power at a strike
 START = 0.004  # s after the strike: its noise and the overdamped modes are gone
-APART = 0.1  # s between strikes
-LONGEST = 1.5  # s of a ring that are analysed
+MIN_STRIKE_INTERVAL = 0.1  # s between strikes
+MAX_RING = 1.5  # s of a ring that are analysed
 BAND = 150.0  # Hz, width of the bands that are analysed one by one
 ABOVE_FLOOR = 4.0  # amplitude of a peak over the floor of the spectrum around it
 FLOOR_WIDTH = 400.0  # Hz, over which that floor is the median
 ABOVE_NOISE = 4.0  # amplitude of a ring over the noise after it
-SMALLEST = 0.1  # singular value of a mode, over the largest of its band; below are differences between taps
-SLOWEST = 0.2  # decay rate, 1/s; slower is hum
+# Singular value of a mode, over the largest of its band; below are differences between taps
+MIN_SINGULAR_VALUE = 0.1
+MIN_DAMPING = 0.2  # decay rate, 1/s; slower is hum
 MIN_SAMPLES = 40  # of a decimated ring
-SHORTEST = 0.3  #: s of a tap; of shorter ones too few samples are left, decimated to the width of a band
-EXPLAINED = 0.95  # of a band's energy that few modes hold, if it rings to the end of the recording
-FEW = 8  # modes
+#: s of a tap; of shorter ones too few samples are left, decimated to the width of a band
+MIN_TAP_LENGTH = 0.3
+MIN_EXPLAINED_ENERGY = 0.95  # of a band's energy that few modes hold, if it rings to the end of the recording
+MAX_STEADY_MODES = 8  # modes
 
 
 @dataclass(frozen=True)
@@ -40,19 +42,13 @@ class Ringdown:
 
 
 def strikes(sound: np.ndarray, rate: float) -> list[np.ndarray]:
-    """Cut a recording into taps, each from shortly after its strike to the next or the end.
+    """Cut a recording (samples,) into taps, each from shortly after its strike to the next or the end.
 
     A strike is where the power of a millisecond, above 200 Hz, exceeds ten times that of each of the 20
     before it, and a thousandth of the largest. Before the recording is what is at its end. A tap shorter than
     0.3 s, such as the click of a recorder that is switched off, is left out.
-
-    Parameters
-    ----------
-    sound : (samples,) array
-    rate : float
-        Hz.
     """
-    shortest, longest, skipped = (round(seconds * rate) for seconds in (SHORTEST, LONGEST, START))
+    shortest, longest, skipped = (round(seconds * rate) for seconds in (MIN_TAP_LENGTH, MAX_RING, START))
     if len(sound) < shortest:
         return []
     block = max(1, round(rate / 1000))
@@ -61,7 +57,7 @@ def strikes(sound: np.ndarray, rate: float) -> list[np.ndarray]:
     before = np.concatenate([np.full(20, np.median(power[-len(power) // 10 :])), power[:-1]])
     before = np.lib.stride_tricks.sliding_window_view(before, 20).max(1)
     rises = np.flatnonzero((power > RISE * before) & (power > 1e-3 * power.max()))
-    starts = rises[np.diff(rises, prepend=-1000) > 1000 * APART] * block
+    starts = rises[np.diff(rises, prepend=-1000) > 1000 * MIN_STRIKE_INTERVAL] * block
     ends = [*starts[1:], len(sound)]
     taps = [clear[a + skipped : min(b, a + skipped + longest)] for a, b in zip(starts, ends)]
     return [tap for tap in taps if len(tap) + skipped >= shortest]
@@ -76,17 +72,9 @@ def ringdown(
     decimated; their damped exponentials are the eigenvalues that shift the signal subspace of their Hankel
     matrices (ESPRIT: Roy and Kailath 1989; Laroche 1993, for percussion). Modes a few hertz apart, such as
     the pairs of round objects, are told from each other, because their mix differs from tap to tap.
-
-    Parameters
-    ----------
-    taps : sequence of (samples,) arrays
-        From `strikes`.
-    rate : float
-        Hz.
-    lowest, highest : float
-        Range of frequencies, Hz; up to 0.45 of the rate by default.
+    Frequencies are from the lowest to the highest, Hz; up to 0.45 of the rate by default.
     """
-    limit = USABLE * rate if highest is None else min(highest, USABLE * rate)
+    limit = USABLE_BAND * rate if highest is None else min(highest, USABLE_BAND * rate)
     bands = [(centre, _band(taps, rate, centre)) for centre in _bands(taps, rate, lowest, limit)]
     bands = [(centre, found) for centre, found in bands if len(found)]
     centres = np.array([centre for centre, _ in bands])
@@ -131,7 +119,7 @@ def _band(taps: Sequence[np.ndarray], rate: float, centre: float) -> np.ndarray:
     lag = len(parts[0]) * 3 // 5
     hankel = np.concatenate([np.lib.stride_tricks.sliding_window_view(part, lag) for part in parts], axis=1)
     left, sizes, _ = np.linalg.svd(hankel, full_matrices=False)
-    signals = left[:, sizes > max(SMALLEST * sizes[0], 4 * np.median(sizes))]
+    signals = left[:, sizes > max(MIN_SINGULAR_VALUE * sizes[0], 4 * np.median(sizes))]
     poles = np.linalg.eigvals(np.linalg.lstsq(signals[:-1], signals[1:], rcond=None)[0])
     s = np.log(poles) * rate / step
     frequency, damping = centre + s.imag / (2 * np.pi), -s.real
@@ -139,12 +127,15 @@ def _band(taps: Sequence[np.ndarray], rate: float, centre: float) -> np.ndarray:
     fitted = np.linalg.lstsq(powers, np.stack(parts, 1), rcond=None)[0]
     if not sunk:
         left = np.square(np.abs(powers @ fitted - np.stack(parts, 1))).sum()
-        if len(poles) > FEW or left > (1 - EXPLAINED) * np.square(np.abs(parts)).sum():
+        if (
+            len(poles) > MAX_STEADY_MODES
+            or left > (1 - MIN_EXPLAINED_ENERGY) * np.square(np.abs(parts)).sum()
+        ):
             return np.zeros((0, 3))  # noise, not a ring
     amplitude = np.abs(fitted)
     passed = (len(window) // 2) / rate  # s of each tap before the first decimated sample
     level = 2 * np.sqrt(np.mean(amplitude**2, 1)) * np.exp(damping * (passed + START))
-    kept = (np.abs(frequency - centre) < BAND / 2) & (damping > SLOWEST)
+    kept = (np.abs(frequency - centre) < BAND / 2) & (damping > MIN_DAMPING)
     return np.stack([frequency, damping, level], 1)[kept]
 
 

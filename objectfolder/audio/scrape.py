@@ -7,29 +7,12 @@ Doel, Kry and Pai, FoleyAutomatic, SIGGRAPH 2001). Where bodies roll, both surfa
 is then taken to be a tenth of that.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-#: Roughness of surfaces, root mean square within a contact, m. Assumed, of finished or glazed ones.
-ROUGHNESS = {
-    "ceramic": 1e-6,
-    "glass": 3e-7,
-    "wood": 5e-6,
-    "plastic": 1e-6,
-    "iron": 2e-6,
-    "polycarbonate": 5e-7,
-    "steel": 8e-7,
-}
 ROLLING = 0.1  #: force of a rolling contact over that of a sliding one; assumed
-_OTHER = 1e-6  # of custom materials
-
-
-def roughness_of(one: str, other: str) -> float:
-    """Return the combined roughness of two materials' names, m; an assumed one for those not in the table."""
-    return math.hypot(*(ROUGHNESS.get(name.lower(), _OTHER) for name in (one, other)))
 
 
 def scrape_force(
@@ -42,17 +25,8 @@ def scrape_force(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the forces of contacts' roughness, N root mean square, and the frequencies where they fade, Hz.
 
-    Parameters
-    ----------
-    load : (K,) array
-        N.
-    slip, rolling : (K,) array
-        Speeds at which surfaces slide, and at which the contact moves over them as they roll, m/s; one is
-        positive.
-    rough : (K,) array
-        Combined roughness, m.
-    radius, modulus : (K,) array
-        Of the contacts, m and Pa.
+    Of K contacts: load, N; speeds at which surfaces slide, and at which the contact moves over them as they
+    roll, m/s, one of them positive; combined roughness, m; radius and modulus of the contact, m and Pa.
     """
     depth = (9 * load**2 / (16 * radius * modulus**2)) ** (1 / 3)  # Hertz's indentation by a static load
     speed = slip + rolling
@@ -61,13 +35,7 @@ def scrape_force(
 
 
 class Scrapes:
-    """Noise of contacts, whose filters go on from block to block.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Draws the noise.
-    """
+    """Noise of contacts, drawn by a generator, whose filters go on from block to block."""
 
     def __init__(self, rng: np.random.Generator):
         self._rng = rng

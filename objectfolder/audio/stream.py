@@ -2,7 +2,7 @@
 
 A mode with the pole s = -c + i w is a phasor z with z' = s z + g f(t), where f is a force and g its gain; it
 is heard as the imaginary part of a complex weight times z. Of modes that are heard by their acceleration, the
-force itself is heard, too (`objectfolder.audio.synthesis.pressing`). Between samples, phasors are advanced
+force itself is heard, too (`force_factors`). Between samples, phasors are advanced
 exactly. A half sine of force is the sum of two sinusoids that begin half a period apart and cancel after the
 second,
 
@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from objectfolder.audio.synthesis import pressing
+from objectfolder.audio.synthesis import force_factors
 
-QUIET = 2e-9  #: sound below which a body is silent, Pa; 80 dB under the threshold of hearing
+SILENCE_LEVEL = 2e-9  #: sound below which a body is silent, Pa; 80 dB under the threshold of hearing
 
 
 @dataclass(frozen=True)
@@ -36,30 +36,12 @@ class Pulse:
 class ModalStream:
     """Modes of some bodies, played block by block: what is heard of all of them together.
 
-    Parameters
-    ----------
-    poles : sequence of (M,) complex arrays
-        -c + i w of the modes of each body, 1/s.
-    sample_rate : float
-        Hz.
-    longest : int
-        Samples of the longest block.
-    accelerated : sequence of int, optional
-        How many of the first modes of each body are heard by their acceleration; the others, by default all,
-        by displacement and velocity.
-
-    Attributes
-    ----------
-    phasors : (B, M) complex array
-        Of the modes at the next sample, of all that began before; 0 beyond the modes of a body.
-    clock : int
-        Number of the next sample.
-    modes : int
-        M, of the body that has most.
-
-    Notes
-    -----
-    Bodies have rows of one array, so that a block costs about the same for ten bodies as for one.
+    Poles are -c + i w of the modes of each body, (M,) complex, 1/s; ``longest`` is the number of samples of
+    the longest block. The first modes of each body, as many as ``accelerated`` says, are heard by their
+    acceleration; the others, by default all, by displacement and velocity. Bodies have rows of one array, so
+    that a block costs about the same for ten bodies as for one: ``phasors`` (B, M) are those of the modes at
+    the sample ``clock``, the next, of all that began before; 0 beyond the modes of a body. ``modes`` is M, of
+    the body that has most.
     """
 
     def __init__(
@@ -118,16 +100,9 @@ class ModalStream:
         self._pulses.append((body, replace(pulse, gains=gains)))
 
     def shake(self, bodies: np.ndarray, forces: np.ndarray, gains: np.ndarray) -> None:
-        """Apply forces to the next block.
+        """Apply forces (K, samples), N, to bodies (K,) in the next block; one may be there several times.
 
-        Parameters
-        ----------
-        bodies : (K,) int array
-            That they act on; one may be there several times.
-        forces : (K, samples) array
-            N.
-        gains : (K, M) array
-            Of the modes, per newton second; 0 beyond those of a body.
+        Gains (K, M) of the modes are per newton second, 0 beyond those of a body.
         """
         self._shaking.append((bodies, forces, gains / self._rate))
 
@@ -155,7 +130,7 @@ class ModalStream:
             phasors[body] += self._pulsed(pulse, body, ears, heard)
             if math.ceil(pulse.start + pulse.duration) >= end:  # its last edge is on a later sample
                 left.append((body, pulse))
-        quiet = (abs(phasors) * abs(self._weights)).sum(1) < QUIET
+        quiet = (abs(phasors) * abs(self._weights)).sum(1) < SILENCE_LEVEL
         quiet[[body for body, _ in left]] = False
         phasors[quiet] = 0
         self._pulses, self._shaking, self.clock, self.phasors = left, [], end, phasors
@@ -222,7 +197,8 @@ class ModalStream:
             heard[:, low:high] += (np.outer(ahead, wave) + np.outer(behind, wave.conj())).imag
             part = slice(self._accelerated[body])
             by_force, by_change = (
-                (ears[:, part] * factor).imag @ size[part] for factor in pressing(s[part], pulse.duration)
+                (ears[:, part] * factor).imag @ size[part]
+                for factor in force_factors(s[part], pulse.duration)
             )
             heard[:, low:high] += np.outer(by_force, wave.imag) + np.outer(by_change, wave.real)
         return added
@@ -231,12 +207,7 @@ class ModalStream:
 def pulse_gain(poles: np.ndarray, duration: float) -> np.ndarray:
     """Return the phasors that a half sine of unit impulse leaves, over those of an ideal impulse; (M,).
 
-    Parameters
-    ----------
-    poles : (M,) complex array
-        1/s.
-    duration : float
-        Seconds.
+    Poles (M,) are complex, 1/s; the duration is in seconds.
     """
     turn = math.pi / duration
     return turn / 2 * turn / (turn**2 + poles**2) * (1 + np.exp(poles * duration))

@@ -10,9 +10,8 @@ from objectfolder.errors import ObjectFolderError
 
 RESPONSES = ("displacement", "velocity", "acceleration")
 _STRIDE = 256  # samples between computed exponentials; the others are products
-_SLOW = (
-    1.5 * math.pi
-)  # radians of a mode during a contact beyond which its force counts as slow; see `pressing`
+# Radians of a mode during a contact beyond which its force counts as slow; see `force_factors`
+_SLOW_CONTACT_PHASE = 1.5 * math.pi
 
 
 def sinusoid_bank(
@@ -23,37 +22,19 @@ def sinusoid_bank(
     response: str = "displacement",
     contact_time: float = 0.0,
 ) -> torch.Tensor:
-    """Compute the response of each mode to a unit impulse, per unit of gain.
+    """Compute the response of each mode to a unit impulse, per unit of gain; (M, samples) float32.
 
     After an ideal impulse, a mode with shape value g is displaced by g / w exp(-c t) sin(w t); velocity and
     acceleration are the derivatives. A strike of finite duration is a half-sine force pulse of unit impulse;
     see `half_sine_response`. Modes at or above the Nyquist frequency would alias and are set to zero.
 
-    Parameters
-    ----------
-    damped_frequency : (M,) tensor
-        Damped angular frequencies w, rad/s.
-    damping : (M,) tensor
-        Decay rates c, 1/s.
-    sample_rate : float
-        Hz.
-    duration : float
-        Seconds.
-    response : {"displacement", "velocity", "acceleration"}
-    contact_time : float
-        Duration of the strike, which starts at the first sample, seconds; 0 is an ideal impulse.
-
-    Returns
-    -------
-    (M, samples) float32
-
-    Raises
-    ------
-    ObjectFolderError
-        For an unknown response, a rate or duration that is not positive, or a negative contact time.
+    Damped frequencies w (M,) are angular, rad/s, decay rates c (M,) 1/s; the sample rate is in Hz, durations
+    in seconds; the strike starts at the first sample, and a contact time of 0 is an ideal impulse. Raises
+    ObjectFolderError for an unknown response, a rate or duration that is not positive, or a negative contact
+    time.
     """
     samples = count_samples(sample_rate, duration)
-    heard = audible(damped_frequency, sample_rate)
+    heard = is_audible(damped_frequency, sample_rate)
     bank = torch.zeros(len(heard), samples, dtype=torch.float32, device=heard.device)
     modes = damped_frequency[heard], damping[heard]
     bank[heard] = responses(*modes, sample_rate, range(samples), response, contact_time)
@@ -63,10 +44,8 @@ def sinusoid_bank(
 def count_samples(sample_rate: float, duration: float) -> int:
     """Return the number of samples of a sound.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there are none, since the rate or the duration is not positive, or too large for a number.
+    Raises ObjectFolderError if there are none, since the rate or the duration is not positive, or too large
+    for a number.
     """
     rate, seconds = finite_number("sample rate", sample_rate), finite_number("duration", duration)
     samples = round(rate * seconds) if rate > 0 and math.isfinite(rate * seconds) else 0
@@ -108,17 +87,8 @@ def responses(
 ) -> torch.Tensor:
     """Compute a range of samples of `sinusoid_bank`, including modes that alias; (M, len(samples)) float32.
 
-    Parameters
-    ----------
-    samples : range
-        Consecutive sample numbers.
-    ahead : bool
-        Whether modes ring a quarter of a period ahead: cosines instead of sines.
-
-    Raises
-    ------
-    ObjectFolderError
-        For an unknown response or a negative contact time.
+    Modes may ring a quarter of a period ahead: cosines instead of sines. Raises ObjectFolderError for an
+    unknown response or a negative contact time.
     """
     one_of("response", response, RESPONSES)
     checked_contact_time(contact_time)
@@ -160,27 +130,13 @@ def _ringing(state: torch.Tensor, s: torch.Tensor, start: float, step: float, co
 def half_sine_response(
     s: torch.Tensor, time: torch.Tensor, contact_time: float, order: int = 0, turn: complex = 1.0
 ) -> torch.Tensor:
-    """Compute in closed form the response of modes, initially at rest, during a half-sine force pulse.
+    """Compute in closed form the response of modes, at rest before, during a half-sine force pulse.
 
     Solves ``y'' + 2 c y' + (w^2 + c^2) y = f(t)`` with ``f(t) = pi / (2 T) sin(pi t / T)``, which has unit
-    impulse and approximates the force of an elastic (Hertzian) contact to a few per cent.
-
-    Parameters
-    ----------
-    s : (M, 1) complex tensor
-        -c + i w, 1/s.
-    time : (samples,) tensor
-        Time since the start of contact, from 0 to the contact time T, seconds.
-    contact_time : float
-        T, seconds.
-    order : int
-        0 for the displacement y, 1 for its velocity, 2 for its acceleration.
-    turn : complex
-        Factor of the modes' phasors.
-
-    Returns
-    -------
-    (M, samples) float64
+    impulse and approximates the force of an elastic (Hertzian) contact to a few per cent. Poles s = -c + i w
+    (M, 1) are complex, 1/s; times (samples,) since the start of contact go from 0 to the contact time T,
+    seconds. The order is 0 for the displacement y, 1 for its velocity, 2 for its acceleration; ``turn`` is a
+    factor of the modes' phasors. Returns (M, samples) float64.
     """
     moved = (turn * pulse_phasor(s, time / contact_time, contact_time) * s**order).imag / s.imag
     if order == 2:  # add the force itself; the other terms are elastic and viscous
@@ -189,45 +145,22 @@ def half_sine_response(
 
 
 def half_sine(time: torch.Tensor, contact_time: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a half sine of unit impulse, and its derivative over pi / T; 0 outside the contact time T.
+    """Return a half sine of unit impulse, and its derivative over pi / T, 1/s; 0 outside the contact time T.
 
-    Parameters
-    ----------
-    time : tensor
-        Since its start, seconds.
-    contact_time : float
-        T, seconds, positive.
-
-    Returns
-    -------
-    two tensors of the shape of ``time``
-        1/s
+    Times since its start, of any shape, and T > 0 are in seconds.
     """
     turn, touching = math.pi / contact_time, (time >= 0) & (time <= contact_time)
     return turn / 2 * torch.sin(turn * time) * touching, turn / 2 * torch.cos(turn * time) * touching
 
 
-def pressing(s: Any, contact_time: float) -> tuple[Any, Any]:
+def force_factors(s: Any, contact_time: float) -> tuple[Any, Any]:
     """Return how the force itself is heard while it acts on modes that are heard by their acceleration.
 
     A mode rings as the imaginary part of G z, with z' = s z + f. Its acceleration, times w, is the imaginary
     part of s^2 z + s f + f'. So G / s^2 is the pressure per acceleration, and while the force acts, the
     imaginary parts of G times these factors add the parts of `half_sine`: the force f, and its derivative f'
-    over pi / T.
+    over pi / T. Poles s (M,) are per second, or per sample, as the contact time is.
 
-    Parameters
-    ----------
-    s : (M,) complex array or tensor
-        -c + i w, 1/s; or per sample.
-    contact_time : float
-        Seconds, or samples.
-
-    Returns
-    -------
-    two (M,) complex arrays or tensors
-
-    Notes
-    -----
     The pressure per acceleration is known at the mode's frequency alone, as W. Its imaginary part is heard of
     the derivative of the acceleration, Re W - b Re s + b d/dt with b = Im W / w, or of the integral, the
     velocity. With the velocity, the force adds Im(W s) / w times f; with the derivative, Im W / w times f',
@@ -235,7 +168,7 @@ def pressing(s: Any, contact_time: float) -> tuple[Any, Any]:
     is fitted to W at all frequencies, for any causal force; see docs/sound.md.
     """
     turned = s.imag * contact_time
-    share = turned**2 / (turned**2 + _SLOW**2)
+    share = turned**2 / (turned**2 + _SLOW_CONTACT_PHASE**2)
     return 1 / s, share * (math.pi / contact_time) / s**2
 
 
@@ -248,22 +181,9 @@ def response_at(
 ) -> torch.Tensor:
     """Compute the response of modes at any times, as `responses` does at samples; 0 before the strike.
 
-    Parameters
-    ----------
-    s : (M, 1) complex tensor
-        -c + i w, 1/s.
-    time : (M, T) or (T,) tensor
-        Since the start of contact, seconds.
-    contact_time : float
-        Seconds; 0 is an ideal impulse.
-    order : int
-        0 for the displacement, 1 for its velocity.
-    weight : (M, 1) complex tensor
-        Factor of the modes' phasors: 1 + b s adds b times the velocity to the displacement.
-
-    Returns
-    -------
-    (M, T) float64
+    Poles s = -c + i w (M, 1), 1/s; times (M, T) or (T,) since the start of contact, and the contact time,
+    seconds. The order is 0 for the displacement, 1 for its velocity; the weight (M, 1) is a factor of the
+    modes' phasors: 1 + b s adds b times the velocity to the displacement. Returns (M, T) float64.
     """
     free = (time - contact_time).clip(min=0)
     share = (time / contact_time).clip(0, 1) if contact_time else torch.ones_like(time)
@@ -272,21 +192,10 @@ def response_at(
 
 
 def pulse_phasor(s: torch.Tensor, share: torch.Tensor, contact_time: float) -> torch.Tensor:
-    """Convolve exp(s t) with the half sine of unit impulse, at fractions of the contact.
+    """Convolve exp(s t) with the half sine of unit impulse, at shares of the contact, 0 to 1; complex.
 
-    Parameters
-    ----------
-    s : (M, 1) complex tensor
-        -c + i w, 1/s.
-    share : (samples,) or (M, samples) tensor
-        Time since the start of contact over the contact time, 0 to 1.
-    contact_time : float
-        Seconds, positive.
-
-    Returns
-    -------
-    (M, samples) complex tensor
-        At the end of the contact, the phasor with which modes ring on.
+    Poles s = -c + i w (M, 1), 1/s, and shares (samples,) or (M, samples) give (M, samples): at the end of the
+    contact, the phasor with which modes ring on.
     """
     motion = s * (share * contact_time)
     turn = 1j * math.pi * share
@@ -303,7 +212,7 @@ def _divided_difference(p: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
     return torch.where(near, series, (torch.exp(p) - torch.exp(q)) / torch.where(near, 1, 2 * half))
 
 
-def audible(damped_frequency: torch.Tensor, sample_rate: float) -> torch.Tensor:
+def is_audible(damped_frequency: torch.Tensor, sample_rate: float) -> torch.Tensor:
     """Return a mask of the modes below the Nyquist frequency; (M,) bool."""
     return damped_frequency < math.pi * sample_rate
 

@@ -52,22 +52,13 @@ def retune(
     """Compute the modes of an object of another material or size.
 
     Modes that leave the range of hearing, 20 Hz to 20 kHz or to the end of the solved band if it is higher,
-    or become overdamped are dropped, as in a solve.
-    A softer or larger object has audible modes that lay above the solved band and are missing.
+    or become overdamped are dropped, as in a solve. A softer or larger object has audible modes that lay
+    above the solved band and are missing.
 
-    Parameters
-    ----------
-    damped_frequency, damping : (M,) tensors
-        Of the stored modes, rad/s and 1/s.
-    band_hz : tuple of float
-        Band of natural frequencies in which every mode is stored.
-    stored, wanted : tuple of Material and float
-        Material and longest side in metres. Those of the wanted object may be tensors with gradients.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the size is outside `SIZES`, or the material so extreme that numbers overflow.
+    Damped frequencies (M,), rad/s, and decay rates (M,), 1/s, are those of the stored modes, which are
+    complete in a band of natural frequencies. An object is a material and its longest side in metres; those
+    of the wanted one may be tensors with gradients. Raises ObjectFolderError if the size is outside `SIZES`,
+    or the material so extreme that numbers overflow.
     """
     (old, _), (new, new_scale) = stored, wanted
     low, high = SIZES

@@ -26,7 +26,7 @@ from objectfolder.benchmarks.models.encoders import check_encoder, read_weights
 from objectfolder.benchmarks.tasks.job import Report
 from objectfolder.benchmarks.tasks.running import KnownObject, Run, machine, run_benchmark, training_device
 from objectfolder.benchmarks.tasks.task import Objects, Scores, Task, TaskParams
-from objectfolder.engine.pool import in_processes
+from objectfolder.engine.process import in_processes
 from objectfolder.engine.resources import cores
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.io import read_json, write_json

@@ -12,7 +12,7 @@ import typer
 
 from objectfolder.benchmarks.reporting.tables import Table
 from objectfolder.benchmarks.tasks.task import Task, Variant, find_task
-from objectfolder.cli.console import print_line, print_wide, tracked
+from objectfolder.cli.console import print_line, print_wide, track_progress
 from objectfolder.cli.files import SAMPLE, files_or_folders
 from objectfolder.workspace.params import BENCHMARKS
 
@@ -145,7 +145,7 @@ def run_task(task: Task, given: dict[str, Any]) -> None:
     from objectfolder.benchmarks import run  # imports torch
 
     options = run.BenchmarkOptions(**given)
-    scores = run.run_task(task, options, print_line, tracked)
+    scores = run.run_task(task, options, print_line, track_progress)
     paths = [_describe_files(task.name, part, options.folder) for part in scores]
     for table in task.tables(scores):
         print_scores(table)

@@ -1,6 +1,8 @@
 """Console output of all commands."""
 
+import webbrowser
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -14,7 +16,7 @@ from objectfolder.text import visible
 console = Terminal()
 
 
-def tracked(items: Iterable[Any], description: str, total: int) -> Iterable[Any]:
+def track_progress(items: Iterable[Any], description: str, total: int) -> Iterable[Any]:
     """Iterate with a progress bar, shown only on a terminal."""
     screen = Terminal(stderr=True)
     return track(items, description, total, console=screen, transient=True, disable=not screen.is_terminal)
@@ -23,6 +25,12 @@ def tracked(items: Iterable[Any], description: str, total: int) -> Iterable[Any]
 def print_line(text: str) -> None:
     """Print one line, whatever is in it; programs may read it."""
     console.print(visible(text), highlight=False, soft_wrap=True)
+
+
+def show_page(page: Path) -> None:
+    """Open a page in a browser, or say that there is none."""
+    if not webbrowser.open(page.resolve().as_uri()):
+        console.print("no browser found: open the page in one", highlight=False)
 
 
 def print_wide(table: Table, console: Console = console) -> None:

@@ -12,7 +12,7 @@ from objectfolder.cli.console import console
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import install_command, installed_version
 
-SHOWN = 5  # names in a line
+MAX_NAMES = 5  # names in a line
 
 
 def init(
@@ -26,7 +26,7 @@ def init(
     """
     if find_spec("dvc") is None:
         raise ObjectFolderError(f"DVC is not installed; a workspace needs: {install_command('build')}")
-    from objectfolder.engine.dvc.start import start_repository
+    from objectfolder.engine.dvc.repository import start_repository
     from objectfolder.workspace.creation import create_workspace
 
     create_workspace(folder, start_repository)
@@ -69,7 +69,7 @@ def upgrade() -> None:
     console.print(f"this workspace is of objectfolder {installed_version()} now", highlight=False)
     for title, names in lines.items():
         if names:
-            more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-            console.print(Text(f"{title}: {', '.join(names[:SHOWN])}{more}"), soft_wrap=True)
+            more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+            console.print(Text(f"{title}: {', '.join(names[:MAX_NAMES])}{more}"), soft_wrap=True)
     console.print("a build would:")
     print_outlook(status(), console)

@@ -34,33 +34,21 @@ EXTRAS = {
 # In a process of its own, because Dr.Jit prints, and a library that it cannot use may end the process.
 LLVM_PROBE = """
 import drjit
-from objectfolder.vision.renderers.mitsuba import OLDEST_LLVM
+from objectfolder.vision.renderers.mitsuba import MIN_LLVM
 found = drjit.detail.llvm_version()
-print("" if found[0] < 0 else ".".join(map(str, found)) + ("" if found >= OLDEST_LLVM else ", too old"))
+print("" if found[0] < 0 else ".".join(map(str, found)) + ("" if found >= MIN_LLVM else ", too old"))
 """
 
 
 @dataclass(frozen=True)
 class Part:
-    """Library, program or extra that is used where it is installed.
-
-    Parameters
-    ----------
-    name : str
-    found : str
-        Versions or paths; empty if nothing is installed.
-    usable : bool
-    brings : str
-        What it is for, and what it costs.
-    get : str
-        How to install it.
-    """
+    """Library, program or extra that is used where it is installed."""
 
     name: str
-    found: str
+    found: str  #: versions or paths; empty if nothing is installed
     usable: bool
-    brings: str
-    get: str
+    brings: str  #: what it is for, and what it costs
+    get: str  #: how to install it
 
 
 def doctor() -> None:
@@ -92,13 +80,13 @@ def examine() -> list[Part]:
 
 def embree() -> Part:
     """Look for the ray caster of all queries."""
-    found = installed("embreex")
+    found = find_version("embreex")
     return Part("Embree", found, bool(found), "all queries and most stages", install_command())
 
 
 def pardiso() -> Part:
     """Look for the fastest factorisation."""
-    found, mkl = installed("pypardiso"), installed("mkl")
+    found, mkl = find_version("pypardiso"), find_version("mkl")
     brings = "modal in half the time and memory; 0.9 GB of the extra build, x86-64 only"
     get = install_command("build")
     return Part("PARDISO (MKL)", mkl and found, bool(mkl and found), brings, get)
@@ -106,7 +94,7 @@ def pardiso() -> Part:
 
 def cholmod() -> Part:
     """Look for the factorisation used without PARDISO."""
-    found = installed("cvxopt")
+    found = find_version("cvxopt")
     brings = "modal without PARDISO; GPL, so no extra installs it"
     return Part("CHOLMOD", found, bool(found), brings, "pip install cvxopt")
 
@@ -114,7 +102,7 @@ def cholmod() -> Part:
 def llvm() -> Part:
     """Ask Dr.Jit which LLVM it finds."""
     found = ""
-    if installed("mitsuba"):
+    if find_version("mitsuba"):
         ran = subprocess.run([sys.executable, "-c", LLVM_PROBE], capture_output=True, text=True)
         found = ran.stdout.strip()
     brings = "renderer mitsuba-llvm: views in half the time; 0.15 GB"
@@ -124,14 +112,14 @@ def llvm() -> Part:
 
 def opengl() -> Part:
     """Look for OpenGL without a screen."""
-    found = ", ".join(name for name in ("libEGL.so.1", "libOSMesa.so.8") if loads(name))
+    found = ", ".join(name for name in ("libEGL.so.1", "libOSMesa.so.8") if has_library(name))
     brings = "pictures of inspect, renderer raster"
     return Part("OpenGL", found, bool(found), brings, "apt-get install libegl1 libgl1-mesa-dri")
 
 
 def cuda() -> Part:
     """Look for an NVIDIA driver, and for torch's CUDA library without importing torch."""
-    driver = loads("libcuda.so.1")
+    driver = has_library("libcuda.so.1")
     torch = any(file.name == "libtorch_cuda.so" for file in distribution("torch").files or ())
     found = ", ".join((["NVIDIA driver"] if driver else []) + (["torch with CUDA"] if torch else []))
     brings = "faster training, renderer mitsuba-cuda; several GB"
@@ -180,14 +168,14 @@ def extra(name: str) -> Part:
         for one in map(Requirement, requires("objectfolder") or ())
         if one.marker and one.marker.evaluate({"extra": name}) and not one.marker.evaluate({"extra": ""})
     ]
-    missing = [one.name for one in wanted if not one.specifier.contains(installed(one.name) or "0", True)]
+    missing = [one.name for one in wanted if not one.specifier.contains(find_version(one.name) or "0", True)]
     shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
     found = "" if len(missing) == len(wanted) else f"without {shown}" if missing else "installed"
     get = install_command(name) if wanted else "not for this Python or machine"
     return Part(f"extra {name}", found, bool(found) and not missing, EXTRAS[name], get)
 
 
-def installed(package: str) -> str:
+def find_version(package: str) -> str:
     """Version of an installed package; empty if it is missing."""
     try:
         return version(package)
@@ -195,7 +183,7 @@ def installed(package: str) -> str:
         return ""
 
 
-def loads(library: str) -> bool:
+def has_library(library: str) -> bool:
     """Whether the system has a shared library."""
     try:
         ctypes.CDLL(library)

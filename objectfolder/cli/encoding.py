@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 
 import numpy as np
 
-from objectfolder.cli.console import print_line, tracked
+from objectfolder.cli.console import print_line, track_progress
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.io import atomic, check_output
 
@@ -16,10 +16,8 @@ from objectfolder.io import atomic, check_output
 def encoder(command: str, out: Path, *sides: int) -> str:
     """Return the path of ffmpeg, for a command that writes a video of these width and height.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is not installed, the video has another name than .mp4 or cannot be written, or a side is odd.
+    Raises ObjectFolderError if it is not installed, the video has another name than .mp4 or cannot be
+    written, or a side is odd.
     """
     if out.suffix.lower() != ".mp4":
         raise ObjectFolderError(f"{out}: expected a name that ends in .mp4")
@@ -47,22 +45,9 @@ def write_video(
 ) -> None:
     """Encode pictures and sound, and say so.
 
-    Parameters
-    ----------
-    program : str
-        See `encoder`.
-    out : Path
-    pictures : iterable of (H, W, 3) uint8 arrays
-    count : int
-        How many pictures there are.
-    rate : float
-        Pictures per second.
-    size : (int, int)
-        Width and height, pixels.
-    sound : (samples,) array
-        In [-1, 1].
-    sample_rate : int
-        Hz.
+    ``program``: see `encoder`; ``pictures`` (H, W, 3); ``count``: how many pictures there are; ``rate``:
+    pictures per second; ``size`` (int, int): width and height, pixels; ``sound`` (samples,): in [-1, 1];
+    ``sample_rate``: Hz.
     """
     import soundfile
 
@@ -76,7 +61,7 @@ def write_video(
         with subprocess.Popen([*command, str(path)], stdin=subprocess.PIPE, stderr=log) as running:
             assert running.stdin is not None
             try:
-                for picture in tracked(pictures, "pictures", count):
+                for picture in track_progress(pictures, "pictures", count):
                     running.stdin.write(picture.tobytes())
             except BrokenPipeError:
                 pass  # it says why

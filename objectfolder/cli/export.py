@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from objectfolder.cli.console import console, print_line, tracked
+from objectfolder.cli.console import console, print_line, track_progress
 from objectfolder.cli.files import SAMPLE, folder_to_write, object_files
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.installation import install_command
@@ -26,12 +26,13 @@ export_app = typer.Typer(
     "OpenUSD (`usd`), and for game engines and browsers (`glb`).",
 )
 
+SIMULATION = ("mujoco", "coacd", "manifold3d")  #: libraries of rigid bodies
+
 OutArgument = Annotated[
     Path, typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write)
 ]
 FoldersArgument = Annotated[
-    list[Path],
-    typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below."),
+    list[Path], typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below.")
 ]
 FilesArgument = Annotated[
     list[Path],
@@ -88,7 +89,7 @@ def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 
     Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Half a minute per object.
     """
-    _require("rl", "mujoco", "coacd", "manifold3d")
+    _require("rl", *SIMULATION)
     from objectfolder.envs.export import write_mjcf
 
     _export_objects(out, files, hulls, write_mjcf)
@@ -101,7 +102,7 @@ def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
     Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Half a minute per
     object.
     """
-    _require("rl", "mujoco", "coacd", "manifold3d")
+    _require("rl", *SIMULATION)
     from objectfolder.envs.export import write_urdf
 
     _export_objects(out, files, hulls, write_urdf)
@@ -114,7 +115,7 @@ def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
     Any glTF reader draws it. Rigid body and sound are the draft extensions KHR_physics_rigid_bodies and
     KHR_audio_rigid_bodies (docs/robots.md). Half a minute per object.
     """
-    _require("rl", "mujoco", "coacd", "manifold3d")
+    _require("rl", *SIMULATION)
     from objectfolder.envs.gltf import write_glb
 
     _export_objects(out, files, hulls, write_glb)
@@ -127,7 +128,7 @@ def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
     Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Half a minute per object.
     """
     _require("usd", "pxr")
-    _require("rl", "mujoco", "coacd", "manifold3d")
+    _require("rl", *SIMULATION)
     from objectfolder.envs.usd import write_usd
 
     _export_objects(out, files, hulls, write_usd)
@@ -150,7 +151,7 @@ def nerfstudio(
     """
     from objectfolder.benchmarks.datasets.nerfstudio import write_nerfstudio
 
-    objects = _loaded(out, files, "vision")
+    objects = _load_objects(out, files, "vision")
     for file in objects:
         if file.header["vision"]["kind"] == "surface":
             file.require("geometry")
@@ -194,8 +195,7 @@ def lerobot(
             seed=seed,
             report=lambda done, total: status.update(f"{done} of {total} episodes"),
         )
-    count = f"{plural(len(objects), 'object')} in {out}/: {plural(episodes, 'episode')} of each"
-    print_line(count)
+    print_line(f"{plural(len(objects), 'object')} in {out}/: {plural(episodes, 'episode')} of each")
 
 
 def _export_objects(
@@ -203,14 +203,14 @@ def _export_objects(
 ) -> None:
     from objectfolder.envs.body import density
 
-    objects = _loaded(out, files, "geometry")
+    objects = _load_objects(out, files, "geometry")
     for found in objects:
         density(found)
-    for found in tracked(objects, "exporting objects", len(objects)):
+    for found in track_progress(objects, "exporting objects", len(objects)):
         print_line(str(write(found, out, hulls)))
 
 
-def _loaded(out: Path, files: list[Path], *needs: str) -> "list[ObjectFile]":
+def _load_objects(out: Path, files: list[Path], *needs: str) -> "list[ObjectFile]":
     """Load objects, each of which gets a new folder and has the parts; checked before anything is written."""
     from objectfolder.objectfile.file import ObjectFile
 

@@ -18,10 +18,7 @@ def object_file(given: Path) -> Path:
 
     A file of that name comes before the sample.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is neither, or it is a folder.
+    Raises ObjectFolderError if there is neither, or it is a folder.
     """
     found = _there(file_or_sample(given), given)
     if found.is_dir():
@@ -64,10 +61,7 @@ def files_or_folders(given: Sequence[Path] | None) -> list[Path] | None:
 def folder_to_write(given: Path) -> Path:
     """Return a folder that a command writes into; it need not exist.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is a file or a link to nothing, or it cannot be written.
+    Raises ObjectFolderError if it is a file or a link to nothing, or it cannot be written.
     """
     if os.path.lexists(given) and not given.is_dir():
         raise ObjectFolderError(f"{given} is a file, expected a folder; choose another name")
@@ -83,10 +77,8 @@ def folder_to_write(given: Path) -> Path:
 def page_to_write(given: Path) -> Path:
     """Return a page that a command writes; an older page is replaced.
 
-    Raises
-    ------
-    ObjectFolderError
-        If its name is not one of a page, as that of an Object File, or it cannot be written.
+    Raises ObjectFolderError if its name is not one of a page, as that of an Object File, or it cannot be
+    written.
     """
     if given.suffix.lower() not in PAGES:
         raise ObjectFolderError(f"--out {given}: expected the name of a page, such as {given.stem}.html")
@@ -97,10 +89,7 @@ def page_to_write(given: Path) -> Path:
 def site_to_write(given: Path) -> Path:
     """Return a folder for a report, which holds none or an older one.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it has the name of a page, is a file, or holds a page that no report wrote.
+    Raises ObjectFolderError if it has the name of a page, is a file, or holds a page that no report wrote.
     """
     if given.suffix.lower() in PAGES:
         raise ObjectFolderError(f"--out {given}: expected a folder; for one page, add --single-file")
@@ -115,10 +104,7 @@ def site_to_write(given: Path) -> Path:
 def empty_folder(given: Path) -> Path:
     """Return a folder that a command writes into, which does not exist or is empty but for hidden files.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is a file, or holds files, which would stay among the new ones.
+    Raises ObjectFolderError if it is a file, or holds files, which would stay among the new ones.
     """
     folder = folder_to_write(given)
     held = sorted(path.name for path in folder.iterdir() if path.name[0] != ".") if folder.is_dir() else []

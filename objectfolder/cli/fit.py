@@ -14,7 +14,8 @@ fit_app = typer.Typer(
     rich_markup_mode="markdown",
     help="Fit an object to reality: `sound`, to recordings of taps.",
 )
-GUESS = 0.6  # score of the next best stiffness, relative to the best, from which on the fit may be wrong
+#: Score of the next best stiffness, relative to the best, from which on the fit may be wrong.
+RIVAL_LIMIT = 0.6
 
 
 @fit_app.callback()
@@ -43,7 +44,7 @@ def sound(
     again.
     """
     from objectfolder.audio.fitting import fit_sound
-    from objectfolder.audio.recordings import at_one_rate, read_recording
+    from objectfolder.audio.recordings import read_recording, resample_to_lowest
     from objectfolder.audio.ringdown import LN_1000
     from objectfolder.checks import one_of
     from objectfolder.io import check_output, read_json, read_npz
@@ -59,7 +60,7 @@ def sound(
         check_output(params.PARAMS_FILE)
     build = Build(key)
     report, modes = read_json(build.modal), read_npz(build.modes, "eigenvalues")
-    sounds, rate = at_one_rate([read_recording(path) for path in recordings], recordings)
+    sounds, rate = resample_to_lowest([read_recording(path) for path in recordings], recordings)
     computed = np.sqrt(modes["eigenvalues"]) / (2 * np.pi)
     solid = Material(report["material"], **report["material_properties"])
     fit = fit_sound(computed, solid, sounds, rate, law)
@@ -86,7 +87,7 @@ def sound(
         f"modes below 200 Hz are not used: {(computed < 200).sum()} of {len(computed)} computed ones",
         f"material: {fit.material}",
     ]
-    if match.rival > GUESS:
+    if match.rival > RIVAL_LIMIT:
         lines.append(
             f"uncertain: another stiffness matches {match.rival:.0%} as well; give more recordings, or check "
             "the size"

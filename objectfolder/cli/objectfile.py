@@ -21,11 +21,7 @@ if TYPE_CHECKING:
 query_app = typer.Typer(no_args_is_help=True, help="Query an Object File: `vision`, `audio` or `touch`.")
 
 #: Units of a sound without a listener, by response.
-SOUND_UNITS = {
-    "displacement": "m kg^1/2",
-    "velocity": "m kg^1/2/s",
-    "acceleration": "m kg^1/2/s^2",
-}
+SOUND_UNITS = {"displacement": "m kg^1/2", "velocity": "m kg^1/2/s", "acceleration": "m kg^1/2/s^2"}
 TOUCH_ARRAYS = ("height", "displacement", "pressure", "normals")
 SHEAR_ARRAYS = ("sideways", "traction", "marker_flow")  #: of contacts that are sheared
 TOUCH_OUTPUTS = ("image", "mask", *TOUCH_ARRAYS, *SHEAR_ARRAYS)
@@ -104,16 +100,18 @@ def vision(
     """Render views. Positions are in the unit frame, in which the object's longest side is 1."""
     from objectfolder.io import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
-    from objectfolder.objectfile.vision import poses_and_lights
-    from objectfolder.vision.environment import all_lamps
+    from objectfolder.objectfile.vision import LitCameras
+    from objectfolder.vision.cameras import Intrinsics
+    from objectfolder.vision.environment import gather_lamps
 
     given = lights is not None or environment is not None
     hint = ", cameras, beside --lights or --environment" if given else ", or give --lights"
     obj, rows = ObjectFile.load(file), read_rows(queries, 3 if given else 6, hint)
-    lamps = all_lamps(_lamps(lights), environment)
+    lamps = gather_lamps(_lamps(lights), environment)
     # Checked together, so that a bad row leaves no files; drawn one by one, which takes less memory.
-    poses, lamps_of = poses_and_lights(rows[:, :3], None if given else rows[:, 3:], lamps)
-    for i, (pose, lit_by) in enumerate(zip(poses, lamps_of), 1):
+    square = Intrinsics.square(resolution)
+    cameras = LitCameras.checked(rows[:, :3], None if given else rows[:, 3:], lamps, square)
+    for i, (pose, lit_by) in enumerate(cameras, 1):
         views = obj.render(pose, None, resolution, supersample=supersample, lights=lit_by)
         write_png(out / f"{i}.png", (views.rgb[0] * 255).round().astype(np.uint8))
         if buffers:
@@ -274,9 +272,9 @@ def touch(
         others: dict[str, Any] = {"sensor": sensor, "shear": shear, "twist": twist}
         others |= {"friction": friction, "markers": markers}
         obj.touches(points, **query)  # checks all contacts before any is written
-        contacts = vars(ContactPoses.checked(points, depths, 0.0, tilt, azimuth))
+        contacts = ContactPoses.checked(points, depths, 0.0, tilt, azimuth)
         batches: Iterator[Any] = (
-            obj.press(**{name: values[start : start + _BATCH] for name, values in contacts.items()}, **others)
+            obj.press(**vars(contacts[start : start + _BATCH]), **others)
             for start in range(0, len(points), _BATCH)
         )
         columns, forces = TOUCH_COLUMNS | SHEAR_COLUMNS, ["shear_right_N", "shear_up_N"]
@@ -334,7 +332,7 @@ def _contact_summary(rows: np.ndarray) -> str:
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:
     """Describe a part in a line, reading no tensors but the modes."""
-    from objectfolder.fem.modal import CERTAIN
+    from objectfolder.fem.certainty import MAX_UNWARNED_ERROR
 
     if part not in obj.header:
         return "none"
@@ -354,7 +352,7 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     described = obj.header[part]
     error = described.get("frequency_uncertainty")
     certain = ""
-    if error is not None and error > CERTAIN:
+    if error is not None and error > MAX_UNWARNED_ERROR:
         certain = f", uncertain: the lowest ten may be {error:.0%} wrong"
     elif error is not None:
         certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")

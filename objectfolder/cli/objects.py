@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 from rich.text import Text
 
-from objectfolder.cli.console import console, print_line, tracked
+from objectfolder.cli.console import console, print_line, track_progress
 from objectfolder.errors import ObjectFolderError, plural
 from objectfolder.terminal import Terminal
 
 if TYPE_CHECKING:
-    from objectfolder.workspace.discover import Examination
+    from objectfolder.workspace.discover import Candidate, Examination
 
 
 def _metres(text: str) -> float:
@@ -36,13 +36,11 @@ def add(
         ),
     ],
     name: Annotated[str | None, typer.Option(help="Object key, such as `blue_mug`.")] = None,
-    material: Annotated[str | None, typer.Option(help="ceramic, glass, wood, plastic, iron, ...")] = None,
+    material: Annotated[str | None, typer.Option(help="ceramic, glass, wood, ..., or a YAML file.")] = None,
     scale: Annotated[
         float | None,
         typer.Option(
-            metavar="METRES",
-            parser=_metres,
-            help="Longest side in metres; default: the size of the mesh.",
+            metavar="METRES", parser=_metres, help="Longest side in metres; default: the size of the mesh."
         ),
     ] = None,
     up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,
@@ -71,12 +69,7 @@ def add(
     In a folder, each mesh file and each subfolder with a mesh is an object. --material applies to all;
     materials.csv (lines `name,material`) or materials.yaml in the folder overrides it by object.
     """
-    from objectfolder.engine.dvc.repository import track
-    from objectfolder.workspace import params
-    from objectfolder.workspace.check import check_entries
-    from objectfolder.workspace.discover import UNITS, Candidate, discover, examination_table, examine
-    from objectfolder.workspace.installed import check_installed
-    from objectfolder.workspace.objects import add_catalogue, add_mesh
+    from objectfolder.workspace.discover import Candidate, discover
 
     if mesh.suffix in (".yaml", ".yml"):
         for_meshes = {
@@ -89,22 +82,35 @@ def add(
             "--bridge": None if bridge == "all" else bridge,
             "--dry-run": dry_run or None,
         }
-        if given := [option for option, value in for_meshes.items() if value is not None]:
-            verb = "applies" if len(given) == 1 else "apply"
+        return _add_catalogue(mesh, [option for option, value in for_meshes.items() if value is not None])
+    _check_options(scale, up, unit, wall, bridge)
+    options = {"up": up, "unit": unit, "wall": wall, "bridge": bridge}
+    values = _read_params()
+    if not mesh.exists():
+        raise ObjectFolderError(f"{mesh} does not exist; expected a mesh, a folder of meshes, or a catalogue")
+    if not mesh.is_dir():
+        if name is None or material is None:
             raise ObjectFolderError(
-                f"{mesh} is a catalogue, whose entries set these; {' and '.join(given)} {verb} to meshes only"
+                f"{mesh}: a mesh needs --name and --material; see objectfolder add --help"
             )
-        check_installed()
-        check_entries(params.read())
-        added = add_catalogue(mesh)
-        console.print(f"added {', '.join(added) or 'nothing new'}; next: objectfolder build")
-        return
+        return _add_one(Candidate(name, mesh, material), values, scale, options, dry_run)
+    if name is not None or scale is not None:
+        raise ObjectFolderError(
+            f"{mesh} is a folder; --name and --scale are for one mesh, such as {discover(mesh)[0].mesh}"
+        )
+    raise typer.Exit(not _add_folder(mesh, values, material, options, dry_run))
+
+
+def _check_options(scale: float | None, up: str | None, unit: str, wall: float | None, bridge: str) -> None:
+    from objectfolder.workspace.discover import UNITS
+    from objectfolder.workspace.params import Bridge
+
     if unit not in UNITS:
         raise ObjectFolderError(f"unit {unit!r} is not one of {', '.join(UNITS)}")
     if up not in (None, "y", "z"):
         raise ObjectFolderError(f"up axis {up!r} is neither 'y' nor 'z'")
-    if bridge not in get_args(params.Bridge):
-        raise ObjectFolderError(f"bridge {bridge!r} is not one of {', '.join(get_args(params.Bridge))}")
+    if bridge not in get_args(Bridge):
+        raise ObjectFolderError(f"bridge {bridge!r} is not one of {', '.join(get_args(Bridge))}")
     if wall is not None and not 0 < wall < inf:
         raise ObjectFolderError(f"wall is {wall:g}, expected a thickness in metres")
     if scale is not None and unit != "m":
@@ -112,93 +118,115 @@ def add(
             f"--scale {scale:g} is in metres, whatever the unit of the mesh's coordinates; give --scale, or "
             f"--unit {unit}, not both"
         )
+
+
+def _read_params() -> dict[str, Any]:
+    """Read the parameters of a workspace that a build would accept."""
+    from objectfolder.workspace import params
+    from objectfolder.workspace.check import check_entries
+    from objectfolder.workspace.installed import check_installed
+
     check_installed()
     values = params.read()
     check_entries(values)
-    if not mesh.exists():
-        raise ObjectFolderError(f"{mesh} does not exist; expected a mesh, a folder of meshes, or a catalogue")
-    if mesh.is_dir():
-        if name is not None or scale is not None:
-            found = discover(mesh)[0].mesh
-            raise ObjectFolderError(
-                f"{mesh} is a folder; --name and --scale are for one mesh, such as {found}"
-            )
-        raise typer.Exit(not _add_folder(mesh, values, material, up, unit, wall, bridge, dry_run))
-    if name is None or material is None:
-        raise ObjectFolderError(f"{mesh}: a mesh needs --name and --material; see objectfolder add --help")
-    finding = examine(Candidate(name, mesh, material), values, scale, up, unit, wall, bridge)
-    console.print(examination_table([finding], up is not None))
-    _print_notes([finding])
-    if dry_run:
-        return
-    entry = add_mesh(mesh, name, material, finding.scale, up, wall=wall, bridge=bridge, track=track)
-    console.print(
-        f"added {name}: {entry['material']}, longest side {entry['scale']:.4g} m, {entry['up']} up; "
-        f"next: objectfolder build {name}",
-        soft_wrap=True,
-    )
+    return values
 
 
-def _print_notes(findings: "list[Examination]") -> None:
+def _add_catalogue(catalogue: Path, options: list[str]) -> None:
+    from objectfolder.workspace.objects import add_catalogue
+
+    if options:
+        verb = "applies" if len(options) == 1 else "apply"
+        raise ObjectFolderError(
+            f"{catalogue} is a catalogue, whose entries set these; {' and '.join(options)} {verb} to meshes "
+            "only"
+        )
+    _read_params()
+    added = add_catalogue(catalogue)
+    console.print(f"added {', '.join(added) or 'nothing new'}; next: objectfolder build")
+
+
+def _add_one(
+    candidate: "Candidate",
+    values: dict[str, Any],
+    scale: float | None,
+    options: dict[str, Any],
+    dry_run: bool,
+) -> None:
+    """Examine and add one mesh."""
+    from objectfolder.workspace.discover import examine
+
+    finding = examine(candidate, values, scale, **options)
+    _print_findings([finding], options)
+    if not dry_run:
+        entry = _add_examined(finding, options)
+        console.print(
+            f"added {candidate.key}: {entry['material']}, longest side {entry['scale']:.4g} m, "
+            f"{entry['up']} up; next: objectfolder build {candidate.key}",
+            soft_wrap=True,
+        )
+
+
+def _add_folder(
+    folder: Path, values: dict[str, Any], material: str | None, options: dict[str, Any], dry_run: bool
+) -> bool:
+    """Examine and add the objects in a folder; return whether all were accepted."""
+    from objectfolder.workspace.discover import FORMATS, discover, examine_all, passed_over
+
+    candidates = discover(folder, material)
+    examined = examine_all(candidates, values, **options)
+    findings = list(track_progress(examined, "examining", len(candidates)))
+    _print_findings(findings, options)
+    refused = [(f.candidate.key, f.refusal) for f in findings if f.refusal is not None]
+    accepted = [f for f in findings if f.refusal is None]
+    added = 0
+    for finding in track_progress([] if dry_run else accepted, "adding", len(accepted)):
+        try:
+            _add_examined(finding, options)
+            added += 1
+        except ObjectFolderError as error:
+            refused.append((finding.candidate.key, str(error)))
+    for key, reason in dict.fromkeys(refused):
+        refusal = f" {key}: {reason.removeprefix(f'{key}: ')}"
+        console.print(Text.assemble(("refused", "bold red"), refusal), soft_wrap=True)
+    if skipped := passed_over(folder):
+        names = [str(path.relative_to(folder)) for path in skipped[:4]]
+        more = ", ..." if len(skipped) > 4 else ""
+        expected = ", ".join(FORMATS)
+        print_line(f"{plural(len(skipped), 'file')} skipped: {', '.join(names)}{more}; expected {expected}")
+    text = f"{len(accepted)} can be added" if dry_run else f"{added} added"
+    text += f", {len(refused)} refused" if refused else ""
+    console.print(text + ("; next: objectfolder build" if added else ""), highlight=False)
+    return not refused
+
+
+def _print_findings(findings: "list[Examination]", options: dict[str, Any]) -> None:
+    from objectfolder.workspace.discover import examination_table
+
+    console.print(examination_table(findings, options["up"] is not None))
     for finding in findings:
         if finding.notes:
             text = f"{finding.candidate.key}: {'; '.join(finding.notes)}"
             console.print(text, soft_wrap=True, highlight=False)
 
 
-def _add_folder(
-    folder: Path,
-    values: dict[str, Any],
-    material: str | None,
-    up: str | None,
-    unit: str,
-    wall: float | None,
-    bridge: str,
-    dry_run: bool,
-) -> bool:
-    """Examine and add the objects in a folder; return whether all were accepted."""
+def _add_examined(finding: "Examination", options: dict[str, Any]) -> dict[str, Any]:
+    """Add an accepted mesh, which is not loaded again; return its entry."""
     from objectfolder.engine.dvc.repository import track
-    from objectfolder.workspace.discover import FORMATS, discover, examination_table, examine_all, passed_over
     from objectfolder.workspace.objects import add_mesh
 
-    candidates = discover(folder, material)
-    examined = examine_all(candidates, values, up, unit, wall, bridge)
-    findings = list(tracked(examined, "examining", len(candidates)))
-    console.print(examination_table(findings, up is not None))
-    refused = [(f.candidate.key, f.refusal) for f in findings if f.refusal is not None]
-    _print_notes(findings)
-    accepted = [f for f in findings if f.refusal is None]
-    added = []
-    for finding in tracked([] if dry_run else accepted, "adding", len(accepted)):
-        candidate = finding.candidate
-        try:
-            material = candidate.material or ""
-            add_mesh(
-                candidate.mesh,
-                candidate.key,
-                material,
-                finding.scale,
-                up,
-                wall=wall,
-                bridge=bridge,
-                track=track,
-            )
-            added.append(candidate.key)
-        except ObjectFolderError as error:
-            refused.append((candidate.key, str(error)))
-    for key, reason in dict.fromkeys(refused):
-        refusal = f" {key}: {reason.removeprefix(f'{key}: ')}"
-        console.print(Text.assemble(("refused", "bold red"), refusal), soft_wrap=True)
-    if skipped := passed_over(folder):
-        names = ", ".join(str(path.relative_to(folder)) for path in skipped[:4]) + ", ..." * (
-            len(skipped) > 4
-        )
-        text = f"{plural(len(skipped), 'file')} skipped: {names}; expected {', '.join(FORMATS)}"
-        print_line(text)
-    text = f"{len(accepted)} can be added" if dry_run else f"{len(added)} added"
-    text += f", {len(refused)} refused" if refused else ""
-    console.print(text + ("; next: objectfolder build" if added else ""), highlight=False)
-    return not refused
+    candidate = finding.candidate
+    return add_mesh(
+        candidate.mesh,
+        candidate.key,
+        candidate.material or "",
+        finding.scale,
+        options["up"],
+        wall=options["wall"],
+        bridge=options["bridge"],
+        examined=True,
+        track=track,
+    )
 
 
 def fetch(
@@ -232,7 +260,7 @@ def fetch(
     """
     from objectfolder.fetch import report
     from objectfolder.fetch.catalogue import read_catalogue, select_objects
-    from objectfolder.fetch.local import check_directory
+    from objectfolder.fetch.files import check_directory
     from objectfolder.fetch.run import FetchStatus, fetch_all
     from objectfolder.workspace import params
 

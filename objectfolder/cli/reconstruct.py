@@ -21,8 +21,7 @@ def reconstruct(
         str | None, typer.Option(metavar="R,G,B", help="Colour of a plain background, 0 to 255 each.")
     ] = None,
     tolerance: Annotated[
-        int,
-        typer.Option(min=0, max=255, help="Smallest difference from the background, levels."),
+        int, typer.Option(min=0, max=255, help="Smallest difference from the background, levels.")
     ] = 30,
     encoder: Annotated[
         str | None,
@@ -35,7 +34,7 @@ def reconstruct(
     `--background`. The model only knows objects like those it was trained on.
     """
     from objectfolder.benchmarks.models.encoders import registered
-    from objectfolder.benchmarks.models.framing import framed
+    from objectfolder.benchmarks.models.framing import frame_cutout
     from objectfolder.benchmarks.models.shape_model import load_model
     from objectfolder.benchmarks.tasks.photograph import (
         check_mesh_name,
@@ -54,7 +53,7 @@ def reconstruct(
     if encoder is not None:
         registered(encoder)
     trained = load_model(model)
-    vertices, faces = photograph_to_mesh(trained, framed(rgba, trained.setup.view))
+    vertices, faces = photograph_to_mesh(trained, frame_cutout(rgba, trained.setup.view))
     write_mesh(out, vertices, faces)
     print_line(f"wrote {out}: {len(vertices):,} vertices, {len(faces):,} triangles")
 

@@ -48,8 +48,8 @@ def release(
     Example: objectfolder release dataset --name "Kitchen" --creator "A. Smith" --licence CC0-1.0
     """
     from objectfolder.objectfile.dataset import MAX_CATEGORY, MAX_TEXT
-    from objectfolder.release.entries import entry_of, notices_of, released_keys
-    from objectfolder.release.words import described
+    from objectfolder.release.entries import entry_of, notices_of, select_keys
+    from objectfolder.release.pages import describe_release
     from objectfolder.release.write import write_release
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_own
@@ -65,12 +65,14 @@ def release(
     if os.path.lexists(folder_to_write(out)):
         raise ObjectFolderError(f"{out} exists already: choose another name, or delete it")
     check_own(values := params.read())
-    keys = released_keys(objects or (), values)
+    keys = select_keys(objects or (), values)
     licences = _by_key("--licence", licence, keys, MAX_TEXT)
     categories = _by_key("--category", category, keys, MAX_CATEGORY)
     with console.status("reading objects") as status:
         entries = [entry_of(key, values, licences, categories) for key in keys]
-        words = described(entries, name=name, creator=creator, version=version, date=_day(date), url=url)
+        words = describe_release(
+            entries, name=name, creator=creator, version=version, date=_day(date), url=url
+        )
         notices = notices_of(keys, values)
         write_release(
             out, entries, words, notices, site, on_object=lambda key: status.update(f"{key} is done")

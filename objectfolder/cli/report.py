@@ -1,12 +1,11 @@
 """Command that reports on a dataset: report."""
 
-import webbrowser
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from objectfolder.cli.console import console, print_line
+from objectfolder.cli.console import console, print_line, show_page
 from objectfolder.cli.files import SAMPLE, object_files, page_to_write, site_to_write
 from objectfolder.errors import ObjectFolderError, plural
 
@@ -59,17 +58,10 @@ def report(
         print_line(f"{key} cannot be reported: {error}")
 
     with console.status("reading objects") as status:
-        page = write_site(
-            paths,
-            out,
-            missing,
-            single_file,
-            lambda key: status.update(f"{key} is done"),
-            note,
-        )
+        page = write_site(paths, out, missing, single_file, lambda key: status.update(f"{key} is done"), note)
     count = plural(len(paths), "object") + (f", {len(failed)} failed" if failed else "")
     print_line(f"{page}: {count}")
-    if open_page and not webbrowser.open(page.resolve().as_uri()):
-        console.print("no browser found: open the page in one", highlight=False)
+    if open_page:
+        show_page(page)
     if failed:
         raise typer.Exit(1)

@@ -85,9 +85,8 @@ def fit_sensor_profile(
     or to sensors/ of a workspace that `objectfolder init` made.
     """
     from objectfolder.touch.calibration import fit_sensor, fit_sensor_lights, save_fit
-    from objectfolder.touch.photographs import read_photograph
+    from objectfolder.touch.photographs import read_pack, read_photograph
     from objectfolder.touch.profiles import load_profile
-    from objectfolder.touch.taxim import read_pack
 
     if out.suffix not in (".yaml", ".yml"):
         raise ObjectFolderError(f"--out is {out}, expected the name of a .yaml file")

@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from objectfolder.cli.console import console, print_wide, tracked
+from objectfolder.cli.console import console, print_wide, track_progress
 from objectfolder.errors import ObjectFolderError, plural
 
 Targets = Annotated[
@@ -77,7 +77,7 @@ def verify(
     from objectfolder.engine.verify import verify as run_verify
 
     with Progress(task="verifying") as progress:
-        report = run_verify(targets or (), repair=repair, jobs=jobs, track=tracked, on_event=progress)
+        report = run_verify(targets or (), repair=repair, jobs=jobs, track=track_progress, on_event=progress)
     if report.rebuilt is not None:
         print_summary(report.rebuilt)
     if report.findings:

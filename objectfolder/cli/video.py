@@ -38,6 +38,6 @@ def video(
     objects = [ObjectFile.load(path) for path in files]
     chosen = [film.contacts(file, settings) for file in objects]
     sounds = [film.sound(file, settings, found) for file, found in zip(objects, chosen)]
-    shots = (shot for file, found in zip(objects, chosen) for shot in film.pictures(file, settings, found))
+    frames = (frame for file, found in zip(objects, chosen) for frame in film.pictures(file, settings, found))
     count, track = len(settings) * len(objects), np.concatenate(sounds)
-    write_video(program, out, shots, count, rate, (size, size), track, settings.sample_rate)
+    write_video(program, out, frames, count, rate, (size, size), track, settings.sample_rate)

@@ -1,13 +1,12 @@
 """Command that opens Object Files in a browser: view."""
 
-import webbrowser
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Annotated
 
 import typer
 
-from objectfolder.cli.console import console, print_line
+from objectfolder.cli.console import print_line, show_page
 from objectfolder.cli.files import SAMPLE, object_files, page_to_write
 from objectfolder.errors import ObjectFolderError
 
@@ -45,5 +44,5 @@ def view(
         objects[key] = path.read_bytes()
     write_text(page, viewer_page(objects, ", ".join(objects)))
     print_line(f"{page} ({page.stat().st_size / 1e6:.1f} MB)")
-    if open_page and not webbrowser.open(page.resolve().as_uri()):
-        console.print("no browser found: open the page in one", highlight=False)
+    if open_page:
+        show_page(page)

@@ -120,14 +120,23 @@ def build(
 
 def preset(
     name: Annotated[
-        str, typer.Argument(help="quick, laptop, standard, faithful or faithful-small (files in params/).")
+        str, typer.Argument(help="quick, laptop, standard, faithful or faithful-small (params/NAME.yaml).")
     ],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the changes; change nothing.")] = False,
 ) -> None:
-    """Merge a preset into params.yaml: number of views, FEM resolution, training length and more."""
+    """Set params.yaml to a preset: number of views, FEM resolution, training length and more.
+
+    The preset quick is the defaults; params/NAME.yaml, also one of your own, holds what differs from them.
+    Objects, seed and selected benchmarks stay. Each setting that changes is printed.
+    """
     from objectfolder.workspace.presets import apply_preset
 
-    changed = apply_preset(name)
-    console.print(f"preset {name}: changed {', '.join(changed) or 'nothing'}; next: objectfolder build")
+    changed = apply_preset(name, dry_run=dry_run)
+    for line in changed:
+        print_line(line)
+    count = plural(len(changed), "setting") if changed else "nothing"
+    done = f"would change {count}" if dry_run else f"changed {count}; next: objectfolder build"
+    console.print(f"preset {name}: {done}")
 
 
 def inspect(
@@ -137,7 +146,8 @@ def inspect(
     vtu: Annotated[bool, typer.Option(help="Also export the solid for ParaView (voxelize only).")] = False,
 ) -> None:
     """Summarize the artifacts of a stage in a table, and save a picture next to them."""
-    from objectfolder.inspection import STAGES, inspect_stage, print_inspection
+    from objectfolder.report.inspect_stage import STAGES, inspect_stage
+    from objectfolder.report.inspection import print_inspection
     from objectfolder.workspace.params import PARAMS_FILE, outside_workspace
 
     if not Path(PARAMS_FILE).is_file():
@@ -152,7 +162,7 @@ def inspect(
 
 def _print_metrics(keys: list[str]) -> None:
     """Print the metrics of objects, what is uncertain, and the paths of Object Files and pictures."""
-    from objectfolder.fem.modal import uncertainty_warning
+    from objectfolder.fem.certainty import uncertainty_warning
     from objectfolder.io import read_json
     from objectfolder.objectfile.evaluation import summary_row
     from objectfolder.workspace.layout import Build

@@ -2,17 +2,17 @@
 
 import bisect
 import logging
+import py_compile
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib.util import cache_from_source
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from objectfolder import disk
-from objectfolder.engine.bytecode import compare_by_content
-from objectfolder.engine.costs import forget_cost, record_cost
 from objectfolder.engine.dvc import remote, steps
 from objectfolder.engine.dvc.graph import StageGraph, stage_graph
 from objectfolder.engine.dvc.inputs import Stamps, hold_params
@@ -22,7 +22,6 @@ from objectfolder.engine.dvc.repository import (
     read_params,
     remove_partial_outputs,
 )
-from objectfolder.engine.failures import LOGS, forget_failure, log_path, record_failure
 from objectfolder.engine.process import (
     Command,
     CommandResult,
@@ -30,6 +29,14 @@ from objectfolder.engine.process import (
     describe_result,
     stage_environment,
     tail,
+)
+from objectfolder.engine.records import (
+    LOGS,
+    forget_cost,
+    forget_failure,
+    log_path,
+    record_cost,
+    record_failure,
 )
 from objectfolder.engine.resources import Machine, Needs, cores, needs_of
 from objectfolder.engine.schedule import Schedule, object_groups
@@ -48,6 +55,7 @@ from objectfolder.engine.summary import (
 )
 from objectfolder.engine.workers import FinishedQueue, LocalWorkers, WorkerLost, Workers
 from objectfolder.errors import ObjectFolderError
+from objectfolder.workspace.code_digests import PACKAGES
 from objectfolder.workspace.installed import check_installed
 from objectfolder.workspace.template import note_foreign_code
 
@@ -55,49 +63,35 @@ from objectfolder.workspace.template import note_foreign_code
 OBJECTS_PER_CORE = 2
 #: Restarts of a stage whose worker was lost, or whose inputs changed while it ran.
 RESTARTS = 3
-LONGEST = 1e8  #: time limit of a stage, s
+MAX_TIMEOUT = 1e8  #: time limit of a stage, s
 _log = logging.getLogger(__name__)
+#: Creates the workers of a build from the number of jobs and the queue for their results.
+MakeWorkers = Callable[[int | None, FinishedQueue], Workers]
+#: Offset in a ``.pyc`` file of the flags; 0: compared by time and size of the source.
+FLAGS = slice(4, 8)
 
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """Options of a build.
+    """Options of a build."""
 
-    Parameters
-    ----------
-    jobs : int, optional
-        Cores that stages may use together; default: all of this process.
-    force : bool
-        Run every stage, even if it is up to date.
-    keep_going : bool
-        After a failure, continue with stages that do not depend on it; otherwise start no more stages.
-    timeout : float, optional
-        Wall seconds after which a stage is killed; default: see `objectfolder.engine.resources.NEEDS`;
-        0: never.
-    pull : bool
-        First download recorded outputs and saved runs from DVC's default remote.
-    wait : bool
-        If another process uses the workspace, wait until it ends; otherwise refuse.
-    """
-
-    jobs: int | None = None
-    force: bool = False
+    jobs: int | None = None  #: cores that stages may use together; default: all of this process
+    force: bool = False  #: run every stage, even if it is up to date
+    #: After a failure, continue with stages that do not depend on it; otherwise start no more stages.
     keep_going: bool = True
+    #: Wall seconds after which a stage is killed; default: see `objectfolder.engine.resources.NEEDS`; 0:
+    #: never.
     timeout: float | None = None
-    pull: bool = False
-    wait: bool = False
+    pull: bool = False  #: first download recorded outputs and saved runs from DVC's default remote
+    wait: bool = False  #: if another process uses the workspace, wait until it ends; otherwise refuse
 
     def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
             raise ObjectFolderError(
                 f"jobs is {self.jobs}, expected at least 1; use --jobs 1 to run one stage at a time"
             )
-        if self.timeout is not None and not 0 <= self.timeout <= LONGEST:
-            raise ObjectFolderError(f"timeout is {self.timeout} s, expected 0 (never) to {LONGEST:g}")
-
-
-#: Creates the workers of a build from the number of jobs and the queue for their results.
-MakeWorkers = Callable[[int | None, FinishedQueue], Workers]
+        if self.timeout is not None and not 0 <= self.timeout <= MAX_TIMEOUT:
+            raise ObjectFolderError(f"timeout is {self.timeout} s, expected 0 (never) to {MAX_TIMEOUT:g}")
 
 
 def local_workers(jobs: int | None, finished: FinishedQueue) -> Workers:
@@ -201,7 +195,7 @@ class _Build:
 
     def run(self) -> dict[str, StageResult]:
         """Run all stages and return their results by address."""
-        with self.signals.caught():
+        with self.signals.catch():
             try:
                 self._loop()
             finally:
@@ -394,14 +388,14 @@ class _Build:
             return f"{error.filename} does not exist; put it there, or fetch it: `dvc pull`"
         if not disk.is_shortage(error):
             return str(error)
-        text = f"{error}: {disk.describe_full(disk.fullest(self._disks(address))[0])}"
+        text = f"{error}: {disk.describe_full(disk.find_fullest(self._disks(address))[0])}"
         self.repository.remove_partial_files()
         return text
 
     def _hint(self, address: str, log: Path) -> str:
         """Name the full disk if that may be why a command failed."""
-        path, free = disk.fullest(self._disks(address))
-        full = free < disk.LOW or disk.mentions_shortage(tail(log))
+        path, free = disk.find_fullest(self._disks(address))
+        full = free < disk.FULL_BELOW or disk.mentions_shortage(tail(log))
         return f"; {disk.describe_full(path)}" if full else ""
 
     def _disks(self, address: str | None) -> list[Path]:
@@ -439,3 +433,19 @@ class _Build:
     def _report(self, result: StageResult) -> None:
         self.results[result.address] = result
         self.on_event(Finished(result))
+
+
+def compare_by_content(root: Path) -> None:
+    """Compile again what Python would compare with its source by size and time alone.
+
+    The time counts whole seconds: after an edit that keeps the size, a stage could run the old code. Python
+    keeps the kind of comparison when it compiles an edited module again.
+
+    ``root``: directory that contains the packages of the project.
+    """
+    for source in (path for package in PACKAGES for path in (root / package).rglob("*.py")):
+        compiled = cache_from_source(str(source))
+        with suppress(OSError):  # never imported, or a read-only directory
+            if not any(Path(compiled).read_bytes()[FLAGS]):
+                mode = py_compile.PycInvalidationMode.CHECKED_HASH
+                py_compile.compile(str(source), compiled, invalidation_mode=mode, quiet=2)

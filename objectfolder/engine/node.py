@@ -12,7 +12,7 @@ from objectfolder.engine.process import Children, Command, CommandResult, stage_
 
 #: Prefixes of the variables that a command gets from the engine's environment. All others come from the node,
 #: because paths, GPUs and temporary folders differ between machines.
-PASSED_ON = ("DVC_", "OBJECTFOLDER_")
+FORWARDED_PREFIXES = ("DVC_", "OBJECTFOLDER_")
 
 
 class NotShared(Exception):
@@ -22,15 +22,8 @@ class NotShared(Exception):
 def check_workspace(marker: Path) -> None:
     """Check that this node sees the workspace of the build, not another folder at the same path.
 
-    Parameters
-    ----------
-    marker : Path
-        File with a unique name that the engine has created in the workspace.
-
-    Raises
-    ------
-    NotShared
-        If the marker does not exist.
+    ``marker``: file with a unique name that the engine has created in the workspace. Raises NotShared if the
+    marker does not exist.
     """
     if not marker.exists():
         raise NotShared(
@@ -42,22 +35,13 @@ def check_workspace(marker: Path) -> None:
 def run(command: Command, threads: int, marker: Path) -> CommandResult:
     """Run the command of one stage with the Python of this Ray node, on the GPUs that Ray assigned.
 
-    Parameters
-    ----------
-    command : Command
-        Command of the stage; of its environment only DVC's and this project's variables are used.
-    threads : int
-        Threads that numerical libraries may start.
-    marker : Path
-        See `check_workspace`.
+    ``command``: command of the stage; of its environment only DVC's and this project's variables are used;
+    ``threads``: threads that numerical libraries may start; ``marker``: see `check_workspace`.
     """
     import ray
 
     check_workspace(marker)
     gpus = ",".join(str(gpu) for gpu in ray.get_gpu_ids())
-    passed_on = {name: value for name, value in command.env.items() if name.startswith(PASSED_ON)}
-    env = {
-        **stage_environment({**os.environ, **passed_on}, threads),
-        "CUDA_VISIBLE_DEVICES": gpus or "-1",
-    }
+    passed_on = {name: value for name, value in command.env.items() if name.startswith(FORWARDED_PREFIXES)}
+    env = {**stage_environment({**os.environ, **passed_on}, threads), "CUDA_VISIBLE_DEVICES": gpus or "-1"}
     return Children().run(replace(command, env=env))

@@ -1,4 +1,4 @@
-"""Stage commands: each runs in its own session, is timed and logged, and can be killed with its children."""
+"""Processes that end with the engine: commands of stages, with their children, and pools of workers."""
 
 import fcntl
 import json
@@ -9,70 +9,47 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
+from objectfolder.engine.supervisor import die_with
 from objectfolder.errors import ObjectFolderError
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 TAIL_LINES = 15
 #: Seconds for the processes of a stage to end, after a killed engine or worker.
-END = 30.0
+END_TIMEOUT = 30.0
 _POLL = 0.1
 TAIL_BYTES = 16_384
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
 class Command:
-    """Shell commands of a stage, with their environment and log.
+    """Shell commands of a stage, with their environment and log."""
 
-    Parameters
-    ----------
-    lines : sequence of str
-        Shell commands, run one after another until one fails.
-    cwd : Path
-        Working directory.
-    env : mapping of str to str
-        Environment.
-    log : Path
-        File for standard output and standard error.
-    timeout : float, optional
-        Wall seconds after which the command is killed; None: never.
-    """
-
-    lines: Sequence[str]
+    lines: Sequence[str]  #: shell commands, run one after another until one fails
     cwd: Path
     env: Mapping[str, str]
-    log: Path
-    timeout: float | None = None
+    log: Path  #: file for standard output and standard error
+    timeout: float | None = None  #: wall seconds after which the command is killed; None: never
 
 
 @dataclass(frozen=True)
 class CommandResult:
-    """Exit code, times and peak memory of a command.
+    """Exit code, times and peak memory of a command."""
 
-    Parameters
-    ----------
-    code : int
-        Exit code; the negative signal number if the shell was killed.
-    seconds : float
-        Wall time, s.
-    peak_mb : float
-        Peak resident memory of the largest process, MB. Of a warm start, it contains the libraries that the
-        process has in common with others.
-    timed_out : bool
-        Whether the command was killed at its time limit.
-    cpu_seconds : float
-        Processor time of the command and the processes that it waited for, s.
-    """
-
-    code: int
-    seconds: float
+    code: int  #: exit code; the negative signal number if the shell was killed
+    seconds: float  #: wall time, s
+    #: Peak resident memory of the largest process, MB. Of a warm start, it contains the libraries that the
+    #: process has in common with others.
     peak_mb: float
-    timed_out: bool = False
-    cpu_seconds: float = 0.0
+    timed_out: bool = False  #: whether the command was killed at its time limit
+    cpu_seconds: float = 0.0  #: processor time of the command and the processes that it waited for, s
 
 
 class NotStarted(RuntimeError):
@@ -114,17 +91,7 @@ class Children:
         The calling thread must outlive the command: to the kernel, the thread that started a child is its
         parent.
 
-        Parameters
-        ----------
-        command : Command
-            The command.
-        start : callable
-            Starts its supervisor.
-
-        Raises
-        ------
-        NotStarted
-            If no supervisor was started.
+        Raises NotStarted if no supervisor was started.
         """
         if self._closed:
             return CommandResult(-signal.SIGKILL, 0.0, 0.0)
@@ -200,19 +167,10 @@ def users(log: Path) -> list[int] | None:
 def await_end(log: Path, check: Callable[[], None]) -> None:
     """Wait until no process of an earlier run of a stage writes its log, as it would write the same outputs.
 
-    Parameters
-    ----------
-    log : Path
-        Of the stage.
-    check : callable
-        Called again and again meanwhile; may raise.
-
-    Raises
-    ------
-    ObjectFolderError
-        If one still does after `END` seconds.
+    ``check``: called again and again meanwhile; may raise. Raises ObjectFolderError if one still does after
+    `END_TIMEOUT` seconds.
     """
-    deadline = time.monotonic() + END
+    deadline = time.monotonic() + END_TIMEOUT
     while (left := users(log)) is not None:
         if time.monotonic() > deadline:
             numbers = ", ".join(map(str, left))
@@ -289,3 +247,25 @@ def _alarm(seconds: float | None, action: Callable[[], None]) -> Iterator[None]:
 def _kill(group: int) -> None:
     with suppress(ProcessLookupError, PermissionError):  # only a zombie is left
         os.killpg(group, signal.SIGKILL)
+
+
+def process_pool(jobs: int | None) -> ProcessPoolExecutor:
+    """Return a pool of ``jobs`` spawned processes; default: one per core.
+
+    Without `die_with`, workers of a killed parent would finish their task and then wait forever.
+    """
+    return ProcessPoolExecutor(jobs, get_context("spawn"), initializer=die_with, initargs=(os.getpid(),))
+
+
+def in_processes(
+    call: Callable[..., _Result], arguments: list[tuple[Any, ...]], jobs: int
+) -> Iterator[_Result]:
+    """Call a function with each tuple of arguments in parallel; yield results in the order they finish."""
+    with process_pool(min(jobs, len(arguments))) as pool:
+        waiting = [pool.submit(call, *given) for given in arguments]
+        try:
+            for done in as_completed(waiting):
+                yield done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise

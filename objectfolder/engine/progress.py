@@ -27,7 +27,7 @@ from objectfolder.engine.summary import (
 from objectfolder.errors import plural
 from objectfolder.terminal import Terminal
 
-ENOUGH = 0.1  # of the planned work, after which the rest is estimated
+MIN_SHARE = 0.1  # of the planned work, after which the rest is estimated
 MAX_ROWS = 60  # of the summary table; with more results, one row per stage and outcome
 STYLES = {
     StageOutcome.RAN: "green",
@@ -73,10 +73,7 @@ class Progress:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._live is not None:
             self._live.stop()
@@ -122,7 +119,7 @@ class Progress:
     def seconds_left(self) -> float | None:
         """Return the remaining time in s at the speed so far; None before a tenth of the work is done."""
         ahead = sum(self._ahead.copy().values())
-        if not self._behind or self._behind < ENOUGH * (self._behind + ahead):
+        if not self._behind or self._behind < MIN_SHARE * (self._behind + ahead):
             return None
         return (time.monotonic() - self._clock) * ahead / self._behind
 
@@ -140,7 +137,9 @@ class Progress:
 
     def _describe(self, result: StageResult) -> str:
         place = f"[{self.done}/{self.total}]"
-        detail = result.error or " ".join(filter(None, (_seconds(result), _peak(result))))
+        seconds = f"{result.seconds:.1f} s" if result.seconds else ""
+        peak = "" if result.peak_mb is None else f"{result.peak_mb:.0f} MB"
+        detail = result.error or f"{seconds} {peak}".strip()
         line = f"{result.status:<8} {result.address} {place} {detail}".rstrip()
         return (
             f"{line}; {self._times()}" if result.status is StageOutcome.RAN and self._live is None else line
@@ -229,11 +228,3 @@ def _failure(result: StageResult) -> Text:
 def _duration(seconds: float) -> str:
     """Return a time as hours, minutes and seconds, such as ``0:08:51``."""
     return str(timedelta(seconds=round(seconds)))
-
-
-def _seconds(result: StageResult) -> str:
-    return f"{result.seconds:.1f} s" if result.seconds else ""
-
-
-def _peak(result: StageResult) -> str:
-    return "" if result.peak_mb is None else f"{result.peak_mb:.0f} MB"

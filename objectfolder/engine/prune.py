@@ -2,52 +2,33 @@
 
 import json
 import os
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
-from objectfolder.engine.dvc import emit
 from objectfolder.engine.dvc.graph import all_stages, dvc_files
 from objectfolder.engine.dvc.repository import OpenRepository, open_repository, read_params
-from objectfolder.engine.dvc.savedruns import remove_saved_run, saved_outputs, saved_runs
-from objectfolder.engine.failures import LOGS
+from objectfolder.engine.dvc.runcache import hashes_in, outputs_of, read_entry, remove_saved_run, saved_runs
+from objectfolder.engine.records import LOGS
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.layout import MODALITIES, Benchmarks, Build
 from objectfolder.workspace.params import OBJECT_TASKS, TASKS
 
 LOCK = "dvc.lock"
 BENCHMARKS = "benchmarks"
-_OID = re.compile(r"\b[0-9a-f]{32}(?:\.dir)?\b")
 
 
 @dataclass(frozen=True)
 class Waste:
-    """Files and records to remove.
+    """Files and records to remove."""
 
-    Parameters
-    ----------
-    keys : tuple of str
-        Objects that are no longer in ``params.yaml``.
-    addresses : tuple of str
-        Their entries in ``dvc.lock``.
-    files : dict of str to tuple of Path
-        Artifacts, metrics and logs by object.
-    cached : dict of str to tuple of Path
-        Cached objects by object; a shared one is listed with the first.
-    runs : tuple of Path
-        Their saved runs.
-    left : tuple of str
-        Descriptions of what is kept, with the reason.
-    """
-
-    keys: tuple[str, ...]
-    addresses: tuple[str, ...]
-    files: dict[str, tuple[Path, ...]]
-    cached: dict[str, tuple[Path, ...]]
-    runs: tuple[Path, ...]
-    left: tuple[str, ...]
+    keys: tuple[str, ...]  #: objects that are no longer in ``params.yaml``
+    addresses: tuple[str, ...]  #: their entries in ``dvc.lock``
+    files: dict[str, tuple[Path, ...]]  #: artifacts, metrics and logs by object
+    cached: dict[str, tuple[Path, ...]]  #: cached objects by object; a shared one is listed with the first
+    runs: tuple[Path, ...]  #: their saved runs
+    left: tuple[str, ...]  #: descriptions of what is kept, with the reason
 
     @staticmethod
     def size(paths: Iterable[Path]) -> int:
@@ -64,10 +45,7 @@ class Waste:
 def survey(root: str | Path = ".") -> Waste:
     """List the artifacts of objects that are no longer in ``params.yaml``; read-only.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the workspace is busy or cannot be read.
+    Raises ObjectFolderError if the workspace is busy or cannot be read.
     """
     with open_repository(root) as repository:
         return _survey(repository)
@@ -77,11 +55,7 @@ def prune(waste: Waste, root: str | Path = ".") -> None:
     """Remove what `survey` found, if the workspace has not changed since.
 
     Files are removed before their entries in the lock file, so that the next prune can finish a killed one.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the workspace is busy, or has changed since the survey.
+    Raises ObjectFolderError if the workspace is busy, or has changed since the survey.
     """
     with open_repository(root) as repository:
         if _survey(repository) != waste:
@@ -110,25 +84,23 @@ def _survey(repository: OpenRepository) -> Waste:
     keys |= {_key(path.stem) for path in (root / LOGS).glob("*@*.log")} - {"", *living}
     alive = {address: entry for address, entry in stages.items() if address not in dead}
 
-    runs, saved = [], []
-    texts = [emit.dumps(alive), *(path.read_text() for path in _other_files(repository))]
-    pattern = _of_keys(keys)
+    runs: list[Path] = []
+    dead_outs = [(_key(address), entry) for address, entry in dead.items()]
+    kept = {*hashes_in([*alive.values(), *_other_records(repository)])}
     for path in saved_runs(repository.repo) if keys else ():
-        text = path.read_text(errors="replace")
-        owner = pattern.search(saved_outputs(text))
+        entry = read_entry(path)
+        owner = _owner(entry, keys)
         if owner:
             runs.append(path)
-            saved.append((next(filter(None, owner.groups())), saved_outputs(text)))
+            dead_outs.append((owner, entry))
         else:
-            texts.append(text)
-    kept = set(_with_members(repository, (oid for text in texts for oid in _OID.findall(text))))
-    outs = [(_key(address), emit.dumps({"outs": entry.get("outs", [])})) for address, entry in dead.items()]
+            kept |= {*hashes_in(entry)}
     cached: dict[str, set[Path]] = {key: set() for key in keys}
-    taken = set(kept)
+    taken = {*_with_members(repository, kept)}
     left = []
     if repository.owns_cache:
-        for key, text in sorted([*outs, *saved]):
-            for oid in set(_with_members(repository, _OID.findall(text))) - taken:
+        for key, entry in sorted(dead_outs, key=lambda item: item[0]):
+            for oid in {*_with_members(repository, hashes_in(outputs_of(entry)))} - taken:
                 taken.add(oid)
                 path = repository.object_path(oid)
                 if path.is_file():
@@ -185,19 +157,31 @@ def _left(root: Path, key: str, files: tuple[Path, ...]) -> Iterator[str]:
         yield f"{names}{' ...' if len(others) > 3 else ''}: not written by the pipeline"
 
 
-def _other_files(repository: OpenRepository) -> list[Path]:
-    """List the .dvc files and lock files, except the lock file of the workspace."""
-    return [path for path in dvc_files(repository) if path != repository.root / LOCK and path.exists()]
+def _other_records(repository: OpenRepository) -> list[Any]:
+    """Read the .dvc files and lock files, except the lock file of the workspace."""
+    lock = repository.root / LOCK
+    return [read_entry(path) for path in dvc_files(repository) if path != lock and path.exists()]
 
 
-def _of_keys(keys: set[str]) -> re.Pattern[str]:
-    """Return a pattern for the outputs of objects in an entry of the run cache."""
-    names = "|".join(map(re.escape, sorted(keys))) or "(?!)"
-    folders = f"build|data/objects|{BENCHMARKS}/(?:observations|close_ups|grasps)"
-    results = rf"{BENCHMARKS}/(?:{'|'.join(OBJECT_TASKS)})_({names})\.\w+$"
-    return re.compile(
-        rf"^- path: (?:(?:{folders})/({names})(?:/|$)|metrics/({names})\.json$|{results})", re.MULTILINE
-    )
+def _owner(entry: Any, keys: set[str]) -> str:
+    """Return the object whose outputs a saved run lists; empty if it is none of ``keys``."""
+    owners = (_object_of(PurePosixPath(out["path"])) for out in outputs_of(entry))
+    return next((owner for owner in owners if owner in keys), "")
+
+
+def _object_of(path: PurePosixPath) -> str:
+    """Return the object that an output of the pipeline belongs to; empty for one of all objects."""
+    match path.parts:
+        case ("build", key, *_) | ("data", "objects", key, *_):
+            return key
+        case ("benchmarks", "observations" | "close_ups" | "grasps", key, *_):
+            return key
+        case ("metrics", _) if path.suffix == ".json":
+            return path.stem
+        case ("benchmarks", _):
+            task = next((task for task in OBJECT_TASKS if path.name.startswith(f"{task}_")), None)
+            return path.stem.removeprefix(f"{task}_") if task else ""
+    return ""
 
 
 def _with_members(repository: OpenRepository, oids: Iterable[str]) -> Iterator[str]:

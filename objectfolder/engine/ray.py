@@ -17,8 +17,8 @@ from typing import Any
 
 from objectfolder.engine import node
 from objectfolder.engine.build import MakeWorkers
-from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import Command, CommandResult
+from objectfolder.engine.records import LOGS
 from objectfolder.engine.resources import Needs
 from objectfolder.engine.workers import FinishedQueue, WorkerLost
 from objectfolder.errors import ObjectFolderError
@@ -37,20 +37,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Node:
-    """Cluster node that can run stages.
+    """Cluster node that can run stages."""
 
-    Parameters
-    ----------
-    id : str
-        Node id of Ray.
-    name : str
-        Host name and address.
-    cpus, gpus, memory_mb : int
-        Total resources, free or taken.
-    """
-
-    id: str
-    name: str
+    id: str  #: node id of Ray
+    name: str  #: host name and address
+    #: Total resources, free or taken.
     cpus: int
     gpus: int
     memory_mb: int
@@ -60,7 +51,7 @@ class Node:
         return needs.cpus <= self.cpus and needs.gpus <= self.gpus and needs.memory_mb <= self.memory_mb
 
 
-def fitted(needs: Needs, nodes: Sequence[Node], jobs: int | None = None) -> Needs:
+def fit_to_nodes(needs: Needs, nodes: Sequence[Node], jobs: int | None = None) -> Needs:
     """Reduce the needs of a stage to the resources of the best-fitting node, so that no stage waits forever.
 
     Nodes are compared by GPUs first, then cores, then memory. Without GPUs, stages run on the CPU.
@@ -105,21 +96,9 @@ class RayWorkers:
     When this process ends, for whatever reason, its commands end too: Ray kills the workers of a dead driver,
     and each command dies with its worker.
 
-    Parameters
-    ----------
-    address : str
-        Address of the cluster; see `ray_workers`.
-    jobs : int, optional
-        Cores to use in the whole cluster; default: all.
-    finished : SimpleQueue
-        Queue for outcomes. A command that was lost with its worker yields a `WorkerLost`.
-    workspace : Path
-        Folder that must be visible on all nodes.
-
-    Raises
-    ------
-    ObjectFolderError
-        See `ray_workers`.
+    ``address``: address of the cluster; see `ray_workers`. ``jobs``: cores to use in the whole cluster;
+    default: all. ``finished``: queue for outcomes. A command that was lost with its worker yields a
+    `WorkerLost`. ``workspace``: folder that must be visible on all nodes. Raises what `ray_workers` says.
     """
 
     def __init__(self, address: str, jobs: int | None, finished: FinishedQueue, workspace: Path):
@@ -154,7 +133,7 @@ class RayWorkers:
         nodes = self._nodes  # `_watch` replaces the attribute
         if not self._taken or not nodes:
             return ""  # without nodes, `submit` raises an error
-        wanted = fitted(needs, nodes, self.jobs)
+        wanted = fit_to_nodes(needs, nodes, self.jobs)
         taken = self._taken.values()
         if sum(other.cpus for other in taken) + wanted.cpus > self.cores:
             return "cpu"
@@ -168,13 +147,10 @@ class RayWorkers:
     def submit(self, address: str, command: Command, needs: Needs) -> None:
         """Hand a command to Ray.
 
-        Raises
-        ------
-        ObjectFolderError
-            If no node is left.
+        Raises ObjectFolderError if no node is left.
         """
         self._nodes = self._find_nodes()
-        wanted = fitted(needs, self._nodes, self.jobs)
+        wanted = fit_to_nodes(needs, self._nodes, self.jobs)
         task = self.ray.remote(node.run).options(
             name=address,
             num_cpus=wanted.cpus,
@@ -329,7 +305,7 @@ def _connect(address: str) -> Any:
     try:
         found = canonicalize_bootstrap_address_or_die(given)
         _knock(found)
-        with _own_signals():
+        with _keep_signals():
             ray.init(found, log_to_driver=False, logging_level=logging.CRITICAL)
     except (ConnectionError, OSError, ValueError) as error:
         raise ObjectFolderError(
@@ -352,7 +328,7 @@ def _knock(address: str) -> None:
 
 
 @contextmanager
-def _own_signals() -> Iterator[None]:
+def _keep_signals() -> Iterator[None]:
     """Restore the handler of SIGTERM, which Ray replaces."""
     if threading.current_thread() is not threading.main_thread():
         yield

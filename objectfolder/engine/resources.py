@@ -1,50 +1,39 @@
 """Resource needs of stages, and the free resources of one machine."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import psutil
-
-from objectfolder.engine.cgroups import core_quota, memory_left
 from objectfolder.workspace.params import BENCHMARKS
 
 HOUR = 3600.0
 #: Share of the available memory for stages; the rest is for the engine and the system.
 MEMORY_SHARE = 0.9
 _DEVICES = Path("/dev")
+#: Stages that query the net of another stage.
+_NET_OF = dict.fromkeys(("evaluate", "observe", "close_ups"), "train_vision")
+_TREES = Path("/sys/fs/cgroup")
+_OWN = Path("/proc/self/cgroup")  # lines such as 4:memory:/user and, of the second version, 0::/user
 
 
 @dataclass(frozen=True)
 class Needs:
-    """Resources of a running stage.
+    """Resources of a running stage."""
 
-    Parameters
-    ----------
-    seconds : float
-        Rough time on one core with preset quick; sets the priority of a stage and the estimate of remaining
-        time.
-    cpus : int
-        Number of cores, which is also the thread limit of numerical libraries.
-    gpus : float
-        Number of GPUs; a fraction is a share of one GPU.
-    memory_mb : int
-        Peak resident memory, MB.
-    timeout : float, optional
-        Wall seconds after which the stage is considered hung and killed; None: never.
-    """
-
+    #: Rough time on one core with preset quick; sets the priority of a stage and the estimate of remaining
+    #: time.
     seconds: float = 1.0
-    cpus: int = 1
-    gpus: float = 0.0
-    memory_mb: int = 500
+    cpus: int = 1  #: number of cores, which is also the thread limit of numerical libraries
+    gpus: float = 0.0  #: number of GPUs; a fraction is a share of one GPU
+    memory_mb: int = 500  #: peak resident memory, MB
+    #: Wall seconds after which the stage is considered hung and killed; None: never.
     timeout: float | None = HOUR
 
 
 #: Keys: stage, or stage and its net or renderer (``train_vision/osf``). Memory is above the largest peaks in
-#: docs/results.md. One core each, because outputs must not depend on the number of threads. Timeouts are an
+#: docs/measurements. One core each, because outputs must not depend on the number of threads. Timeouts are an
 #: order of magnitude above the longest run. The paper's nets train for days, and a CPU answers with its
 #: VisionNet for as long: these have none.
 NEEDS = {
@@ -77,19 +66,11 @@ NEEDS = {
     "reach": Needs(300, memory_mb=2000, timeout=None),
 }
 
-#: Stages that query the net of another stage.
-_NET_OF = dict.fromkeys(("evaluate", "observe", "close_ups"), "train_vision")
-
 
 def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
     """Return the needs of a stage, by its name and by the net or renderer in the parameters that it uses.
 
-    Parameters
-    ----------
-    address : str
-        Stage address, such as ``train_vision@mug``.
-    params : mapping
-        Contents of ``params.yaml``.
+    ``address``: stage address, such as ``train_vision@mug``.
     """
     stage = address.partition("@")[0]
     section = params.get(_NET_OF.get(stage, stage))
@@ -105,6 +86,8 @@ def cores() -> int:
 
 def free_memory() -> int:
     """Return the bytes that can be taken now, in a container or job at most what its limit leaves."""
+    import psutil  # a build with nothing to do needs none
+
     return int(min(psutil.virtual_memory().available, memory_left()))
 
 
@@ -125,14 +108,8 @@ class Machine:
 
     Needs beyond the capacity of the machine are capped, so that no stage waits forever.
 
-    Parameters
-    ----------
-    cpus : int
-        Number of cores to use.
-    memory_mb : float, optional
-        Memory to use; default: 90 % of the memory available now.
-    gpus : sequence of str, optional
-        Names of the GPUs to use; default: all. Without GPUs, stages train on the CPU.
+    ``cpus``: number of cores to use. ``memory_mb``: memory to use; default: 90 % of the memory available now.
+    ``gpus``: names of the GPUs to use; default: all. Without GPUs, stages train on the CPU.
     """
 
     def __init__(self, cpus: int, memory_mb: float | None = None, gpus: Sequence[str] | None = None):
@@ -152,7 +129,7 @@ class Machine:
 
     def room(self, needs: Needs) -> str:
         """Return the resource that a stage must wait for: ``cpu``, ``memory`` or ``gpu``; empty if none."""
-        needs = self._capped(needs)
+        needs = self._cap(needs)
         if needs.cpus > self._cpus:
             return "cpu"
         if needs.memory_mb > self._memory_mb:
@@ -161,7 +138,7 @@ class Machine:
 
     def take(self, address: str, needs: Needs) -> list[str]:
         """Reserve the resources of a stage; return its GPUs."""
-        needs = self._capped(needs)
+        needs = self._cap(needs)
         chosen = self._choose_gpus(needs.gpus) or []
         self._cpus -= needs.cpus
         self._memory_mb -= needs.memory_mb
@@ -178,7 +155,7 @@ class Machine:
         for gpu in chosen:
             self._gpus[gpu] += min(1.0, needs.gpus)
 
-    def _capped(self, needs: Needs) -> Needs:
+    def _cap(self, needs: Needs) -> Needs:
         limits = self._limits
         return Needs(
             cpus=min(needs.cpus, limits.cpus),
@@ -193,3 +170,51 @@ class Machine:
         share, count = min(1.0, wanted), max(1, round(wanted))
         fitting = sorted((free, gpu) for gpu, free in self._gpus.items() if free >= share - 1e-9)
         return [gpu for _, gpu in fitting[:count]] if len(fitting) >= count else None
+
+
+def core_quota() -> float:
+    """Return how many cores the groups allow; infinite without a limit."""
+    out = float("inf")
+    for folder in _groups("cpu"):
+        quota, _, period = (_read(folder / "cpu.max") or _quota_of_first_version(folder)).partition(" ")
+        if quota.isdigit() and period.isdigit() and int(period):
+            out = min(out, int(quota) / int(period))
+    return out
+
+
+def memory_left() -> float:
+    """Return the bytes that the groups leave; infinite without a limit."""
+    out = float("inf")
+    for folder in _groups("memory"):
+        for names in (
+            ("memory.max", "memory.current", "inactive_file"),
+            ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+        ):
+            limit, used = (_read(folder / name) for name in names[:2])
+            if limit.isdigit() and used.isdigit():
+                # Pages of files that nobody has used lately count as used, but the system takes them back.
+                lines = dict(line.split() for line in _read(folder / "memory.stat").splitlines())
+                out = min(out, max(0, int(limit) - int(used) + int(lines.get(names[2], 0))))
+    return out
+
+
+def _groups(kind: str) -> Iterator[Path]:
+    """Yield the folders of the groups that this process is in, from inside to outside, of both versions."""
+    for line in _read(_OWN).splitlines() or ["0::/"]:
+        _, kinds, path = line.split(":", 2)
+        if kind in kinds.split(",") or not kinds:
+            tree = _TREES / kinds if kinds else _TREES
+            group = Path(path.lstrip("/"))
+            yield from (tree / each for each in (group, *group.parents) if (tree / each).is_dir())
+
+
+def _quota_of_first_version(folder: Path) -> str:
+    return f"{_read(folder / 'cpu.cfs_quota_us')} {_read(folder / 'cpu.cfs_period_us')}"
+
+
+def _read(path: Path) -> str:
+    """Return the content of a file; empty if there is none that can be read."""
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""

@@ -17,12 +17,8 @@ def object_groups(addresses: Iterable[str], size: int) -> Callable[[str], int]:
 def remaining_paths(upstream: Mapping[str, Set[str]], weight: Callable[[str], float]) -> dict[str, float]:
     """Return the length of the longest path from each stage to the end of the graph, including the stage.
 
-    Parameters
-    ----------
-    upstream : mapping of str to set of str
-        Direct upstream stages of every stage; the keys are in topological order.
-    weight : callable
-        Cost of a stage.
+    ``upstream``: direct upstream stages of every stage; the keys are in topological order; ``weight``: cost
+    of a stage.
     """
     below = dict.fromkeys(upstream, 0.0)
     for address in reversed(list(upstream)):
@@ -34,14 +30,9 @@ def remaining_paths(upstream: Mapping[str, Set[str]], weight: Callable[[str], fl
 class Schedule:
     """Priority queue of the stages whose upstream stages are done.
 
-    Parameters
-    ----------
-    upstream : mapping of str to set of str
-        Direct upstream stages of every stage; the keys are in topological order.
-    weight : callable
-        Rough cost of a stage; only the order of the sums matters, since the longest chain starts first.
-    group : callable
-        Group number of a stage; lower numbers come first, whatever their remaining paths.
+    ``upstream``: direct upstream stages of every stage; the keys are in topological order; ``weight``: rough
+    cost of a stage; only the order of the sums matters, since the longest chain starts first; ``group``:
+    group number of a stage; lower numbers come first, whatever their remaining paths.
     """
 
     def __init__(

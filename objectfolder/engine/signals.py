@@ -15,12 +15,8 @@ class _Interrupted(Exception):
 class StopSignals:
     """Turns the first signal into a clean stop; a second one raises KeyboardInterrupt at once.
 
-    Parameters
-    ----------
-    wake : callable
-        Called from the signal handler, to end a wait of the main loop.
-    on_interrupt : callable
-        Called by the main loop, once it sees that the user interrupts it; not if the terminal is gone.
+    ``wake``: called from the signal handler, to end a wait of the main loop; ``on_interrupt``: called by the
+    main loop, once it sees that the user interrupts it; not if the terminal is gone.
     """
 
     def __init__(self, wake: Callable[[], None], on_interrupt: Callable[[], None]):
@@ -29,7 +25,7 @@ class StopSignals:
         self._number: int | None = None
 
     def raise_if_caught(self) -> None:
-        """Leave the block of `caught` if a signal has arrived."""
+        """Leave the block of `catch` if a signal has arrived."""
         if self._number is None:
             return
         if self._number == signal.SIGINT:
@@ -37,7 +33,7 @@ class StopSignals:
         raise _Interrupted
 
     @contextmanager
-    def caught(self) -> Iterator[None]:
+    def catch(self) -> Iterator[None]:
         """Handle signals in the block; a caught one ends it with KeyboardInterrupt or SystemExit."""
         if threading.current_thread() is not threading.main_thread():
             yield  # only the main thread may handle signals; its handlers belong to the caller

@@ -11,7 +11,7 @@ from objectfolder.engine.dvc.changes import Changes, ChangeTracker
 from objectfolder.engine.dvc.graph import stage_graph
 from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.engine.dvc.steps import has_command, input_state
-from objectfolder.engine.failures import LOGS, recall_failure
+from objectfolder.engine.records import LOGS, recall_failure
 from objectfolder.engine.summary import Addressed
 from objectfolder.workspace.installed import check_installed
 
@@ -38,30 +38,14 @@ class Outlook(StrEnum):
 
 @dataclass(frozen=True)
 class StageStatus(Addressed):
-    """State of one stage.
+    """State of one stage."""
 
-    Parameters
-    ----------
-    address : str
-        Stage address, such as ``modal@mug``.
-    state : State
-        Current state.
-    outlook : Outlook
-        Action of the next build.
-    reasons : tuple of str
-        Changes that make the stage itself stale.
-    waits_for : tuple of str
-        Upstream stages that are not up to date.
-    log : str
-        Log of the command that failed, otherwise empty.
-    """
-
-    address: str
+    address: str  #: stage address, such as ``modal@mug``
     state: State
-    outlook: Outlook
-    reasons: tuple[str, ...] = ()
-    waits_for: tuple[str, ...] = ()
-    log: str = ""
+    outlook: Outlook  #: action of the next build
+    reasons: tuple[str, ...] = ()  #: changes that make the stage itself stale
+    waits_for: tuple[str, ...] = ()  #: upstream stages that are not up to date
+    log: str = ""  #: log of the command that failed, otherwise empty
 
 
 def status(targets: Sequence[str] = (), root: str | Path = ".", wait: bool = False) -> list[StageStatus]:

@@ -34,49 +34,24 @@ class Addressed:
 
 @dataclass(frozen=True)
 class StageResult(Addressed):
-    """Outcome of one stage, with its time, memory and log.
+    """Outcome of one stage, with its time, memory and log."""
 
-    Parameters
-    ----------
-    address : str
-        Stage address, such as ``modal@mug``.
-    status : StageOutcome
-        Outcome.
-    seconds : float
-        Wall time of the command or of the restore, s.
-    peak_mb : float, optional
-        Peak resident memory of the largest process of the command, MB; None if no command ran.
-    log : Path, optional
-        Log file of the command; None if no command ran.
-    error : str
-        Error message; empty unless failed or blocked.
-    tail : tuple of str
-        Last lines of the log of a failed command.
-    """
-
-    address: str
+    address: str  #: stage address, such as ``modal@mug``
     status: StageOutcome
-    seconds: float = 0.0
+    seconds: float = 0.0  #: wall time of the command or of the restore, s
+    #: Peak resident memory of the largest process of the command, MB; None if no command ran.
     peak_mb: float | None = None
-    log: Path | None = None
-    error: str = ""
-    tail: tuple[str, ...] = ()
+    log: Path | None = None  #: log file of the command; None if no command ran
+    error: str = ""  #: error message; empty unless failed or blocked
+    tail: tuple[str, ...] = ()  #: last lines of the log of a failed command
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Results of a build.
+    """Results of a build."""
 
-    Parameters
-    ----------
-    stages : mapping of str to StageResult
-        Result of every requested stage, by address, in topological order.
-    seconds : float
-        Wall time of the whole build, s.
-    """
-
-    stages: Mapping[str, StageResult]
-    seconds: float
+    stages: Mapping[str, StageResult]  #: result of every requested stage, by address, in topological order
+    seconds: float  #: wall time of the whole build, s
 
     @property
     def ok(self) -> bool:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from objectfolder.engine.dvc.changes import differences
 from objectfolder.engine.dvc.recorded import (
     RecordedFile,
     cache_hash_name,
@@ -18,14 +17,15 @@ from objectfolder.engine.dvc.recorded import (
     with_downstream,
 )
 from objectfolder.engine.dvc.repository import OpenRepository
-from objectfolder.engine.dvc.savedruns import maker, saved_outputs, saved_runs
-from objectfolder.engine.pool import process_pool
+from objectfolder.engine.dvc.runcache import hashes_in, maker, outputs_of, read_entry, saved_runs
+from objectfolder.engine.process import process_pool
 from objectfolder.engine.resources import cores
 from objectfolder.workspace.layout import Build
+from objectfolder.workspace.params import differences
 from objectfolder.workspace.validate import find_problem, readers
 
 #: Number of artifacts from which validation uses processes.
-MANY = 200
+PROCESS_THRESHOLD = 200
 
 #: Wraps an iteration of known length in a progress bar.
 Track = Callable[[Iterable[Any], str, int], Iterable[Any]]
@@ -33,38 +33,21 @@ Track = Callable[[Iterable[Any], str, int], Iterable[Any]]
 
 @dataclass
 class Survey:
-    """Recorded files, and their state on disk.
-
-    Parameters
-    ----------
-    root : Path
-        Workspace.
-    files : list of RecordedFile
-        Recorded files, also those in directories.
-    folders : list of RecordedFile
-        Recorded directories.
-    others : dict of Path to str
-        Hashes of cached objects that no stage refers to.
-    hashes : dict of Path to str
-        Hashes found; for an unreadable file, the reason instead.
-    invalid : dict of Path to str
-        Problems of artifacts with the right hash that their reader rejects.
-    misrecorded : dict of str to str
-        Stages whose outputs a saved run made from other inputs than those recorded, with the differences.
-    blocked : set of str
-        Stages that cannot be rebuilt, because a source upstream is not as recorded.
-    sizes : dict
-        Sizes of the files that were read, by device and inode.
-    """
+    """Recorded files, and their state on disk."""
 
     root: Path
-    files: list[RecordedFile] = field(default_factory=list)
-    folders: list[RecordedFile] = field(default_factory=list)
-    others: dict[Path, str] = field(default_factory=dict)
+    files: list[RecordedFile] = field(default_factory=list)  #: recorded files, also those in directories
+    folders: list[RecordedFile] = field(default_factory=list)  #: recorded directories
+    others: dict[Path, str] = field(default_factory=dict)  #: hashes of cached objects that no stage refers to
+    #: Hashes found; for an unreadable file, the reason instead.
     hashes: dict[Path, str] = field(default_factory=dict)
+    #: Problems of artifacts with the right hash that their reader rejects.
     invalid: dict[Path, str] = field(default_factory=dict)
+    #: Stages whose outputs a saved run made from other inputs than those recorded, with the differences.
     misrecorded: dict[str, str] = field(default_factory=dict)
+    #: Stages that cannot be rebuilt, because a source upstream is not as recorded.
     blocked: set[str] = field(default_factory=set)
+    #: Sizes of the files that were read, by device and inode.
     sizes: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def matches(self, path: Path | None, oid: str) -> bool:
@@ -99,17 +82,10 @@ class Survey:
 def take_survey(repository: OpenRepository, targets: Sequence[str], jobs: int | None, track: Track) -> Survey:
     """Hash what the lock files describe and, without targets, the whole cache; validate the artifacts.
 
-    Parameters
-    ----------
-    repository : OpenRepository
-    targets : sequence of str
-        As for `objectfolder.engine.build.build`.
-    jobs : int, optional
-        Threads; default: all cores.
-    track : callable
-        Wraps iterations in a progress bar.
+    ``targets``: as for `objectfolder.engine.build.build`; ``jobs``: threads; default: all cores; ``track``:
+    wraps iterations in a progress bar.
     """
-    survey = Survey(repository.root, misrecorded=_misrecorded(repository, targets))
+    survey = Survey(repository.root, misrecorded=_find_misrecorded(repository, targets))
     for found in recorded_outputs(repository, targets):
         (survey.folders if found.oid.endswith(".dir") else survey.files).append(found)
     with ThreadPoolExecutor(jobs or cores()) as pool:
@@ -132,7 +108,7 @@ def take_survey(repository: OpenRepository, targets: Sequence[str], jobs: int | 
             survey.others = {p: oid for p, oid in cached_objects(repository) if p not in known}
             wanted |= dict.fromkeys(survey.others, cache_hash_name(repository))
         hash_all(wanted, "reading")
-        survey.blocked = _blocked(repository, survey)
+        survey.blocked = _find_blocked(repository, survey)
     _validate(survey, jobs, track)
     return survey
 
@@ -142,14 +118,12 @@ def runs_by_object(repository: OpenRepository, survey: Survey) -> dict[str, list
     bad = survey.bad_objects()
     found: dict[str, list[Path]] = {}
     for path in saved_runs(repository.repo) if bad else ():
-        text = saved_outputs(path.read_text(errors="replace"))
-        for oid in bad:
-            if f"md5: {oid}\n" in text:
-                found.setdefault(oid, []).append(path)
+        for oid in bad & {*hashes_in(outputs_of(read_entry(path)))}:
+            found.setdefault(oid, []).append(path)
     return found
 
 
-def _misrecorded(repository: OpenRepository, targets: Sequence[str]) -> dict[str, str]:
+def _find_misrecorded(repository: OpenRepository, targets: Sequence[str]) -> dict[str, str]:
     found = {}
     for address, _, record in records(repository, targets):
         if run := maker(repository.repo.stage_cache, record):
@@ -198,7 +172,7 @@ def _validate(survey: Survey, jobs: int | None, track: Track) -> None:
         for f in survey.files
         if f.path in tables.get(key := f.address.partition("@")[2], {}) and survey.matches(f.path, f.oid)
     ]
-    executor: Executor = process_pool(jobs) if len(todo) >= MANY else ThreadPoolExecutor(jobs)
+    executor: Executor = process_pool(jobs) if len(todo) >= PROCESS_THRESHOLD else ThreadPoolExecutor(jobs)
     with executor as pool:
         problems = track(pool.map(_problem, todo), "validating", len(todo))
         survey.invalid |= {path: problem for (*_, path), problem in zip(todo, problems) if problem}
@@ -209,23 +183,23 @@ def _problem(item: tuple[str, Path, Path]) -> str:
     return find_problem(readers(Build(key, root))[path], path)
 
 
-def _blocked(repository: OpenRepository, survey: Survey) -> set[str]:
+def _find_blocked(repository: OpenRepository, survey: Survey) -> set[str]:
     """Return the stages that a build would run on a source that differs from the record.
 
     A build takes such a source for the user's edit and records it.
     """
-    unsound = [f.out for f in survey.files if not f.rebuildable and not _restorable(survey, f)]
-    unsound += [f.out for f in survey.folders if not f.rebuildable and _altered(survey, f)]
+    unsound = [f.out for f in survey.files if not f.rebuildable and not _is_restorable(survey, f)]
+    unsound += [f.out for f in survey.folders if not f.rebuildable and _is_altered(survey, f)]
     return with_downstream(repository, unsound)
 
 
-def _restorable(survey: Survey, file: RecordedFile) -> bool:
+def _is_restorable(survey: Survey, file: RecordedFile) -> bool:
     """Return whether a source is as recorded, or missing but in the cache."""
     missing = file.path not in survey.hashes
     return survey.matches(file.path, file.oid) or (missing and survey.matches(file.cached, file.oid))
 
 
-def _altered(survey: Survey, folder: RecordedFile) -> bool:
+def _is_altered(survey: Survey, folder: RecordedFile) -> bool:
     """Return whether a directory has unrecorded files, or a damaged listing that cannot be recreated."""
     if survey.matches(folder.cached, folder.oid):
         return bool(survey.strays(folder))

@@ -54,10 +54,7 @@ def is_stage(command: Command) -> bool:
 class Starter:
     """Client of the process that starts stages warm; it ends with the thread that makes this object.
 
-    Parameters
-    ----------
-    env : mapping of str to str
-        Environment of a stage.
+    ``env``: environment of a stage.
     """
 
     def __init__(self, env: Mapping[str, str]):

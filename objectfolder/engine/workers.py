@@ -45,12 +45,7 @@ class Workers(Protocol):
 class LocalWorkers:
     """Workers on this machine: one thread per command.
 
-    Parameters
-    ----------
-    machine : Machine
-        Resources to use.
-    finished : SimpleQueue
-        Queue for outcomes.
+    ``machine``: resources to use; ``finished``: queue for outcomes.
     """
 
     def __init__(self, machine: Machine, finished: FinishedQueue):

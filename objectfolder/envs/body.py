@@ -16,11 +16,9 @@ from objectfolder.envs.hulls import cached_hulls
 from objectfolder.envs.solid import close_holes
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.touch.friction import friction_of
 
 #: Folder in which convex hulls are cached, or the hulls, object frame, m; None: a folder of the user's.
 Hulls = str | Path | Sequence[trimesh.Trimesh] | None
-
 TORSIONAL, ROLLING = 0.005, 0.0001  #: friction, m: MuJoCo's defaults
 
 
@@ -42,17 +40,9 @@ class RigidBody:
         return np.concatenate([hull.vertices for hull in self.hulls])
 
     def principal(self, turn: np.ndarray | None = None) -> tuple[np.ndarray, Rotation]:
-        """Return the principal moments of inertia, ascending, and the rotation to their axes.
+        """Return the principal moments of inertia, (3,) kg m^2, ascending, and the rotation to their axes.
 
-        Parameters
-        ----------
-        turn : (3, 3) array, optional
-            Rotation to the axes in which they are wanted; default: the object's.
-
-        Returns
-        -------
-        (3,) float64, kg m^2
-        Rotation
+        They are wanted in axes to which ``turn`` (3, 3) rotates; by default, in the object's.
         """
         turn = np.eye(3) if turn is None else turn
         moments, axes = np.linalg.eigh(turn @ self.inertia @ turn.T)
@@ -82,32 +72,27 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
         raise ObjectFolderError(f"{file.key}: no hulls to collide with; expected at least one")
     surface = close_holes(file.to_mesh())
     _check_fit(file.key, surface.bounds, hulls)
-    volume, centre, inertia = _moments(file, surface)
+    if "solid" in file.header:
+        volume, centre, inertia = solid_moments(file)
+    else:
+        found = surface.mass_properties
+        volume, centre = float(found.volume), np.asarray(found.center_mass)
+        inertia = np.asarray(found.inertia)
     return RigidBody(
         key=file.key,
         hulls=tuple(hulls),
         mass=density(file) * volume,
         centre=centre,
         inertia=density(file) * inertia,
-        friction=friction_of(file.material),
+        friction=file.friction,
         bounds=np.asarray(surface.bounds),
     )
 
 
 def as_rigid_body(file: ObjectFile | RigidBody | str | Path, hulls: Hulls = None) -> RigidBody:
-    """Return the rigid body of an object.
+    """Return the rigid body of an object; to compute hulls takes up to half a minute.
 
-    Parameters
-    ----------
-    file : ObjectFile, path or RigidBody
-    hulls : path or sequence of trimesh.Trimesh, optional
-        Folder in which convex hulls are cached, or the hulls themselves, object frame, m. Default: a folder
-        of the user's. To compute them takes up to half a minute.
-
-    Raises
-    ------
-    ObjectFolderError
-        As `rigid_body` and `objectfolder.envs.hulls.cached_hulls`, or if ``hulls`` is something else.
+    Raises ObjectFolderError as `rigid_body` and `cached_hulls`, or if ``hulls`` is none of `Hulls`.
     """
     if isinstance(file, RigidBody):
         return file
@@ -151,18 +136,15 @@ def scaled_body(body: RigidBody, ratio: float, density: float = 1.0) -> RigidBod
 def density(file: ObjectFile) -> float:
     """Return the density of the object's material, kg/m^3: the file's own, else from the materials table.
 
-    Raises
-    ------
-    ObjectFolderError
-        If neither has it.
+    Raises ObjectFolderError if neither has it.
     """
     stored = file.header.get("material_properties")
     if stored:
         return float(stored["density"])
-    if file.material.lower() not in materials.MATERIALS:
+    if file.material.lower() not in materials.material_names():
         raise ObjectFolderError(
             f"{file.key}: its density is not known: the file stores none, and {file.material!r} is "
-            f"none of {', '.join(materials.MATERIALS)}; import the file again with --material"
+            f"none of {', '.join(materials.material_names())}; import the file again with --material"
         )
     return materials.material(file.material).density
 
@@ -248,21 +230,10 @@ def _check_compiler(spec: mujoco.MjSpec, body: RigidBody, name: str) -> None:
             )
 
 
-def _moments(file: ObjectFile, surface: trimesh.Trimesh) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return volume, centre and inertia (3, 3) at density 1, metres."""
-    if "solid" in file.header:
-        return solid_moments(file)
-    found = surface.mass_properties
-    return float(found.volume), np.asarray(found.center_mass), np.asarray(found.inertia)
-
-
 def solid_moments(file: ObjectFile) -> tuple[float, np.ndarray, np.ndarray]:
     """Return volume, centre and inertia (3, 3), at density 1, of the solid that a file stores; metres.
 
-    Raises
-    ------
-    ObjectFolderError
-        If no body has the inertia.
+    Raises ObjectFolderError if no body has the inertia.
     """
     solid, size = file.header["solid"], file.scale
     xx, yy, zz, xy, xz, yz = solid["inertia"]
@@ -278,8 +249,8 @@ def solid_moments(file: ObjectFile) -> tuple[float, np.ndarray, np.ndarray]:
 
 def _check_fit(key: str, bounds: np.ndarray, hulls: Sequence[trimesh.Trimesh]) -> None:
     """Raise unless the bounds of the hulls are about those of the surface."""
-    reach = np.array([[hull.bounds[0] for hull in hulls], [hull.bounds[1] for hull in hulls]])
-    lowest, highest = reach[0].min(0), reach[1].max(0)
+    reach = np.array([hull.bounds for hull in hulls])
+    lowest, highest = reach[:, 0].min(0), reach[:, 1].max(0)
     size = (bounds[1] - bounds[0]).max()
     if np.abs([lowest - bounds[0], highest - bounds[1]]).max() > 0.1 * size:
         raise ObjectFolderError(
@@ -287,3 +258,24 @@ def _check_fit(key: str, bounds: np.ndarray, hulls: Sequence[trimesh.Trimesh]) -
             f"surface from {bounds[0].round(4).tolist()} to {bounds[1].round(4).tolist()} m; they are of "
             "another object or frame: make them of this file's to_mesh()"
         )
+
+
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """Return the rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, np.float64))
+    return matrix.reshape(3, 3)
+
+
+def turn_poses(poses: np.ndarray, yaws: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+    """Rotate poses (N, 7) by yaws (N,) about the vertical through the origin, then shift them by (N, 2)."""
+    yaws = np.asarray(yaws, np.float64)
+    cos, sin = np.cos(yaws), np.sin(yaws)
+    x, y, z = poses[:, :3].T
+    moved = np.stack([cos * x - sin * y, sin * x + cos * y, z], 1)
+    moved[:, :2] += shifts
+    half = np.stack([np.cos(yaws / 2), 0 * yaws, 0 * yaws, np.sin(yaws / 2)], 1)
+    quaternions = np.empty((len(poses), 4))
+    for out, turn, pose in zip(quaternions, half, poses):
+        mujoco.mju_mulQuat(out, turn, pose[3:])
+    return np.c_[moved, quaternions]

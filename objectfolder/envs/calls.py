@@ -12,16 +12,14 @@ from objectfolder.materials import material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import file_or_sample
 
-KEPT = ("_np_random", "_np_random_seed", "spec")  #: attributes of gymnasium's that a copy keeps
+MAX_PRESSURE = 1000.0  #: greatest sound pressure that is observed, Pa
+COPIED_ATTRIBUTES = ("_np_random", "_np_random_seed", "spec")  #: attributes of gymnasium's that a copy keeps
 
 
-def opened(objects: "ObjectFile | str | Path | Sequence[ObjectFile | str | Path]") -> list[ObjectFile]:
-    """Return the Object Files of an environment; see `object_file`. A single one may stand for itself.
+def open_files(objects: "ObjectFile | str | Path | Sequence[ObjectFile | str | Path]") -> list[ObjectFile]:
+    """Return the Object Files of an environment; a single one may stand for itself.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there are none, one cannot be read, or two have one key.
+    Raises ObjectFolderError if there are none, one cannot be read, or two have one key.
     """
     given = [objects] if isinstance(objects, str | Path | ObjectFile) else [*objects]
     files = [object_file(one) for one in given]
@@ -29,13 +27,10 @@ def opened(objects: "ObjectFile | str | Path | Sequence[ObjectFile | str | Path]
     return files
 
 
-def material_names(materials: str | Sequence[str], least: int = 1) -> list[str]:
-    """Return the names of the materials of an environment. A single one may stand for itself.
+def distinct_materials(materials: str | Sequence[str], least: int = 1) -> list[str]:
+    """Return the names of the materials of an environment; a single one may stand for itself.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there are fewer than ``least``, one is unknown, or there is one twice.
+    Raises ObjectFolderError if there are fewer than ``least``, one is unknown, or there is one twice.
     """
     names = [material(name).name for name in ([materials] if isinstance(materials, str) else materials)]
     _require_different("material", names, least)
@@ -49,39 +44,21 @@ def object_file(given: ObjectFile | str | Path) -> ObjectFile:
     return ObjectFile.load(file_or_sample(Path(given)))
 
 
-def checked_render_mode(given: str | None) -> str | None:
-    """Return a render mode: pictures by ray casting, or none.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is another.
-    """
+def check_render_mode(given: str | None) -> str | None:
+    """Return a render mode: ``rgb_array``, pictures by ray casting, or None; else raise ObjectFolderError."""
     return None if given is None else one_of("render_mode", given, ("rgb_array",))
 
 
-def picture_size(given: Any) -> tuple[int, int]:
-    """Return the height and width of pictures.
-
-    Raises
-    ------
-    ObjectFolderError
-        If they are not two whole numbers of at least 1.
-    """
+def check_resolution(given: Any) -> tuple[int, int]:
+    """Return height and width of pictures; raise ObjectFolderError unless they are whole numbers above 0."""
     sides = [whole_number("resolution", side, 1) for side in (given if isinstance(given, Iterable) else [])]
     if len(sides) != 2:
         raise ObjectFolderError(f"resolution is {quoted(given)}, expected height and width, pixels")
     return sides[0], sides[1]
 
 
-def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return actions as float64.
-
-    Raises
-    ------
-    ObjectFolderError
-        If they do not have the shape, or are not finite numbers.
-    """
+def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Return actions as float64; raise ObjectFolderError unless they have the shape and are finite."""
     try:
         values = real_array("action", actions)
     except ObjectFolderError:
@@ -95,21 +72,15 @@ def finite_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     return values
 
 
-def discrete_action(action: Any, count: int) -> int:
-    """Return the number of an action.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is not a whole number below ``count``.
-    """
+def check_action(action: Any, count: int) -> int:
+    """Return the number of an action; raise ObjectFolderError unless it is a whole one below ``count``."""
     values = np.asarray(action)
     if values.shape != () or values.dtype.kind not in "iu" or not 0 <= values < count:
         raise ObjectFolderError(f"action is {quoted(action)}, expected a whole number from 0 to {count - 1}")
     return int(values)
 
 
-def no_options(options: dict[str, Any] | None) -> None:
+def refuse_options(options: dict[str, Any] | None) -> None:
     """Raise ObjectFolderError if a reset has options, of which the environments have none."""
     if options:
         raise ObjectFolderError(
@@ -117,7 +88,7 @@ def no_options(options: dict[str, Any] | None) -> None:
         )
 
 
-def started(begun: bool) -> None:
+def require_reset(begun: bool) -> None:
     """Raise ObjectFolderError if an environment was not reset before its first step or picture."""
     if not begun:
         raise ObjectFolderError("the environment was not reset; call reset() first")

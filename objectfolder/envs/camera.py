@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from objectfolder.envs.gripper import boxes
-from objectfolder.envs.poses import hand_axes, rotation
+from objectfolder.envs.body import rotation
+from objectfolder.envs.gripper import boxes, hand_axes
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white
@@ -18,13 +18,7 @@ TABLE = (0.45, 0.47, 0.5)  #: linear RGB
 
 
 class ExternalCamera:
-    """A fixed camera beside the table.
-
-    Parameters
-    ----------
-    resolution : int
-        Side of the square pictures, pixels.
-    """
+    """A fixed camera beside the table; its pictures are squares of ``resolution`` pixels a side."""
 
     def __init__(self, resolution: int):
         distance = float(np.linalg.norm(CAMERA - TARGET))
@@ -37,21 +31,10 @@ class ExternalCamera:
         self._rays = rays.reshape(-1, 3) @ self.pose[:3, :3].T
 
     def picture(self, file: ObjectFile, place: np.ndarray, hand: np.ndarray, width: float) -> np.ndarray:
-        """Draw the object, the table and the gripper.
+        """Draw the object, the table and the gripper; (H, W, 3) uint8, sRGB.
 
-        Parameters
-        ----------
-        file : ObjectFile
-        place : (7,) array
-            Position and quaternion of the object, world frame.
-        hand : (4,) array
-            Pose of the gripper.
-        width : float
-            Opening of its jaws, metres.
-
-        Returns
-        -------
-        (H, W, 3) uint8, sRGB
+        Takes position and quaternion of the object (7,), the pose of the gripper (4,), world frame, and the
+        opening of its jaws, m.
         """
         world = rotation(place[3:])
         camera = np.eye(4)
@@ -86,20 +69,10 @@ class ExternalCamera:
 
 
 def box_hits(origin: np.ndarray, rays: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Intersect rays with a box centred at the origin, by the slab method.
+    """Intersect rays (P, 3) with a box of half sides (3,) at the origin, by the slab method.
 
-    Parameters
-    ----------
-    origin : (3,) array
-        Outside the box.
-    rays : (P, 3) array
-    size : (3,) array
-        Half sides.
-
-    Returns
-    -------
-    distance : (P,) in lengths of the rays; infinite for misses
-    normals : (P, 3) of the sides that the rays enter
+    The rays' origin (3,) is outside the box. Returns distances (P,) in lengths of the rays, infinite for
+    misses, and normals (P, 3) of the sides that the rays enter.
     """
     sign = np.where(rays < 0, -1.0, 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -9,16 +9,16 @@ import numpy as np
 import torch
 
 from objectfolder.checks import finite_number, whole_number
-from objectfolder.envs.drawing import AMBIENT, LIGHT, SKY, geom_colours, view_frame, view_rays
+from objectfolder.envs.drawing import AMBIENT, LIGHT, SKY, cast_rays, geom_colours, view_frame, view_rays
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.sounding import body_number
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
 FOV = 40.0  #: vertical, degrees, of the camera that is placed without one in the scene
-_HIDDEN = 5  # group of geoms that the objects' surfaces replace
-_SPOT = 0.6  # share of the light that a shadow takes
-_AWAY = 1e-3  # m from a surface at which a shadow ray begins
+_HIDDEN_GROUP = 5  # group of geoms that the objects' surfaces replace
+_SHADOW_SHARE = 0.6  # share of the light that a shadow takes
+_SHADOW_OFFSET = 1e-3  # m from a surface at which a shadow ray begins
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,7 @@ class Take:
 def default_view(model: mujoco.MjModel, data: mujoco.MjData, objects: dict[str, ObjectFile]) -> SceneView:
     """Return the scene's first camera, or one that sees the objects, their fall included.
 
-    Parameters
-    ----------
-    model : mujoco.MjModel
-    data : mujoco.MjData
-        At the start (``mj_forward``).
-    objects : dict
-        By the names of their bodies.
+    ``data`` are at the start (``mj_forward``); objects are given by the names of their bodies.
     """
     if model.ncam:
         ahead = -data.cam_xmat[0].reshape(3, 3)[:, 2]
@@ -64,20 +58,8 @@ def default_view(model: mujoco.MjModel, data: mujoco.MjData, objects: dict[str, 
 def simulate(model: mujoco.MjModel, data: mujoco.MjData, hearing: Hearing, seconds: float, rate: int) -> Take:
     """Run a scene from its start; keep its sound, and its state at each picture.
 
-    Parameters
-    ----------
-    model : mujoco.MjModel
-    data : mujoco.MjData
-    hearing : Hearing
-        Of the same model, at the same time.
-    seconds : float
-    rate : int
-        Pictures per second.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is not one picture.
+    ``hearing`` is of the same model, at the same time; ``rate`` is in pictures per second. Raises
+    ObjectFolderError if there is not one picture.
     """
     pictures = round(finite_number("seconds", seconds) * whole_number("rate", rate, 1))
     if pictures < 1:
@@ -117,8 +99,8 @@ class SceneCamera:
         self._view, self._shape = view, (height, width)
         self._rest = copy.copy(model)
         self._colours = geom_colours(model)
-        self._rest.geom_group[np.isin(model.geom_bodyid, [*self._objects])] = _HIDDEN
-        self._shown = np.array([1, 1, 1, 0, 0, 0], np.uint8)  # as MuJoCo: others are for collisions
+        self._rest.geom_group[np.isin(model.geom_bodyid, [*self._objects])] = _HIDDEN_GROUP
+        self._visible_groups = np.array([1, 1, 1, 0, 0, 0], np.uint8)  # as MuJoCo: others are for collisions
 
     def pictures(self, take: Take) -> Iterator[np.ndarray]:
         """Draw each picture of a take; (height, width, 3) uint8, sRGB."""
@@ -132,16 +114,10 @@ class SceneCamera:
 
     def picture(self, data: mujoco.MjData) -> np.ndarray:
         """Draw a simulation with current positions; (height, width, 3) uint8, sRGB."""
-        eye, rays = self._seen(data)
-        count = len(rays)
-        geom, distance, normal = np.zeros(count, np.int32), np.zeros(count), np.zeros(3 * count)
-        mujoco.mj_multiRay(
-            self._rest, data, eye, np.ascontiguousarray(rays).ravel(), self._shown, True, -1, geom,
-            distance, normal, count, mujoco.mjMAXVAL,
-        )  # fmt: skip
+        eye, rays = self._view_rays(data)
+        geom, distance, normals = cast_rays(self._rest, data, eye, rays, self._visible_groups)
         hit = geom >= 0
-        distance = np.where(hit, distance, np.inf)
-        colours, normals = np.full((count, 3), SKY), normal.reshape(-1, 3)
+        distance, colours = np.where(hit, distance, np.inf), np.full((len(rays), 3), SKY)
         colours[hit] = self._colours[geom[hit]]
         for body, file in self._objects.items():
             turn, at = data.xmat[body].reshape(3, 3), data.xpos[body]
@@ -155,16 +131,16 @@ class SceneCamera:
             painted = file.base_colors
             colours[nearer] = painted(points) / 255 if painted is not None and len(points) else 0.7
         seen = np.flatnonzero(hit)
-        places = eye + distance[seen, None] * rays[seen] + _AWAY * normals[seen]
+        places = eye + distance[seen, None] * rays[seen] + _SHADOW_OFFSET * normals[seen]
         lit = (normals[seen] @ LIGHT).clip(0, 1)
         for body, file in self._objects.items():
             turn, at = data.xmat[body].reshape(3, 3), data.xpos[body]
             towards = np.broadcast_to(LIGHT, places.shape)
-            lit[np.isfinite(self._cast(file, turn, at, places, towards))] *= 1 - _SPOT
+            lit[np.isfinite(self._cast(file, turn, at, places, towards))] *= 1 - _SHADOW_SHARE
         colours[seen] *= (AMBIENT + (1 - AMBIENT) * lit)[:, None]
         return np.rint(255 * colours.clip(0, 1)).astype(np.uint8).reshape(*self._shape, 3)
 
-    def _seen(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    def _view_rays(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
         """Return where the camera is, (3,) m, and the rays through its pixels; world frame."""
         view = self._view
         if view.camera is None:

@@ -1,21 +1,20 @@
 """Pictures of a MuJoCo scene by ray casting: no OpenGL, no window, the same bytes everywhere."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
 SKY = 0.93  #: grey of the background
 LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm([0.35, -0.5, 0.8])  #: direction to it, world frame
 AMBIENT = 0.35
-UNCOLOURED = np.array([0.5, 0.5, 0.5, 1], np.float32)  #: of a geom without a colour of its own, in MuJoCo
+DEFAULT_COLOUR = np.array([0.5, 0.5, 0.5, 1], np.float32)  #: of a geom without a colour of its own, in MuJoCo
 
 
 def view_frame(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return the orientation of a camera at ``eye`` that looks at ``target``, z up.
+    """Return the orientation (3, 3) of a camera at ``eye`` that looks at ``target``, z up.
 
-    Returns
-    -------
-    (3, 3) float64
-        Columns: image right, image up and backwards, world frame, as ``cam_xmat`` of MuJoCo.
+    Columns are image right, image up and backwards, world frame, as ``cam_xmat`` of MuJoCo.
     """
     forward = np.subtract(target, eye)
     forward /= np.linalg.norm(forward)
@@ -25,20 +24,9 @@ def view_frame(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def view_rays(frame: np.ndarray, fov: float, height: int, width: int) -> np.ndarray:
-    """Return the directions of a camera's rays, one per pixel, row by row.
+    """Return the directions of a camera's rays, one per pixel, row by row: (height * width, 3), of length 1.
 
-    Parameters
-    ----------
-    frame : (3, 3) array
-        See `view_frame`.
-    fov : float
-        Vertical field of view, degrees.
-    height, width : int
-        Pixels.
-
-    Returns
-    -------
-    (height * width, 3) float64, world frame, of length 1.
+    ``frame`` is as of `view_frame`; ``fov`` is the vertical field of view, degrees.
     """
     right, up, back = np.asarray(frame, np.float64).T
     step = 2 * np.tan(np.radians(fov) / 2) / height  # of a pixel, at distance 1
@@ -51,39 +39,36 @@ def view_rays(frame: np.ndarray, fov: float, height: int, width: int) -> np.ndar
 def draw_model(
     model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray, rays: np.ndarray, height: int, width: int
 ) -> np.ndarray:
-    """Draw geoms in their colours under one light.
+    """Draw geoms in their colours under one light; (height, width, 3) uint8.
 
-    Parameters
-    ----------
-    model : mujoco.MjModel
-    data : mujoco.MjData
-        With current positions (``mj_forward``).
-    eye : (3,) array
-        World frame, m.
-    rays : (height * width, 3) array
-        See `view_rays`.
+    ``data`` has current positions (``mj_forward``); ``eye`` is in the world frame, m; `view_rays` makes rays.
+    """
+    geom, _, normal = cast_rays(model, data, eye, rays)
+    hit = geom >= 0
+    lit = AMBIENT + (1 - AMBIENT) * np.clip(normal[hit] @ LIGHT, 0, 1)
+    colours = np.full((len(rays), 3), SKY)
+    colours[hit] = geom_colours(model)[geom[hit]] * lit[:, None]
+    return np.rint(255 * colours).astype(np.uint8).reshape(height, width, 3)
 
-    Returns
-    -------
-    (height, width, 3) uint8
+
+def cast_rays(
+    model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray, rays: np.ndarray, groups: Any = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the geoms that rays (N, 3) meet, -1 for none, the distances, m, and the normals (N, 3).
+
+    ``groups`` are six flags, uint8, of the groups of geoms that are seen; default: all.
     """
     count = len(rays)
     geom, distance, normal = np.zeros(count, np.int32), np.zeros(count), np.zeros(3 * count)
-    directions = np.ascontiguousarray(rays).ravel()
+    directions, start = np.ascontiguousarray(rays).ravel(), np.asarray(eye, float)
     far = mujoco.mjMAXVAL
-    mujoco.mj_multiRay(
-        model, data, np.asarray(eye, float), directions, None, True, -1, geom, distance, normal, count, far
-    )
-    hit = geom >= 0
-    lit = AMBIENT + (1 - AMBIENT) * np.clip(normal.reshape(-1, 3)[hit] @ LIGHT, 0, 1)
-    colours = np.full((count, 3), SKY)
-    colours[hit] = geom_colours(model)[geom[hit]] * lit[:, None]
-    return np.rint(255 * colours).astype(np.uint8).reshape(height, width, 3)
+    mujoco.mj_multiRay(model, data, start, directions, groups, True, -1, geom, distance, normal, count, far)
+    return geom, distance, normal.reshape(-1, 3)
 
 
 def geom_colours(model: mujoco.MjModel) -> np.ndarray:
     """Return the colours of geoms, (G, 3): their own, or that of their material where they have none."""
     colours = model.geom_rgba[:, :3].copy()
-    materials = (model.geom_matid >= 0) & (model.geom_rgba == UNCOLOURED).all(1)
+    materials = (model.geom_matid >= 0) & (model.geom_rgba == DEFAULT_COLOUR).all(1)
     colours[materials] = model.mat_rgba[model.geom_matid[materials], :3]
     return colours

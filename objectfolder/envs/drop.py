@@ -10,20 +10,17 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.audio.synthesis import count_samples
-from objectfolder.envs.body import add_body, density, rigid_body, scaled_body
-from objectfolder.envs.calls import KEPT, material_names, no_options, opened, started
+from objectfolder.envs import calls
+from objectfolder.envs.body import add_body, density, rigid_body, rotation, scaled_body
 from objectfolder.envs.hearing import Hearing
-from objectfolder.envs.poses import rotation
 from objectfolder.envs.sounding import Sounding, require_audible
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import material
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.touch.friction import friction_of
 
 MATERIALS = ("ceramic", "glass", "wood", "plastic", "steel")
 HEIGHTS = 0.1, 0.4  #: range of the fall, m
 SIZES = 0.8, 1.25  #: range of the size, of the object's own
-LOUDEST = 1000.0  #: greatest sound pressure that is observed, Pa
 _EAR = np.array([0.5, -0.4, 0.4])  # m
 
 
@@ -65,56 +62,61 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         seconds: float = 0.5,
         sample_rate: float = 48000,
     ):
-        self.files = opened(objects)
-        self.materials = material_names(materials)
+        self.files = calls.open_files(objects)
+        self.materials = calls.distinct_materials(materials)
         self._arguments = (self.files, self.materials, seconds, sample_rate)
         self._rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
         require_audible(self.files, self.materials, SIZES[0], sample_rate)
         self._bodies = [rigid_body(file, [file.to_mesh().convex_hull]) for file in self.files]
-        self.observation_space = spaces.Box(-LOUDEST, LOUDEST, (self._samples,), np.float32)
+        self.observation_space = spaces.Box(
+            -calls.MAX_PRESSURE, calls.MAX_PRESSURE, (self._samples,), np.float32
+        )
         self.action_space = spaces.MultiDiscrete([len(self.files), len(self.materials)])
-        self._fallen: dict[str, Any] = {}
+        self._episode: dict[str, Any] = {}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Let an object fall."""
-        no_options(options)
+        calls.refuse_options(options)
         super().reset(seed=seed)
         rng = self.np_random
         kind, stuff = int(rng.integers(len(self.files))), int(rng.integers(len(self.materials)))
         ratio = float(np.exp(rng.uniform(*np.log(SIZES))))
         height, turn, spin = rng.uniform(*HEIGHTS), rng.normal(size=4), rng.normal(size=3)
-        self._fallen = {
+        self._episode = {
             "object": kind,
             "material": stuff,
             "scale": ratio * self.files[kind].scale,
             "height": float(height),
         }
-        return self._heard(ratio, height, turn / np.linalg.norm(turn), spin), dict(self._fallen)
+        return self._simulate(ratio, height, turn / np.linalg.norm(turn), spin), dict(self._episode)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Answer; the episode ends."""
-        started(bool(self._fallen))
+        calls.require_reset(bool(self._episode))
         if not self.action_space.contains(np.asarray(action)):
             raise ObjectFolderError(
                 f"action is {quoted(action)}, expected the numbers of an object below {len(self.files)} "
                 f"and of a material below {len(self.materials)}"
             )
-        info, self._fallen = self._fallen, {}
+        info, self._episode = self._episode, {}
         right = [int(action[0]) == info["object"], int(action[1]) == info["material"]]
         return np.zeros(self._samples, np.float32), sum(right) / 2, True, False, info
 
-    def _heard(self, ratio: float, height: float, turn: np.ndarray, spin: np.ndarray) -> np.ndarray:
+    def _simulate(self, ratio: float, height: float, turn: np.ndarray, spin: np.ndarray) -> np.ndarray:
         """Simulate a fall and return its sound from the first contact on."""
-        file, stuff = self.files[self._fallen["object"]], self.materials[self._fallen["material"]]
+        file, stuff = self.files[self._episode["object"]], self.materials[self._episode["material"]]
         body = scaled_body(
-            self._bodies[self._fallen["object"]], ratio, material(stuff).density / density(file)
+            self._bodies[self._episode["object"]], ratio, material(stuff).density / density(file)
         )
-        body = replace(body, friction=friction_of(stuff))
+        friction = material(stuff).friction
+        body = replace(body, friction=friction)
         spec = mujoco.MjSpec()
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1], friction=[friction_of(stuff), 0.005, 0.0001]
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[5, 5, 0.1],
+            friction=[friction, 0.005, 0.0001],
         )
         fallen = add_body(spec, body, "object")
         low = (body.points @ rotation(turn).T)[:, 2].min()
@@ -137,7 +139,11 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         start = np.flatnonzero(sound)[0]
         while len(sound) < start + self._samples:
             sound = np.concatenate([sound, hearing.simulate(data)])
-        return sound[start : start + self._samples].clip(-LOUDEST, LOUDEST)
+        return sound[start : start + self._samples].clip(-calls.MAX_PRESSURE, calls.MAX_PRESSURE)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._arguments, {name: getattr(self, name) for name in ("_fallen", *KEPT)}
+        return (
+            type(self),
+            self._arguments,
+            {name: getattr(self, name) for name in ("_episode", *calls.COPIED_ATTRIBUTES)},
+        )

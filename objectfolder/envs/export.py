@@ -1,6 +1,7 @@
 """Export to physics engines: folders with MJCF (MuJoCo) or URDF (PyBullet, MuJoCo and others)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree as xml
 
@@ -9,15 +10,16 @@ import numpy as np
 import trimesh
 from trimesh.exchange.obj import export_obj
 
-from objectfolder.envs.body import ROLLING, TORSIONAL, RigidBody, add_body, density
-from objectfolder.envs.export_folder import export_folder
-from objectfolder.envs.hulls import MAX_HULLS
-from objectfolder.envs.visual import PLAIN, visual_mesh
+from objectfolder.disk import new_folder
+from objectfolder.envs.body import ROLLING, TORSIONAL, RigidBody, add_body, density, rigid_body
+from objectfolder.envs.hulls import MAX_HULLS, convex_hulls
+from objectfolder.envs.visual import GREY, visual_mesh
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.io import write_text
 from objectfolder.objectfile.file import ObjectFile
 
 _VISUAL, _COLLISION = 2, 3  # groups of geoms; MuJoCo's viewer shows only the first
+_NEEDED = 8 * 2**20  # approximate size of a folder with mesh and texture, bytes
 
 
 def write_mjcf(
@@ -106,21 +108,15 @@ def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
         mesh.uservert, mesh.userface, mesh.file = [], [], _hull_name(k)
         geom.group, geom.density = _COLLISION, density
     name = f"{body.key}_look"  # unlike those of other objects in a scene
-    look = spec.add_material(name=name, rgba=[1, 1, 1, 1] if textured else [PLAIN] * 3 + [1])
+    look = spec.add_material(name=name, rgba=[1, 1, 1, 1] if textured else [GREY] * 3 + [1])
     if textured:
         spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file="visual.png")
         look.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     visual = f"{body.key}_visual"
     spec.add_mesh(name=visual, file="visual.obj", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    alone = {"contype": 0, "conaffinity": 0, "density": 0}
     added.add_geom(
-        name=visual,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=visual,
-        material=name,
-        group=_VISUAL,
-        contype=0,
-        conaffinity=0,
-        density=0,
+        name=visual, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=visual, material=name, group=_VISUAL, **alone
     )
     try:
         spec.compile()
@@ -152,10 +148,23 @@ def _urdf(body: RigidBody, textured: bool) -> str:
             xml.SubElement(xml.SubElement(part, "geometry"), "mesh", filename=name, scale="1 1 1")
             if kind == "visual" and not textured:
                 grey = xml.SubElement(part, "material", name="plain")
-                xml.SubElement(grey, "color", rgba=_numbers(PLAIN, PLAIN, PLAIN, 1))
+                xml.SubElement(grey, "color", rgba=_numbers(GREY, GREY, GREY, 1))
     xml.indent(robot)
     return xml.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
 def _numbers(*values: float | np.floating) -> str:
     return " ".join(f"{float(value):.9g}" for value in values)
+
+
+@contextmanager
+def export_folder(
+    file: ObjectFile, out: str | Path, max_hulls: int, hulls: Sequence[trimesh.Trimesh] | None
+) -> Iterator[tuple[Path, RigidBody]]:
+    """Give a folder to fill, which becomes ``OUT/<key>`` if all goes well, and the object's rigid body.
+
+    Hulls are computed if none are given. Raises ObjectFolderError if the folder exists already, the file
+    holds no geometry, or an extra is not installed.
+    """
+    with new_folder(f"{file.key}: export", Path(out) / file.key, _NEEDED, "") as new:
+        yield new, rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)

@@ -19,12 +19,7 @@ FeatureFunction = Callable[[Presses], np.ndarray]  #: M presses -> (M, F) float3
 
 
 class TouchFeatures:
-    """Features of tactile images: their difference from the untouched sensor's image, averaged.
-
-    Parameters
-    ----------
-    file : ObjectFile
-    """
+    """Features of tactile images: their difference from the untouched sensor's image, averaged."""
 
     size = 3 * FEATURES[0] * FEATURES[1]
 
@@ -41,37 +36,30 @@ class TouchFeatures:
         """Return features of presses; (M, size) float32."""
         if not len(pressed.points):
             return np.zeros((0, self.size), np.float32)
-        change = _averaged(self.images(pressed)) - _averaged(self.untouched[None])
+        change = _average(self.images(pressed)) - _average(self.untouched[None])
         return (CONTRAST * change).clamp(-CONTRAST, CONTRAST).numpy()
 
 
-def _averaged(images: np.ndarray) -> torch.Tensor:
+def _average(images: np.ndarray) -> torch.Tensor:
     """Average images of any size; (M, H, W, 3) uint8 -> (M, size), 0 to 1."""
     channels = torch.from_numpy(images).permute(0, 3, 1, 2).float() / 255
     return torch.nn.functional.adaptive_avg_pool2d(channels, FEATURES).flatten(1)
 
 
 class TouchBank:
-    """Stored features of many presses; a query gets those of the nearest press, a thousand times faster.
-
-    Parameters
-    ----------
-    pressed : Presses
-        M rows.
-    features : (M, F) array
-    """
+    """Stored features (M, F) of M presses; a query gets those of the nearest, a thousand times faster."""
 
     _POINT, _OUTWARD = 0.002, 0.05  # differences that count as equally far: m, and of unit vectors
 
     def __init__(self, pressed: Presses, features: np.ndarray):
         self.pressed, self.features = pressed, features
-        self._tree = cKDTree(self._scaled(pressed))
+        self._tree = cKDTree(self._scale_features(pressed))
 
     def __call__(self, pressed: Presses) -> np.ndarray:
         """Return features of the nearest stored presses; (N, F)."""
         if not len(pressed.points):
             return np.zeros((0, self.features.shape[1]), np.float32)
-        return self.features[self._tree.query(self._scaled(pressed))[1]]
+        return self.features[self._tree.query(self._scale_features(pressed))[1]]
 
     def save(self, path: str | Path, source: str) -> None:
         """Write the bank with the name of its source."""
@@ -86,5 +74,5 @@ class TouchBank:
             return None
         return cls(Presses(*(stored[name] for name in names[:3])), stored["features"])
 
-    def _scaled(self, pressed: Presses) -> np.ndarray:
+    def _scale_features(self, pressed: Presses) -> np.ndarray:
         return np.c_[pressed.points / self._POINT, pressed.outward / self._OUTWARD]

@@ -7,27 +7,26 @@ import mujoco
 import numpy as np
 import torch
 
-from objectfolder.envs.fingers import COARSE, LEAST_DEPTH, sensor_angles
-from objectfolder.envs.poses import rotation
-from objectfolder.envs.sounding import Objects, check_extent, placed_objects
+from objectfolder.envs.body import rotation
+from objectfolder.envs.fingers import GRID_REDUCTION, MIN_DEPTH, sensor_angles
+from objectfolder.envs.sounding import Objects, check_extent, find_bodies, site_number
 from objectfolder.envs.state import SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.camera import gel_sag
-from objectfolder.touch.friction import friction_of
 from objectfolder.touch.markers import Markers
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
-from objectfolder.touch.sheared import sheared
+from objectfolder.touch.sheared import shear_touches
 from objectfolder.touch.simulate import Touches, press
 from objectfolder.touch.tangential import shear_contacts
 
-DEPTHS, SHEARINGS = 5, 4  #: numbers of depths and of shears at which the gel's force is solved for
+DEPTH_LEVELS, SHEAR_LEVELS = 5, 4  #: numbers of depths and of shears at which the gel's force is solved for
 SHEARS = (2e-5, 1e-3)  #: range of shears, m
-REACH = 0.02  #: m that a pad may be from the stored surface when the simulation has it in contact
-WIDE = 1.5  #: contacts up to so many half images from the optical axis are the gel's
-BEHIND = 0.004  #: m behind the gel's apex from which the surface is sought
-RAYS = (13, 17)  #: of that search, across and up the gel
+SEARCH_RANGE = 0.02  #: m that a pad may be from the stored surface when the simulation has it in contact
+CONTACT_MARGIN = 1.5  #: contacts up to so many half images from the optical axis are the gel's
+SEARCH_START = 0.004  #: m behind the gel's apex from which the surface is sought
+SEARCH_RAYS = (13, 17)  #: of that search, across and up the gel
 
 
 @dataclass(frozen=True)
@@ -99,12 +98,12 @@ class Feeling:
                 "with gel: soft"
             )
         self._model, self._optics = model, Optics(self.profile)
-        self._sites = [_site(model, name) for name in pad_names(pads)]
+        self._sites = [site_number(model, name, "pads") for name in pad_names(pads)]
         if not self._sites:
             raise ObjectFolderError("pads is empty: expected the names of sites on fingers")
         self._files: dict[int, ObjectFile] = {}
         self._friction: dict[int, float] = {}
-        placed = placed_objects(model, objects)
+        placed = find_bodies(model, objects)
         self._names = {body: name for body, name, _ in placed}
         self._state = StateCheck(model, "Feeling", self._names, (*STRUCTURE, "opt.cone"), SHAPES)
         for body, name, one in placed:
@@ -113,13 +112,15 @@ class Feeling:
                     f"body {name!r}: touch needs the object's own size, {one.file.scale:g} m, but it has "
                     f"{one.scale:g} m; build the object with that scale"
                 )
-            self._files[body], self._friction[body] = one.file, friction_of(one.made_of)
+            self._files[body], self._friction[body] = one.file, one.friction
         self._check_sizes()
         profile = self.profile
-        self._coarse = replace(profile, height=profile.height // COARSE, width=profile.width // COARSE)
+        self._coarse = replace(
+            profile, height=profile.height // GRID_REDUCTION, width=profile.width // GRID_REDUCTION
+        )
         self.markers = Markers().places(profile)
         half = profile.camera_to_gel * np.array(profile.half_extent)  # up, across
-        across, up = np.meshgrid(*(s * np.linspace(-1, 1, n) for s, n in zip(half[::-1], RAYS)))
+        across, up = np.meshgrid(*(s * np.linspace(-1, 1, n) for s, n in zip(half[::-1], SEARCH_RAYS)))
         self._face = np.stack([np.zeros(across.size), across.ravel(), up.ravel()], 1)
         self._sag = gel_sag(profile, np.hypot(across, up).ravel())
         self._half = half
@@ -135,7 +136,7 @@ class Feeling:
                     f"{name}: the simulation diverged, and MuJoCo has set it back to its start: take smaller "
                     "time steps or forces, and mujoco.mj_resetData(model, data)"
                 )
-        contacts = [self._touching(one, site) for one in many for site in self._sites]
+        contacts = [self._find_contact(one, site) for one in many for site in self._sites]
         rows, shape = len(contacts), (len(many), len(self._sites))
         size = self.profile.height, self.profile.width
         felt = {
@@ -161,10 +162,10 @@ class Feeling:
         for body, file in self._files.items():
             check_extent(self._model, self._names[body], file, file.scale, advice)
 
-    def _touching(self, data: mujoco.MjData, site: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+    def _find_contact(self, data: mujoco.MjData, site: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
         """Return the body that a pad touches most, the force, and the site's place and axes in its frame."""
         at, axes = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
-        finger, model = model_body(self._model, site), self._model
+        finger, model = int(self._model.site_bodyid[site]), self._model
         forces: dict[int, np.ndarray] = {}
         wrench = np.zeros(6)
         for k in range(data.ncon):
@@ -176,7 +177,9 @@ class Feeling:
                 continue
             side = pair.index(finger)
             place = (contact.pos - at) @ axes
-            if (abs(place) > [REACH, WIDE * self._half[1], WIDE * self._half[0]]).any():
+            if (
+                abs(place) > [SEARCH_RANGE, CONTACT_MARGIN * self._half[1], CONTACT_MARGIN * self._half[0]]
+            ).any():
                 continue
             mujoco.mj_contactForce(model, data, k, wrench)
             on_second = wrench[:3] @ contact.frame.reshape(3, 3)
@@ -200,8 +203,8 @@ class Feeling:
     ) -> None:
         """Press the gels that touch one object; fill in the rows of what they feel."""
         places, axes = np.stack([contacts[k][2] for k in chosen]), np.stack([contacts[k][3] for k in chosen])
-        met = self._met(file, places, axes)
-        near = np.flatnonzero(met < REACH)
+        met = self._measure_gaps(file, places, axes)
+        near = np.flatnonzero(met < SEARCH_RANGE)
         felt["touched"][np.delete(chosen, near)] = 0
         felt["force"][np.delete(chosen, near)] = 0
         if not len(near):
@@ -211,43 +214,43 @@ class Feeling:
         points = places[near] - met[near, None] * outward
         force = felt["force"][rows]
         poses = points, outward, angle
-        depth = self._depths(file, poses, force[:, 0])
+        depth = self._solve_depths(file, poses, force[:, 0])
         pressed = press(file.surface.caster, *poses, depth, self.profile, file.scale)
         friction = np.full(len(rows), self._friction[body])
-        shear = self._shears(file, poses, depth, force[:, 1:], friction)
+        shear = self._solve_shears(file, poses, depth, force[:, 1:], friction)
         still = np.flatnonzero(~shear.any(1))
         images = np.zeros((len(rows), *felt["images"].shape[1:]), np.uint8)
-        images[still] = self._rendered(pressed.displacement[still])  # `sheared` renders the others
+        images[still] = self._render(pressed.displacement[still])  # `shear_touches` renders the others
         found = Touches(**vars(pressed), images=images, profile=self.profile)
-        moved = sheared(found, shear, np.zeros(len(rows)), friction, None, self._rendered)
+        moved = shear_touches(found, shear, np.zeros(len(rows)), friction, None, self._render)
         felt["images"][rows], felt["depth"][rows], felt["shear"][rows] = moved.images, depth, shear
         felt["borne"][rows] = np.c_[pressed.force, moved.shear_force]
         felt["area"][rows], felt["marker_flow"][rows] = pressed.area, moved.marker_flow
 
-    def _rendered(self, displacement: np.ndarray) -> np.ndarray:
+    def _render(self, displacement: np.ndarray) -> np.ndarray:
         """Return images (N, H, W, 3) of gels that are displaced by (N, H, W) metres."""
         return self._optics.render(torch.from_numpy(displacement)).numpy()
 
-    def _met(self, file: ObjectFile, places: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    def _measure_gaps(self, file: ObjectFile, places: np.ndarray, axes: np.ndarray) -> np.ndarray:
         """Return how far the gels (N,) are from the surface along their axes, m; negative: in it."""
         forward = axes[:, :, 0]
-        origins = places[:, None] + self._face @ axes.transpose(0, 2, 1) - BEHIND * forward[:, None]
+        origins = places[:, None] + self._face @ axes.transpose(0, 2, 1) - SEARCH_START * forward[:, None]
         directions = np.broadcast_to(forward[:, None], origins.shape).reshape(-1, 3)
         found, _ = file.surface.caster.first_hit(origins.reshape(-1, 3) / file.scale, directions)
-        gap = found.reshape(len(places), -1).astype(np.float64) * file.scale - BEHIND + self._sag
+        gap = found.reshape(len(places), -1).astype(np.float64) * file.scale - SEARCH_START + self._sag
         return gap.min(1)
 
-    def _depths(
+    def _solve_depths(
         self, file: ObjectFile, poses: tuple[np.ndarray, np.ndarray, np.ndarray], forces: np.ndarray
     ) -> np.ndarray:
         """Return the depths at which the gels bear forces (N,), interpolated on logarithmic scales."""
-        levels = np.geomspace(LEAST_DEPTH, self.profile.max_indentation, DEPTHS)
-        points, outward, angle = (np.repeat(of, DEPTHS, 0) for of in poses)
+        levels = np.geomspace(MIN_DEPTH, self.profile.max_indentation, DEPTH_LEVELS)
+        points, outward, angle = (np.repeat(of, DEPTH_LEVELS, 0) for of in poses)
         depths = np.tile(levels, len(forces))
         found = press(file.surface.caster, points, outward, angle, depths, self._coarse, file.scale)
-        return _interpolated(forces, found.force.reshape(-1, DEPTHS), levels)
+        return _interpolate(forces, found.force.reshape(-1, DEPTH_LEVELS), levels)
 
-    def _shears(
+    def _solve_shears(
         self,
         file: ObjectFile,
         poses: tuple[np.ndarray, np.ndarray, np.ndarray],
@@ -259,22 +262,16 @@ class Feeling:
         size = np.linalg.norm(forces, axis=1)
         along = forces / np.maximum(size, 1e-12)[:, None]
         pressed = press(file.surface.caster, *poses, depth, self._coarse, file.scale)
-        levels = np.geomspace(*SHEARS, SHEARINGS)
-        borne = np.empty((len(size), SHEARINGS))
+        levels = np.geomspace(*SHEARS, SHEAR_LEVELS)
+        borne = np.empty((len(size), SHEAR_LEVELS))
         for k, level in enumerate(levels):
             sideways = shear_contacts(pressed.pressure, level * along, 0 * size, friction, self._coarse).force
             borne[:, k] = (sideways * along).sum(1)
-        return np.where(size > 1e-6, _interpolated(size, borne, levels), 0.0)[:, None] * along
+        return np.where(size > 1e-6, _interpolate(size, borne, levels), 0.0)[:, None] * along
 
 
 def pad_names(pads: object) -> list[str]:
-    """Return the names of pads; a single one may stand for itself.
-
-    Raises
-    ------
-    ObjectFolderError
-        If they are no names.
-    """
+    """Return the names of pads, of which a single one may stand for itself, or raise ObjectFolderError."""
     given = [pads] if isinstance(pads, str) else [*pads] if isinstance(pads, Iterable) else [None]
     names = [name for name in given if isinstance(name, str)]
     if len(names) < len(given):
@@ -282,20 +279,7 @@ def pad_names(pads: object) -> list[str]:
     return names
 
 
-def model_body(model: mujoco.MjModel, site: int) -> int:
-    """Return the number of the body that carries a site."""
-    return int(model.site_bodyid[site])
-
-
-def _site(model: mujoco.MjModel, name: str) -> int:
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
-    if number < 0:
-        names = [model.site(i).name for i in range(model.nsite)]
-        raise ObjectFolderError(f"pads: the scene has no site {name!r}, but {quoted(names)}")
-    return number
-
-
-def _interpolated(wanted: np.ndarray, found: np.ndarray, levels: np.ndarray) -> np.ndarray:
+def _interpolate(wanted: np.ndarray, found: np.ndarray, levels: np.ndarray) -> np.ndarray:
     """Return where rising values (N, L) at levels (L,) are the wanted ones (N,), on logarithmic scales.
 
     Below the first level, values count as proportional to it; above the last one, the last one is returned.

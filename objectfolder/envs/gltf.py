@@ -4,6 +4,8 @@ Rigid bodies follow KHR_physics_rigid_bodies, draft of 29 October 2025 (eoineoin
 and sounds KHR_audio_rigid_bodies, draft of 16 August 2026 (khiner/MeshEditor 806d6e3). Neither is ratified.
 """
 
+import json
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,9 @@ import numpy as np
 import trimesh
 
 from objectfolder.envs.body import RigidBody
-from objectfolder.envs.export_folder import export_folder
-from objectfolder.envs.glb import append, packed, unpacked
+from objectfolder.envs.export import export_folder
 from objectfolder.envs.hulls import MAX_HULLS
-from objectfolder.envs.visual import PLAIN, ROUGHNESS, texture_of, visual_mesh
+from objectfolder.envs.visual import GREY, ROUGHNESS, texture_image, visual_mesh
 from objectfolder.mesh.srgb import decode
 from objectfolder.mesh.textured import complete_document, y_up
 from objectfolder.nets.audio_gains import energy_weights
@@ -26,6 +27,9 @@ SAMPLES = 1000  #: most points at which mode shapes are stored
 #: Linear without mipmaps, which would mix the rectangles of faces; clamped to the edge.
 _SAMPLER = {"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}
 _GROWTH = 1.15  # of the cells of the sample surface, until it has few enough points
+_MAGIC, _VERSION, _JSON, _BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
+_COMPONENTS = {"<f4": 5126, "<u4": 5125}
+_TYPES = {1: "SCALAR", 3: "VEC3"}
 
 
 def write_glb(
@@ -38,28 +42,10 @@ def write_glb(
 
     A file without modes gets no sound. Modes are in descending order of their mean energy, so that the first
     ones matter most; their shapes are stored at up to `SAMPLES` points of a triangulated surface.
-
-    Parameters
-    ----------
-    file : ObjectFile
-    out : path
-        Parent of the new folder, which is named after the object.
-    max_hulls : int
-    hulls : sequence of trimesh.Trimesh, optional
-        Default: computed, which takes up to half a minute.
-
-    Returns
-    -------
-    Path
-        Of the file.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the folder exists already, the file holds no geometry, or an extra is not installed.
+    Otherwise as `objectfolder.envs.export.write_mjcf`.
     """
     with export_folder(file, out, max_hulls, hulls) as (new, body):
-        document, buffer = unpacked(_meshes(file, body))
+        document, buffer = unpack_glb(_meshes(file, body))
         if textures := document.get("textures"):  # of the surface alone
             textures[0]["sampler"], document["samplers"] = 0, [_SAMPLER]
         node = _add_body(document, body)
@@ -67,14 +53,14 @@ def write_glb(
             node["extensions"][AUDIO] = {"modalModel": 0}
             document["extensionsUsed"].append(AUDIO)
             document["extensions"][AUDIO] = _modal_model(document, buffer, file, body)
-        (new / f"{file.key}.glb").write_bytes(packed(document, buffer))
+        (new / f"{file.key}.glb").write_bytes(pack_glb(document, buffer))
     return Path(out) / file.key / f"{file.key}.glb"
 
 
 def _meshes(file: ObjectFile, body: RigidBody) -> bytes:
     """Return a binary glTF with the visual mesh and the hulls."""
     look = visual_mesh(file)
-    texture, grey = texture_of(look), float(decode(np.float64(PLAIN)))  # factors are linear
+    texture, grey = texture_image(look), float(decode(np.float64(GREY)))  # factors are linear
     surface = trimesh.visual.material.PBRMaterial(
         baseColorFactor=[grey] * 3 + [1.0] if texture is None else None,
         baseColorTexture=texture,
@@ -101,24 +87,17 @@ def _add_body(document: dict[str, Any], body: RigidBody) -> dict[str, Any]:
     numbers = {mesh["name"]: i for i, mesh in enumerate(document["meshes"])}
     count = len(body.hulls)
     names = [f"hull{k:02d}" for k in range(count)]
-    node: dict[str, Any] = {
-        "name": body.key,
-        "mesh": numbers["visual"],
-        "children": list(range(1, count + 1)),
-        "extensions": {PHYSICS: {"motion": motion_of(body)}},
-    }
+    motion = {PHYSICS: {"motion": describe_motion(body)}}
+    children = list(range(1, count + 1))
+    node = {"name": body.key, "mesh": numbers["visual"], "children": children, "extensions": motion}
+    document["nodes"] = [node]
+    for k, name in enumerate(names):
+        collider = {"geometry": {"node": count + 1 + k, "convexHull": True}, "physicsMaterial": 0}
+        document["nodes"].append(
+            {"name": f"{name}_collider", "extensions": {PHYSICS: {"collider": collider}}}
+        )
     # Shapes are nodes of no scene, so that nobody draws them.
-    colliders = [
-        {"geometry": {"node": count + 1 + k, "convexHull": True}, "physicsMaterial": 0} for k in range(count)
-    ]
-    document["nodes"] = [
-        node,
-        *(
-            {"name": f"{n}_collider", "extensions": {PHYSICS: {"collider": c}}}
-            for n, c in zip(names, colliders)
-        ),
-        *({"name": name, "mesh": numbers[name]} for name in names),
-    ]
+    document["nodes"] += [{"name": name, "mesh": numbers[name]} for name in names]
     document["scenes"], document["scene"] = [{"nodes": [0]}], 0
     document["extensionsUsed"] = [PHYSICS]
     friction = {"staticFriction": body.friction, "dynamicFriction": body.friction}
@@ -126,7 +105,7 @@ def _add_body(document: dict[str, Any], body: RigidBody) -> dict[str, Any]:
     return node
 
 
-def motion_of(body: RigidBody) -> dict[str, Any]:
+def describe_motion(body: RigidBody) -> dict[str, Any]:
     """Return mass, centre of mass and inertia as both extensions describe them, y up."""
     moments, axes = body.principal(y_up(np.eye(3)).T)  # turned from z up to y up
     return {
@@ -141,7 +120,7 @@ def _modal_model(
     document: dict[str, Any], buffer: bytearray, file: ObjectFile, body: RigidBody
 ) -> dict[str, Any]:
     """Store modes and their shapes, and return the document's extension."""
-    tuning, (points, faces) = file.tuning(), sampled_surface(file)
+    tuning, (points, faces) = file.tuning(), sample_modes(file)
     damped, damping = tuning.damped_frequency.numpy(), tuning.damping.numpy()
     shapes = file.mode_shapes(points)
     energy = np.square(shapes).mean((0, 1)) * energy_weights(damped, damping)
@@ -154,10 +133,12 @@ def _modal_model(
         "shapes": y_up(displaced),
     }
     model: dict[str, Any] = {
-        name: append(document, buffer, values.astype(np.float32)) for name, values in arrays.items()
+        name: add_accessor(document, buffer, values.astype(np.float32)) for name, values in arrays.items()
     }
-    model["indices"] = append(document, buffer, faces.reshape(-1).astype(np.uint32))
-    found: dict[str, Any] = {"modalModels": [{"name": file.key, **model, "massProperties": motion_of(body)}]}
+    model["indices"] = add_accessor(document, buffer, faces.reshape(-1).astype(np.uint32))
+    found: dict[str, Any] = {
+        "modalModels": [{"name": file.key, **model, "massProperties": describe_motion(body)}]
+    }
     stored = file.header.get("material_properties")
     if stored:
         material = {"name": file.material, "density": stored["density"]}
@@ -169,16 +150,11 @@ def _modal_model(
     return found
 
 
-def sampled_surface(file: ObjectFile) -> tuple[np.ndarray, np.ndarray]:
-    """Return points of the stored surface about evenly apart, metres, and triangles between them.
+def sample_modes(file: ObjectFile) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (P, 3) of the stored surface about evenly apart, metres, and triangles (F, 3) of them.
 
     Vertices in one cell of a grid that face the same octant become one of them, so that the two sides of a
     thin wall stay apart.
-
-    Returns
-    -------
-    (P, 3) float64
-    (F, 3) int64
     """
     surface = file.surface
     octant = ((surface.normals > 0) @ [1, 2, 4])[:, None]
@@ -198,3 +174,42 @@ def sampled_surface(file: ObjectFile) -> tuple[np.ndarray, np.ndarray]:
     faces = faces[(faces != np.roll(faces, 1, 1)).all(1)]
     _, first = np.unique(np.sort(faces, 1), axis=0, return_index=True)
     return surface.vertices[chosen] * file.scale, faces[first]
+
+
+def unpack_glb(content: bytes) -> tuple[dict[str, Any], bytearray]:
+    """Return the document and the buffer of a binary glTF."""
+    length = struct.unpack_from("<3I", content)[2]
+    place, chunks = 12, {}
+    while place < length:
+        size, kind = struct.unpack_from("<2I", content, place)
+        chunks[kind] = content[place + 8 : place + 8 + size]
+        place += 8 + size
+    return json.loads(chunks[_JSON]), bytearray(chunks[_BIN])
+
+
+def pack_glb(document: dict[str, Any], buffer: bytearray) -> bytes:
+    """Return a binary glTF of a document and its buffer."""
+    document["buffers"] = [{"byteLength": len(buffer)}]
+    text = json.dumps(document, separators=(",", ":")).encode()
+    out = b""
+    for content, fill, kind in ((text, b" ", _JSON), (bytes(buffer), b"\0", _BIN)):
+        padded = content + fill * (-len(content) % 4)
+        out += struct.pack("<2I", len(padded), kind) + padded
+    return struct.pack("<3I", _MAGIC, _VERSION, 12 + len(out)) + out
+
+
+def add_accessor(document: dict[str, Any], buffer: bytearray, values: np.ndarray) -> int:
+    """Add an array (N,) or (N, 3), float32 or uint32, to the buffer; return the index of its accessor."""
+    values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+    buffer.extend(b"\0" * (-len(buffer) % 4))
+    document["bufferViews"].append({"buffer": 0, "byteOffset": len(buffer), "byteLength": values.nbytes})
+    buffer.extend(values.tobytes())
+    rows, kind = values.reshape(len(values), -1), _COMPONENTS[values.dtype.str]
+    accessor: dict[str, Any] = {
+        "bufferView": len(document["bufferViews"]) - 1,
+        "componentType": kind,
+        "count": len(values),
+    }
+    accessor |= {"type": _TYPES[rows.shape[1]], "min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
+    document["accessors"].append(accessor)
+    return len(document["accessors"]) - 1

@@ -6,7 +6,7 @@ free. Each row is independent of the batch and of the number of threads.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,23 +14,23 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from objectfolder.envs.body import RigidBody, add_body
-from objectfolder.envs.grasp_phases import LIFT, LIFTING, SQUEEZE, minimum_jerk, phase_targets
-from objectfolder.envs.grasp_state import StateLayout
-from objectfolder.envs.gripper import LAG, OPEN, SHUT, SPEED, STROKE, TIP, add_gripper
-from objectfolder.envs.poses import hand_axes, rotation
+from objectfolder.envs.body import RigidBody, add_body, rotation
+from objectfolder.envs.gripper import LAG, OPEN, SHUT, SPEED, STROKE, TIP, StateLayout, add_gripper, hand_axes
 from objectfolder.errors import ObjectFolderError
 
 HOLD_SHARE = 0.8  #: a held object rises by more than this share of the hand's way
-TICK = 0.1  #: interval at which closing jaws are checked, s
-CLOSING_TICKS = 7  #: upper bound: a jaw crosses its stroke and comes to rest
+CLOSING_INTERVAL = 0.1  #: interval at which closing jaws are checked, s
+MAX_INTERVALS = 7  #: upper bound: a jaw crosses its stroke and comes to rest
 CLOSED_SPEED = 0.005  #: below it a jaw has closed, m/s
 CLEARANCE = 0.002  #: between the object and jaws that start to close, m
 PENETRATION = 1e-4  #: depth from which two bodies collide, m
-SETTLING = 4.0  #: time that a dropped object gets to come to rest, s
-LOOK = 0.5  #: interval at which dropped objects are checked, s
-STILL = 0.01  #: below it an object is at rest, m/s and rad/s
+SETTLING_DURATION = 4.0  #: time that a dropped object gets to come to rest, s
+SETTLING_INTERVAL = 0.5  #: interval at which dropped objects are checked, s
+REST_SPEED = 0.01  #: below it an object is at rest, m/s and rad/s
 DROPS = 64  #: random orientations that resting poses come from
+LIFT = 0.1  #: height to which objects are lifted, m
+LIFT_DURATION = 0.5  #: duration of the lift, and of the hold after it, s
+SQUEEZE_DURATION = 0.1  #: time in which closed jaws build up their force, s
 
 
 @dataclass(frozen=True)
@@ -129,17 +129,8 @@ class ClosedGrasps:
 class GraspScene:
     """An object on a table under a gripper.
 
-    Parameters
-    ----------
-    body : RigidBody
-    physics : Physics
-    threads : int
-        Number of rows simulated at a time; results do not depend on it.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object is wider than the gripper opens, however it is grasped.
+    ``threads`` rows are simulated at a time; results do not depend on it. Raises ObjectFolderError if the
+    object is wider than the gripper opens, however it is grasped.
     """
 
     def __init__(self, body: RigidBody, physics: Physics | None = None, threads: int = 1):
@@ -159,16 +150,10 @@ class GraspScene:
         return type(self), (self.body, self.physics, len(self._data))  # threads cannot be copied
 
     def rests(self, rng: np.random.Generator, count: int = DROPS) -> np.ndarray:
-        """Drop the object in random orientations and return the poses in which it comes to rest.
+        """Drop the object in random orientations and return the poses in which it comes to rest; (R, 7).
 
-        Returns
-        -------
-        (R, 7) position above the origin and quaternion, one per drop that came to rest.
-
-        Raises
-        ------
-        ObjectFolderError
-            If none did.
+        These are position above the origin and quaternion, one per drop that came to rest. Raises
+        ObjectFolderError if none did.
         """
         orientations = rng.normal(size=(count, 4))
         orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
@@ -176,17 +161,17 @@ class GraspScene:
         places = np.c_[np.zeros((count, 2)), 0.002 - low, orientations]
         away = np.tile([0.0, 0.0, 1.0, 0.0], (count, 1))
         states = self.layout.states(places, away, np.full(count, OPEN))
-        controls = self.layout.constant_controls(away[:1], np.full(1, OPEN), self._steps(LOOK))
+        controls = self.layout.constant_controls(away[:1], np.full(1, OPEN), self._steps(SETTLING_INTERVAL))
         moving, speeds = np.arange(count), np.full(count, np.inf)
-        for _ in range(round(SETTLING / LOOK)):
+        for _ in range(round(SETTLING_DURATION / SETTLING_INTERVAL)):
             states[moving], _ = self._advance([self.model] * len(moving), states[moving], controls)
             speeds[moving] = np.abs(states[moving][:, self.layout.object_speed]).max(1)
-            moving = np.flatnonzero(speeds > STILL)
-        still = np.flatnonzero(speeds < STILL)
+            moving = np.flatnonzero(speeds > REST_SPEED)
+        still = np.flatnonzero(speeds < REST_SPEED)
         if not len(still):
             raise ObjectFolderError(
-                f"{self.body.key}: none of {count} drops came to rest within {SETTLING:g} s, the slowest "
-                f"moves at {speeds.min():.2g}; it rolls or rocks: give it a flatter side"
+                f"{self.body.key}: none of {count} drops came to rest within {SETTLING_DURATION:g} s, the "
+                f"slowest moves at {speeds.min():.2g}; it rolls or rocks: give it a flatter side"
             )
         found = states[still][:, self.layout.object_pose]
         found[:, :2] = 0
@@ -208,22 +193,17 @@ class GraspScene:
         return clear
 
     def close(self, objects: np.ndarray, hands: np.ndarray, forces: np.ndarray) -> ClosedGrasps:
-        """Close the jaws on objects.
+        """Close the jaws on objects (N, 7) at rest, with at most the forces (N,), N, of each jaw.
 
-        Parameters
-        ----------
-        objects : (N, 7) array
-            Position and quaternion at rest, world frame.
-        hands : (N, 4) array
-            x, y, z of the pads' centres and yaw, world frame.
-        forces : (N,) array
-            Greatest force of each jaw, N.
+        Hands (N, 4) are x, y, z of the pads' centres and yaw. All poses are in the world frame.
         """
         objects, hands = np.asarray(objects, np.float64), np.asarray(hands, np.float64)
         models = [self._with_force(force) for force in np.asarray(forces, np.float64)]
         states = self._close_until_still(models, objects, hands)
         # Squeeze with the greatest force, until what the jaws pushed has come to rest as well.
-        controls = self.layout.constant_controls(hands, np.full(len(hands), SHUT), self._steps(SQUEEZE))
+        controls = self.layout.constant_controls(
+            hands, np.full(len(hands), SHUT), self._steps(SQUEEZE_DURATION)
+        )
         states, sensors = self._advance(models, states, controls)
         return ClosedGrasps(self.layout, models, hands, states, sensors)
 
@@ -256,33 +236,24 @@ class GraspScene:
         return self.lift(self.close(objects, hands, forces))
 
     def watch(self, place: np.ndarray, hand: np.ndarray, force: float, every: float) -> list[GraspFrame]:
-        """Simulate one grasp through all its phases: reach, close, lift, hold, put back, release.
+        """Simulate one grasp through all its phases; a frame each ``every`` seconds.
 
-        Parameters
-        ----------
-        place : (7,) array
-            Pose of the object at rest.
-        hand : (4,) array
-        force : float
-            N.
-        every : float
-            Interval between frames, s.
+        Takes the pose (7,) of the object at rest, that of the hand (4,), and the force, N.
         """
-        layout, targets = self.layout, phase_targets(self.physics.timestep, self.physics.speed)
-        controls = layout.constant_controls(hand[None], np.full(1, OPEN), len(targets.phases))
-        controls[0, :, layout.height_motor] += targets.heights
-        controls[0][:, layout.jaw_motors] = targets.jaws[:, None]
+        layout = self.layout
+        phases, heights, jaws = phase_targets(self.physics.timestep, self.physics.speed)
+        controls = layout.constant_controls(hand[None], np.full(1, OPEN), len(phases))
+        controls[0, :, layout.height_motor] += heights
+        controls[0][:, layout.jaw_motors] = jaws[:, None]
         start = layout.states(place[None], hand[None] + [0, 0, LIFT, 0], np.full(1, OPEN))
-        states, _ = self._pool.rollout([self._with_force(force)], self._data, start, control=controls)
+        (states,), _ = self._pool.rollout([self._with_force(force)], self._data, start, control=controls)
         return [
             GraspFrame(
-                targets.phases[row],
-                states[0, row, layout.object_pose],
-                states[0, row, layout.hand],
-                float(states[0, row, layout.jaws].sum()),
+                phases[k], states[k, layout.object_pose], states[k, layout.hand],
+                float(states[k, layout.jaws].sum()),
             )
-            for row in range(0, len(targets.phases), max(self._steps(every), 1))
-        ]
+            for k in range(0, len(phases), max(self._steps(every), 1))
+        ]  # fmt: skip
 
     def _compile(self, reach: float = 0.0) -> mujoco.MjModel:
         spec = self.physics.scene()
@@ -309,8 +280,8 @@ class GraspScene:
         states = layout.states(objects, hands, jaws)
         states[:, layout.jaw_speeds] = -speed
         lead = LAG * speed / SPEED  # of the target before the jaw
-        steps, closing = self._steps(TICK), np.arange(len(states))
-        for tick in range(CLOSING_TICKS):
+        steps, closing = self._steps(CLOSING_INTERVAL), np.arange(len(states))
+        for tick in range(MAX_INTERVALS):
             if not len(closing):
                 break
             times = (tick * steps + np.arange(1, steps + 1)) * timestep
@@ -324,7 +295,7 @@ class GraspScene:
     def _lift_and_hold(self, closed: ClosedGrasps) -> tuple[np.ndarray, np.ndarray]:
         """Lift until an object is lost; states (N, S) at the end, and the rows that are still held."""
         states, held = closed.states.copy(), np.flatnonzero(closed.touched.all(1))
-        steps = self._steps(LIFTING)
+        steps = self._steps(LIFT_DURATION)
         heights = LIFT * minimum_jerk(np.arange(1, steps + 1) / steps)
         for part in (heights[: steps // 2], heights[steps // 2 :], np.full(steps, LIFT)):  # lift, hold
             controls = self.layout.constant_controls(closed.hands[held], np.full(len(held), SHUT), len(part))
@@ -364,11 +335,7 @@ class GraspScene:
 def check_width(key: str, points: np.ndarray) -> None:
     """Raise ObjectFolderError if an object is wider than the gripper opens, however it is grasped.
 
-    Parameters
-    ----------
-    key : str
-    points : (P, 3) array
-        Corners of the object, m.
+    ``points`` (P, 3) are corners of the object, m.
     """
     k = np.arange(400) + 0.5
     height, azimuth = k / len(k), k * np.pi * (3 - np.sqrt(5))
@@ -385,3 +352,36 @@ def check_width(key: str, points: np.ndarray) -> None:
 def lowest_hand() -> float:
     """Return the least height of the pads' centres above the table: fingertips just clear it."""
     return float(TIP) + 0.001
+
+
+def minimum_jerk(share: np.ndarray) -> np.ndarray:
+    """Return positions from 0 to 1 of the smoothest motion, at shares of its duration in [0, 1]."""
+    return 10 * share**3 - 15 * share**4 + 6 * share**5
+
+
+def phase_targets(timestep: float, speed: float) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Return the targets at T time steps of a grasp that starts `LIFT` above it.
+
+    These are the phase's name, the height of the hand above the grasp, m, and the place of each jaw, m, of
+    which both close at ``speed``, m/s.
+    """
+    travel = OPEN / speed
+    closing = travel + SQUEEZE_DURATION
+    Jaws = Callable[[np.ndarray], np.ndarray]  # over the share of a phase
+    opened, shut = (lambda share: np.full(len(share), OPEN)), (lambda share: np.full(len(share), SHUT))
+    phases: tuple[tuple[str, float, float, Jaws], ...] = (  # name, seconds, height at the end, jaws
+        ("reach", 0.6, 0.0, opened),
+        ("close", closing, 0.0, lambda t: np.where(t < travel / closing, OPEN - speed * closing * t, SHUT)),
+        ("lift", LIFT_DURATION, LIFT, shut),
+        ("hold", LIFT_DURATION, LIFT, shut),
+        ("put back", LIFT_DURATION, 0.0, shut),
+        ("release", 0.5, 0.0, lambda t: OPEN * np.minimum(2 * t, 1)),
+    )
+    start, names, heights, jaws = LIFT, [], [], []
+    for name, seconds, end, targets in phases:
+        share = np.linspace(0, 1, round(seconds / timestep) + 1)[1:]
+        names += [name] * len(share)
+        heights.append(start + (end - start) * minimum_jerk(share))
+        jaws.append(targets(share))
+        start = end
+    return names, np.concatenate(heights), np.concatenate(jaws)

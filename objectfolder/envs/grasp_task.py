@@ -4,12 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from objectfolder.envs.body import Hulls, RigidBody, as_rigid_body
+from objectfolder.envs.body import Hulls, RigidBody, as_rigid_body, rotation, turn_poses
 from objectfolder.envs.features import TouchBank, TouchFeatures
-from objectfolder.envs.fingers import require_pads
-from objectfolder.envs.first_contact import FirstContact, first_contact
+from objectfolder.envs.fingers import FirstContact, first_contact, require_pads
 from objectfolder.envs.grasp_scene import GraspScene, check_width, lowest_hand
-from objectfolder.envs.poses import relative_hands, rotation, turn_poses
+from objectfolder.envs.gripper import relative_hands
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator
 
@@ -28,20 +27,9 @@ BANK_BATCH = 64  #: presses queried at once
 class GraspTask:
     """Physics and touches of an object on the table, for any number of episodes at a time.
 
-    All quantities are relative: results do not depend on where on the table the object lies.
-
-    Parameters
-    ----------
-    file : ObjectFile
-    body : RigidBody
-        Of the same object.
-    threads : int
-        Of the simulation.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object does not fit the gripper, or the file lacks touch.
+    All quantities are relative: results do not depend on where on the table the object lies, nor on the
+    number of threads. Raises ObjectFolderError if the object does not fit the gripper, or the file lacks
+    touch.
     """
 
     def __init__(self, file: ObjectFile, body: RigidBody, threads: int = 1):
@@ -82,7 +70,7 @@ class GraspTask:
         """Return whether the open gripper can come down there; (N,) bool."""
         return self.scene.free(np.tile(self.rest, (len(hands), 1)), relative_hands(hands, objects))
 
-    def placed(self, place: np.ndarray) -> np.ndarray:
+    def place_object(self, place: np.ndarray) -> np.ndarray:
         """Return the pose (7,) of an object at ``place``: x, y, yaw."""
         x, y, yaw = place
         return turn_poses(self.rest[None], np.array([yaw]), np.array([[x, y]]))[0]
@@ -104,25 +92,15 @@ class GraspTask:
         return TouchBank(pressed, np.concatenate(features))
 
 
-def make_task(file: ObjectFile, hulls: Hulls = None, threads: int = 1) -> GraspTask:
-    """Make the task of an Object File.
+def make_task(file: ObjectFile, hulls: Hulls = None) -> GraspTask:
+    """Make the task of an Object File; hulls are those of `objectfolder.envs.body.as_rigid_body`.
 
-    Parameters
-    ----------
-    file : ObjectFile
-    hulls : path or sequence of trimesh.Trimesh, optional
-        As `objectfolder.envs.body.as_rigid_body`. Objects that do not fit are refused before.
-    threads : int
-        Of the simulation.
-
-    Raises
-    ------
-    ObjectFolderError
-        As `GraspTask`, and as `objectfolder.envs.body.as_rigid_body`.
+    Raises ObjectFolderError as `GraspTask` and as that function; objects that do not fit are refused before
+    hulls are computed.
     """
     require_pads(file)
     check_width(file.key, file.surface.vertices * file.scale)
-    return GraspTask(file, as_rigid_body(file, hulls), threads)
+    return GraspTask(file, as_rigid_body(file, hulls))
 
 
 def _lowest_rest(scene: GraspScene, rng: np.random.Generator) -> np.ndarray:

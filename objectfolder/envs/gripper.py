@@ -24,7 +24,6 @@ STIFFNESS, DAMPING = 3000.0, 60.0  #: of the jaws' position control, N/m and N s
 JOINT_DAMPING = 20.0  #: of a jaw's guide, N s/m
 #: Distance of a jaw that closes at `SPEED` behind its target.
 LAG = SPEED * (DAMPING + JOINT_DAMPING) / STIFFNESS
-
 _PAD_SOFTNESS = 0.008  # time constant of contacts with a pad, s: an elastomer
 
 
@@ -53,16 +52,9 @@ def add_gripper(spec: mujoco.MjSpec, friction: float, reach: float = 0.0) -> Non
     """Add the gripper, its actuators and its contact sensors to a scene.
 
     Joints and position actuators ``x``, ``y``, ``z``, ``yaw`` move the hand, which is weightless; ``left``
-    and ``right`` the jaws, 0 closed, `OPEN` open.
-
-    Parameters
-    ----------
-    spec : MjSpec
-    friction : float
-        Sliding friction between pads and object.
-    reach : float
-        Upward extension of fingers and palm, metres: they then fill the volume that they sweep on the way
-        down.
+    and ``right`` the jaws, 0 closed, `OPEN` open. ``friction`` is the sliding friction of pads and object.
+    Fingers and palm are extended upward by ``reach``, metres: they then fill the volume that they sweep on
+    the way down.
     """
     box, slide = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtJoint.mjJNT_SLIDE
     up = np.array([0.0, 0.0, reach / 2])
@@ -132,3 +124,52 @@ def _contact_sensor(spec: mujoco.MjSpec, side: str) -> None:
         refname="object",
         intprm=[sum(1 << int(field) for field in fields), net_force, 1],
     )
+
+
+def hand_axes(hands: np.ndarray) -> np.ndarray:
+    """Return the axes of the gripper at (N, 4) poses, as columns: closing, lateral, up; (N, 3, 3)."""
+    yaw = np.asarray(hands)[:, 3]
+    cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    return np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1], 1).reshape(-1, 3, 3)
+
+
+def relative_hands(hands: np.ndarray, objects: np.ndarray) -> np.ndarray:
+    """Return hands (N, 4) in the frames of objects (N, 3) x, y, yaw; (N, 4)."""
+    cos, sin = np.cos(objects[:, 2]), np.sin(objects[:, 2])
+    x, y = (hands[:, :2] - objects[:, :2]).T
+    return np.stack([cos * x + sin * y, cos * y - sin * x, hands[:, 2], hands[:, 3] - objects[:, 2]], 1)
+
+
+class StateLayout:
+    """Indices of the free body ``object``, hand and jaws in full physics states and in controls of a model.
+
+    A full physics state is the time, then positions (``qpos``), then velocities (``qvel``).
+    """
+
+    def __init__(self, model: mujoco.MjModel):
+        thing, positions, velocities = model.joint("object"), 1, 1 + model.nq
+        self.size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        self.object_pose = positions + thing.qposadr[0] + np.arange(7)  #: position and quaternion
+        self.object_speed = velocities + thing.dofadr[0] + np.arange(6)
+        self.hand = np.array([positions + model.joint(name).qposadr[0] for name in AXES])
+        self.jaws = np.array([positions + model.joint(name).qposadr[0] for name in SIDES])
+        self.jaw_speeds = np.array([velocities + model.joint(name).dofadr[0] for name in SIDES])
+        self.controls = model.nu
+        self.hand_motors = [model.actuator(name).id for name in AXES]
+        self.jaw_motors = [model.actuator(name).id for name in SIDES]
+        self.height_motor = model.actuator("z").id
+
+    def states(self, objects: np.ndarray, hands: np.ndarray, jaws: np.ndarray) -> np.ndarray:
+        """Return states at rest, (N, size), of objects (N, 7), hands (N, 4) and jaw positions (N,)."""
+        states = np.zeros((len(objects), self.size))
+        states[:, self.object_pose] = objects
+        states[:, self.hand] = hands
+        states[:, self.jaws] = jaws[:, None]
+        return states
+
+    def constant_controls(self, hands: np.ndarray, jaws: np.ndarray, steps: int) -> np.ndarray:
+        """Return targets that do not move, (N, steps, controls), of hands (N, 4) and jaws (N,)."""
+        targets = np.zeros((len(hands), self.controls))
+        targets[:, self.hand_motors] = hands
+        targets[:, self.jaw_motors] = jaws[:, None]
+        return np.repeat(targets[:, None], steps, 1)

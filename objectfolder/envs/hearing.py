@@ -8,26 +8,24 @@ import mujoco
 import numpy as np
 
 from objectfolder.audio.contact import effective_modulus, hertz_time
-from objectfolder.audio.scrape import Scrapes, roughness_of, scrape_force
+from objectfolder.audio.scrape import Scrapes, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import finite_number, real_array, require_memory, whole_number
 from objectfolder.envs.impacts import ContactReader, Impact, Loads
-from objectfolder.envs.sounding import Objects, Sounding, check_body, placed_objects
+from objectfolder.envs.sounding import Objects, Sounding, check_body, find_bodies, site_number
 from objectfolder.envs.state import DYNAMICS, SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material, material
 from objectfolder.objectfile.voice import Voice
 
-LONGEST_STEP = 0.01  #: of a simulation that can be heard, s; bounces are missed beyond
+MAX_TIME_STEP = 0.01  #: of a simulation that can be heard, s; bounces are missed beyond
 ROUNDING = 0.05  #: radius of an object's surface where it touches, of its longest side; assumed
-TURNED, NEARER = (
-    math.radians(3),
-    0.03,
-)  #: motion of the listener that changes what it hears
-OFTEN = 0.004  #: time between two computations, at least, s
-SLOW = 1e-3  #: m/s; slower contacts make no noise
-_LOST = 1e-9  # s, that the clock of a long simulation rounds off
+#: Turn, and relative change of the distance, of the listener that change what it hears.
+LISTENER_ANGLE, LISTENER_DISTANCE = math.radians(3), 0.03
+LISTEN_INTERVAL = 0.004  #: time between two computations, at least, s
+MIN_SLIP = 1e-3  #: m/s; slower contacts make no noise
+_CLOCK_TOLERANCE = 1e-9  # s, that the clock of a long simulation rounds off
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class Hearing:
     ObjectFolderError
         If the scene lacks an object, or has it in another size or material, or one body for two; if the model
         is not compiled; if there is not one listener; if the time step is longer than the contacts or
-        `LONGEST_STEP`; if a body's modes are all above half the sample rate. `hear` raises it if the
+        `MAX_TIME_STEP`; if a body's modes are all above half the sample rate. `hear` raises it if the
         simulation was reset or jumped, anything that it reads of it is not finite, the data are of another
         model, or the model was changed so that an object is not as its file says.
 
@@ -114,7 +112,7 @@ class Hearing:
         self._listener = _listener(model, listener)
         stuff = surroundings if isinstance(surroundings, Material) else material(surroundings)
         self._surroundings = stuff
-        placed = placed_objects(model, objects)
+        placed = find_bodies(model, objects)
         fixed, adaptable = (*STRUCTURE, "opt.timestep", "opt.cone"), (*SHAPES, *DYNAMICS)
         self._state = StateCheck(model, "Hearing", [number for number, _, _ in placed], fixed, adaptable)
         self._bodies = {
@@ -174,8 +172,8 @@ class Hearing:
         self._check(data)
         samples = round(self.sample_rate * self._step * (self._steps + 1)) - self._stream.clock
         impacts, loads = self._reader.read(data)
-        self.strikes = tuple(self._struck(data, impacts, samples)) if impacts else ()
-        self._scrape(data, loads, samples)
+        self.strikes = tuple(self._apply_impacts(data, impacts, samples)) if impacts else ()
+        self._apply_friction(data, loads, samples)
         self._listen(data)
         self._steps += 1
         self._time = float(data.time)
@@ -200,13 +198,13 @@ class Hearing:
                 "reset(data)"
             )
         expected = self._time + self._step
-        if abs(data.time - expected) > _LOST + 1e-3 * self._step:
+        if abs(data.time - expected) > _CLOCK_TOLERANCE + 1e-3 * self._step:
             raise ObjectFolderError(
                 f"the simulation is at {data.time:g} s, expected {expected:g} s, one step after what was "
                 "heard last: call hear() after every mj_step, and reset(data) when the simulation is reset"
             )
 
-    def _struck(self, data: mujoco.MjData, impacts: list[Impact], samples: int) -> list[Strike]:
+    def _apply_impacts(self, data: mujoco.MjData, impacts: list[Impact], samples: int) -> list[Strike]:
         """Apply the impacts of a step to the objects that they hit."""
         blows: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}  # by body: impact, point and impulse
         for k, impact in enumerate(impacts):
@@ -249,7 +247,7 @@ class Hearing:
     def _material(self, body: "_Body | None") -> Material:
         return self._surroundings if body is None else body.voice.material
 
-    def _scrape(self, data: mujoco.MjData, loads: Loads | None, samples: int) -> None:
+    def _apply_friction(self, data: mujoco.MjData, loads: Loads | None, samples: int) -> None:
         """Shake the objects of contacts that slide or roll by the roughness of their surfaces."""
         if loads is None:
             self._scrapes.play(samples, {})
@@ -257,15 +255,15 @@ class Hearing:
         arms = _length(loads.point[:, None] - data.xipos[loads.bodies])
         slid = _length(loads.slip)
         rolled = np.where(self._sounds[loads.bodies], arms, 0).max(1) * _length(loads.rolling)
-        moving = np.flatnonzero(np.maximum(slid, rolled) >= SLOW)
+        moving = np.flatnonzero(np.maximum(slid, rolled) >= MIN_SLIP)
         if not len(moving):
             self._scrapes.play(samples, {})
             return
         bodies, slip, slid = loads.bodies[moving], loads.slip[moving], slid[moving]
         pairs = [(first, second) for first, second in bodies.tolist()]
-        modulus, radius, rough = np.array([self._rubbed(pair) for pair in pairs]).T
+        modulus, radius, rough = np.array([self._rub(pair) for pair in pairs]).T
         size, cutoff = scrape_force(loads.force[moving], slid, rolled[moving], rough, radius, modulus)
-        along = loads.normal[moving] - (loads.friction[moving] / slid.clip(SLOW))[:, None] * slip
+        along = loads.normal[moving] - (loads.friction[moving] / slid.clip(MIN_SLIP))[:, None] * slip
         noise = self._scrapes.play(samples, dict(zip(pairs, (cutoff / self.sample_rate).tolist())))
         contact, side = np.nonzero(self._sounds[bodies])
         numbers = bodies[contact, side]
@@ -278,11 +276,11 @@ class Hearing:
             out[: len(body.voice.poles)] = body.voice.rough_gains(place, push)
         self._stream.shake(np.array([body.row for body in shaken]), noise[contact], gains)
 
-    def _rubbed(self, pair: tuple[int, int]) -> tuple[float, float, float]:
+    def _rub(self, pair: tuple[int, int]) -> tuple[float, float, float]:
         """Return the modulus of a contact, Pa, its radius, m, and its combined roughness, m."""
         if pair not in self._surfaces:
             both = [self._bodies.get(number) for number in pair]
-            rough = roughness_of(*(self._material(body).name for body in both))
+            rough = math.hypot(*(self._material(body).roughness for body in both))
             self._surfaces[pair] = (*self._contact(both), rough)
         return self._surfaces[pair]
 
@@ -292,9 +290,9 @@ class Hearing:
         turns = data.xmat[self._numbers].reshape(-1, 3, 3)
         places, clock = np.einsum("bd,bde->be", ear - data.xpos[self._numbers], turns), self._stream.clock
         far, was = _length(places), _length(self._places)
-        turned = (places * self._places).sum(1) < math.cos(TURNED) * far * was
-        moved = turned | (abs(far - was) >= NEARER * was)
-        due = self._stream.sounds & moved & (clock - self._since >= OFTEN * self.sample_rate)
+        turned = (places * self._places).sum(1) < math.cos(LISTENER_ANGLE) * far * was
+        moved = turned | (abs(far - was) >= LISTENER_DISTANCE * was)
+        due = self._stream.sounds & moved & (clock - self._since >= LISTEN_INTERVAL * self.sample_rate)
         for body in (body for body in self._bodies.values() if due[body.row]):
             self._stream.listen(body.row, body.voice.weights(places[body.row]))
             self._places[body.row], self._since[body.row] = places[body.row], clock
@@ -310,11 +308,7 @@ def _listener(model: mujoco.MjModel, listener: object) -> "int | np.ndarray":
     """Return the number of a site, or a place (3,)."""
     advice = "give the name of one site, or one place; two ears need a Hearing each"
     if isinstance(listener, str):
-        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, listener)
-        if number < 0:
-            names = [model.site(i).name for i in range(model.nsite)]
-            raise ObjectFolderError(f"listener: the scene has no site {listener!r}, but {quoted(names)}")
-        return number
+        return site_number(model, listener, "listener")
     if isinstance(listener, list | tuple) and any(isinstance(one, str) for one in listener):
         raise ObjectFolderError(f"listener is {quoted(listener)}, expected one; {advice}")
     place = real_array("listener", listener)
@@ -328,9 +322,9 @@ def _listener(model: mujoco.MjModel, listener: object) -> "int | np.ndarray":
 def _check_step(model: mujoco.MjModel) -> None:
     """Raise ObjectFolderError if a step is longer than contacts last."""
     step = float(model.opt.timestep)
-    if not 0 < step <= LONGEST_STEP:
+    if not 0 < step <= MAX_TIME_STEP:
         raise ObjectFolderError(
-            f"the time step of the scene is {step:g} s, expected at most {LONGEST_STEP:g} s, and above 0: "
+            f"the time step of the scene is {step:g} s, expected at most {MAX_TIME_STEP:g} s, and above 0: "
             "bounces within a longer one would not be heard"
         )
     collides = np.flatnonzero((model.geom_contype > 0) | (model.geom_conaffinity > 0))

@@ -5,7 +5,6 @@ import json
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
@@ -19,39 +18,30 @@ from objectfolder.objectfile.file import ObjectFile
 MAX_HULLS = 16
 MAX_VERTICES = 128  #: of a hull; the time per simulation step hardly depends on it
 _THRESHOLD = 0.05  # remaining concavity, coacd's default
-_SHAVE = 0.002  # shrinkage of a hull in exchange for fewer vertices, fraction of the longest side
-_DETAIL = 0.003  # tolerance of the simplification before, fraction of the longest side
+_HULL_TOLERANCE = 0.002  # shrinkage of a hull in exchange for fewer vertices, fraction of the longest side
+_SIMPLIFICATION = 0.003  # tolerance of the simplification before, fraction of the longest side
 # A shallow search: three times the iterations take twice as long for hulls a tenth smaller.
 _SEARCH = {"mcts_iterations": 20, "mcts_nodes": 10, "mcts_max_depth": 2, "resolution": 1000}
-_FLAT = 1e-6  # height below which points are coplanar, fraction of the longest side
+_COPLANAR = 1e-6  # height below which points are coplanar, fraction of the longest side
 
 
 def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[trimesh.Trimesh, ...]:
     """Cut a solid into nearly convex parts and return their convex hulls (CoACD, Wei et al. 2022).
 
-    The same mesh gives the same hulls for any number of threads. Enclosed cavities are filled first.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        A closed surface; small holes are closed.
-    max_hulls : int
-
-    Returns
-    -------
-    tuple of trimesh.Trimesh
-        Closed and convex, with at most `MAX_VERTICES` vertices, in the frame of the mesh.
-
-    Raises
-    ------
-    ObjectFolderError
-        If coacd or manifold3d is not installed, ``max_hulls`` is below 1, or the mesh is not closed.
+    They are closed and convex, with at most `MAX_VERTICES` vertices, in the frame of the mesh. The same mesh
+    gives the same hulls for any number of threads. Small holes are closed, and enclosed cavities are filled
+    first. Raises ObjectFolderError if coacd or manifold3d is not installed, ``max_hulls`` is below 1, or the
+    mesh is not closed.
     """
     if max_hulls < 1:
         raise ObjectFolderError(f"max_hulls is {max_hulls}, expected at least 1")
-    coacd = _coacd()
+    try:
+        import coacd
+    except ImportError as error:
+        raise missing_library("coacd") from error
+    coacd.set_log_level("error")
     size = float(mesh.extents.max())
-    outer = [shell for shell in simplify(mesh, _DETAIL * size) if shell.volume > 0]
+    outer = [shell for shell in simplify(mesh, _SIMPLIFICATION * size) if shell.volume > 0]
     if not outer:
         raise ObjectFolderError(
             f"a mesh of {len(mesh.faces)} faces has no hulls: expected a closed surface oriented outward, "
@@ -72,15 +62,7 @@ def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[tri
 
 
 def write_hulls(path: str | Path, hulls: Sequence[trimesh.Trimesh], source: str = "") -> None:
-    """Write hulls as ``.npz``.
-
-    Parameters
-    ----------
-    path : path
-    hulls : sequence of trimesh.Trimesh
-    source : str
-        Digest of the object and the settings, for `cached_hulls`.
-    """
+    """Write hulls as ``.npz``; ``source`` is the digest of object and settings, for `cached_hulls`."""
     write_npz(
         path,
         vertices=np.concatenate([hull.vertices for hull in hulls]),
@@ -92,14 +74,8 @@ def write_hulls(path: str | Path, hulls: Sequence[trimesh.Trimesh], source: str 
 
 
 def read_hulls(path: str | Path) -> tuple[trimesh.Trimesh, ...]:
-    """Read hulls written by `write_hulls`.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing or damaged, or a hull in it is not closed and convex.
-    """
-    return _unpacked(path, _arrays(path))
+    """Read hulls written by `write_hulls`; raises ObjectFolderError if one is not closed and convex."""
+    return _parse(path, _read(path))
 
 
 def hulls_digest(hulls: Sequence[trimesh.Trimesh]) -> str:
@@ -114,18 +90,14 @@ def cached_hulls(
     """Return the hulls of an Object File, object frame, metres, cached in ``folder/<key>.npz``.
 
     They are computed (seconds to half a minute) if the cache has none of this surface and these settings.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file holds no geometry, the cached file is damaged, or coacd is not installed.
+    Raises ObjectFolderError if the file holds no geometry, the cached file is damaged, or coacd is missing.
     """
     path = Path(folder) / f"{file.key}.npz"
     source = _source(file, max_hulls)
     if path.exists():
-        arrays = _arrays(path)
+        arrays = _read(path)
         if str(arrays["source"]) == source:
-            return _unpacked(path, arrays)
+            return _parse(path, arrays)
     hulls = convex_hulls(file.to_mesh(), max_hulls)
     write_hulls(path, hulls, source)
     return hulls
@@ -140,12 +112,12 @@ def _convex_hull(points: np.ndarray, size: float) -> trimesh.Trimesh | None:
     chosen = _tetrahedron(points)
     first, second, third, fourth = points[chosen]
     normal = np.cross(second - first, third - first)
-    if abs((fourth - first) @ normal) <= _FLAT * size * np.linalg.norm(normal):
+    if abs((fourth - first) @ normal) <= _COPLANAR * size * np.linalg.norm(normal):
         return None
     while len(chosen) < MAX_VERTICES:
         faces = ConvexHull(points[chosen]).equations
         heights = (points @ faces[:, :3].T + faces[:, 3]).max(1)
-        if heights.max() <= _SHAVE * size:
+        if heights.max() <= _HULL_TOLERANCE * size:
             break
         chosen.append(int(heights.argmax()))
     return trimesh.convex.convex_hull(points[chosen])
@@ -170,15 +142,15 @@ def _check(hull: trimesh.Trimesh, name: str, remedy: str) -> None:
     if not (hull.is_watertight and hull.is_winding_consistent and hull.volume > 0):
         raise ObjectFolderError(f"{name} is not a closed surface oriented outward; {remedy}")
     heights = hull.vertices @ hull.face_normals.T - (hull.triangles[:, 0] * hull.face_normals).sum(1)
-    if heights.max() > _FLAT * hull.extents.max():
+    if heights.max() > _COPLANAR * hull.extents.max():
         raise ObjectFolderError(f"{name} is not convex; {remedy}")
 
 
-def _arrays(path: str | Path) -> dict[str, np.ndarray]:
+def _read(path: str | Path) -> dict[str, np.ndarray]:
     return read_npz(path, "vertices", "faces", "vertex_counts", "face_counts", "source")
 
 
-def _unpacked(path: str | Path, arrays: dict[str, np.ndarray]) -> tuple[trimesh.Trimesh, ...]:
+def _parse(path: str | Path, arrays: dict[str, np.ndarray]) -> tuple[trimesh.Trimesh, ...]:
     vertices, faces = arrays["vertices"], arrays["faces"]
     vertex_counts, face_counts = arrays["vertex_counts"], arrays["face_counts"]
     remedy = "delete it to compute the hulls again"
@@ -211,17 +183,8 @@ def _source(file: ObjectFile, max_hulls: int) -> str:
         release = version("coacd")
     except PackageNotFoundError as error:
         raise missing_library("coacd") from error
-    settings = (max_hulls, MAX_VERTICES, _THRESHOLD, _SHAVE, _DETAIL, _SEARCH, release)
+    settings = (max_hulls, MAX_VERTICES, _THRESHOLD, _HULL_TOLERANCE, _SIMPLIFICATION, _SEARCH, release)
     described = json.dumps([file.header["geometry"], file.scale, settings], sort_keys=True)
     digest = hashlib.sha256(described.encode())
     digest.update(np.ascontiguousarray(file.tensors["geometry.distances"]).tobytes())
     return digest.hexdigest()
-
-
-def _coacd() -> Any:
-    try:
-        import coacd
-    except ImportError as error:
-        raise missing_library("coacd") from error
-    coacd.set_log_level("error")
-    return coacd

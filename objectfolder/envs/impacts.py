@@ -19,12 +19,12 @@ import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
-_SHARE = 1e-3  # softness that shares an impulse among more contacts than it determines, of each contact's own
-_APART = 0.02  # m; contacts further apart are different ones, but for their motion in three steps
-_LASTING = 3.0  # time constants of a contact after which an impact has acted; then the velocity is as it is
-_FAINT = 0.05  # approach that goes unheard while an impact acts, of that impact's
-_PASSES = 5  # at most, in which friction finds the direction of the sliding that it leaves
-_JUMP = 20.0  # m/s; mocap bodies that seem to be faster have been put elsewhere
+_COMPLIANCE = 1e-3  # softness, of each contact's own: shares an impulse that more contacts could bear
+_CONTACT_SPACING = 0.02  # m; contacts further apart are different ones, but for their motion in three steps
+_IMPACT_DURATION = 3.0  # time constants of a contact, after which an impact has acted
+_MIN_SPEED_RATIO = 0.05  # approach that goes unheard while an impact acts, of that impact's
+_MAX_ITERATIONS = 5  # at most, in which friction finds the direction of the sliding that it leaves
+_MAX_MOCAP_SPEED = 20.0  # m/s; mocap bodies that seem to be faster have been put elsewhere
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,7 @@ class Loads:
 
 
 class ContactReader:
-    """Impacts and loads of some bodies, step by step.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-    bodies : iterable of int
-        Numbers of the bodies whose contacts count.
-    """
+    """Impacts and loads of some bodies, given by their numbers, step by step."""
 
     def __init__(self, model: mujoco.MjModel, bodies: "np.ndarray | list[int]"):
         self._model = model
@@ -79,14 +72,14 @@ class ContactReader:
         self._poses: tuple[np.ndarray, np.ndarray] | None = None  # places and turns of mocap bodies
 
     @property
-    def slowest(self) -> float:
+    def min_speed(self) -> float:
         """Approach that gravity alone makes in a step: slower ones are not resolved, m/s."""
         return max(math.hypot(*self._model.opt.gravity.tolist()) * self._model.opt.timestep, 1e-3)
 
     def read(self, data: mujoco.MjData) -> tuple[list[Impact], Loads | None]:
         """Return the impacts of the step that ``mj_step`` made last, and the loads, if any."""
         contact, model = data.contact, self._model
-        moving = self._moving(data) if model.nmocap else None
+        moving = self._read_mocap(data) if model.nmocap else None
         geoms = contact.geom
         bodies = model.geom_bodyid[geoms]
         rows = np.flatnonzero(
@@ -97,17 +90,17 @@ class ContactReader:
         if not len(rows):
             self._pending = {}
             return [], None
-        found = _Rows.of(model, data, rows)
+        found = _Contacts.of(model, data, rows)
         if moving is not None:
-            found = self._carried(data, found, *moving)
+            found = self._add_mocap(data, found, *moving)
         self._before = found.pairs, found.point
         new = np.ones(len(rows), bool)
         if before is not None:
-            near = _APART + 3 * model.opt.timestep * np.sqrt(np.square(found.velocity).sum(1))
+            near = _CONTACT_SPACING + 3 * model.opt.timestep * np.sqrt(np.square(found.velocity).sum(1))
             away = np.square(found.point[:, None] - before[1]).sum(2)
             same = (found.pairs[:, None] == before[0]).all(2)
             new = ~(same & (away < near[:, None] ** 2)).any(1)
-        live = new & (found.velocity[:, 0] < -self.slowest)
+        live = new & (found.velocity[:, 0] < -self.min_speed)
         if self._pending:
             touching = set(found.bodies)
             self._pending = {k: one for k, one in self._pending.items() if one.steps > 0 and k in touching}
@@ -116,7 +109,7 @@ class ContactReader:
         return impacts, self._loads(data, found, np.flatnonzero(~new))
 
     def _impacts(
-        self, data: mujoco.MjData, found: "_Rows", live: np.ndarray, new: np.ndarray
+        self, data: mujoco.MjData, found: "_Contacts", live: np.ndarray, new: np.ndarray
     ) -> list[Impact]:
         """Solve for the impulses that stop what approach the pending ones leave."""
         model, count, step = self._model, len(live), self._model.opt.timestep
@@ -131,19 +124,21 @@ class ContactReader:
         held = np.array([pair in self._pending for pair in pairs])
         pressed = np.where(held, -(motion[::3] @ self._outside), 0.0).clip(0)
         approach = -velocity[:, 0] - pressed
-        faint = [_FAINT * self._pending[pair].speed if pair in self._pending else 0.0 for pair in pairs]
-        slowest = np.maximum(self.slowest, faint)
-        met = new[live] & (approach > slowest)
+        faint = [
+            _MIN_SPEED_RATIO * self._pending[pair].speed if pair in self._pending else 0.0 for pair in pairs
+        ]
+        min_speed = np.maximum(self.min_speed, faint)
+        met = new[live] & (approach > min_speed)
         impulses, out = np.zeros((count, 3)), []
         mobility = motion @ moved.T
-        solved = _coupled(mobility, -velocity[:, 0] > slowest)
+        solved = _find_coupled(mobility, -velocity[:, 0] > min_speed)
         if solved.any():
             # MuJoCo's damper acts on the velocity that it knows, which is not that of mocap bodies.
             own = approach + found.carried[live].clip(max=0)
             bounce = np.array([restitution(*ref) for ref in found.solref[live].tolist()])
             rebound = np.where(met, bounce * own.clip(0), 0.0)
             some = np.repeat(solved, 3)
-            impulses[solved] = _stopping(
+            impulses[solved] = _solve_impulses(
                 mobility[np.ix_(some, some)], velocity[solved], rebound[solved], found.friction[live][solved]
             )
             then = velocity + (mobility @ impulses.ravel()).reshape(-1, 3)
@@ -151,7 +146,7 @@ class ContactReader:
             lost = (work[:, 0] + work[:, 1:].sum(1).clip(max=0)).clip(0)
             hit = {pair for pair, one in zip(pairs, met) if one}
             alone = impulses[:, 0] * mobility.diagonal()[::3]  # change of the speed by each alone
-            for k in np.flatnonzero(alone > slowest).tolist():
+            for k in np.flatnonzero(alone > min_speed).tolist():
                 if pairs[k] not in hit:
                     continue
                 row, normal = live[k], float(impulses[k, 0])
@@ -173,7 +168,9 @@ class ContactReader:
                 mine = np.array([one == pair for one in pairs])
                 lasting = max(_time_constant(*ref) for ref in found.solref[live[mine]].tolist())
                 self._pending[pair] = _Pending(
-                    np.zeros(model.nv), math.ceil(_LASTING * lasting / step), float(approach[mine].max())
+                    np.zeros(model.nv),
+                    math.ceil(_IMPACT_DURATION * lasting / step),
+                    float(approach[mine].max()),
                 )
         force = found.force[live]
         given = np.einsum("kd,kdv->kv", impulses - step * force, motion.reshape(count, 3, -1))
@@ -187,7 +184,7 @@ class ContactReader:
         self._outside = step * (data.qacc - applied)
         return out
 
-    def _moving(self, data: mujoco.MjData) -> "tuple[np.ndarray, np.ndarray] | None":
+    def _read_mocap(self, data: mujoco.MjData) -> "tuple[np.ndarray, np.ndarray] | None":
         """Return velocities and turns of mocap bodies in the last step, (N, 3) each, if any has moved."""
         before, step = self._poses, self._model.opt.timestep
         self._poses = data.mocap_pos.copy(), data.mocap_quat.copy()
@@ -201,13 +198,13 @@ class ContactReader:
                 mujoco.mju_subQuat(out, now, was)  # in the frame that the body had
                 mujoco.mju_rotVecQuat(out, out.copy(), was)
         turn /= step
-        jumped = np.square(velocity).sum(1) > _JUMP**2
+        jumped = np.square(velocity).sum(1) > _MAX_MOCAP_SPEED**2
         velocity[jumped] = turn[jumped] = 0
         return (velocity, turn) if velocity.any() or turn.any() else None
 
-    def _carried(
-        self, data: mujoco.MjData, found: "_Rows", velocity: np.ndarray, turn: np.ndarray
-    ) -> "_Rows":
+    def _add_mocap(
+        self, data: mujoco.MjData, found: "_Contacts", velocity: np.ndarray, turn: np.ndarray
+    ) -> "_Contacts":
         """Return contacts with the velocities that mocap bodies add, of which MuJoCo knows nothing."""
         added = np.zeros_like(found.velocity)
         for k, pair in enumerate(found.bodies):
@@ -218,7 +215,7 @@ class ContactReader:
                     added[k] += sign * found.frame[k] @ (velocity[mocap] + np.cross(turn[mocap], arm))
         return replace(found, velocity=found.velocity + added, carried=added[:, 0])
 
-    def _loads(self, data: mujoco.MjData, found: "_Rows", lasting: np.ndarray) -> Loads | None:
+    def _loads(self, data: mujoco.MjData, found: "_Contacts", lasting: np.ndarray) -> Loads | None:
         """Sum the contacts that last, by pairs of bodies."""
         pushing = [k for k in lasting.tolist() if found.force[k, 0] > 0]
         if not pushing:
@@ -240,7 +237,7 @@ class ContactReader:
         turn -= normal * (normal * turn).sum(1, keepdims=True)
         return Loads(pairs, point, normal, total, slip, turn, friction)
 
-    def _jacobians(self, data: mujoco.MjData, found: "_Rows", rows: np.ndarray) -> np.ndarray:
+    def _jacobians(self, data: mujoco.MjData, found: "_Contacts", rows: np.ndarray) -> np.ndarray:
         """Return how velocities of contacts, in their frames, follow from those of the joints; (K, 3, nv)."""
         sides = np.zeros((2, len(rows), 3, self._model.nv))
         for k, row in enumerate(rows.tolist()):
@@ -252,7 +249,7 @@ class ContactReader:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _Contacts:
     """Contacts of a step that count."""
 
     bodies: list[tuple[int, int]]
@@ -267,7 +264,7 @@ class _Rows:
     distance: np.ndarray  #: (K,)
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, rows: np.ndarray) -> "_Rows":
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, rows: np.ndarray) -> "_Contacts":
         contact = data.contact
         geoms, mu = contact.geom[rows], contact.friction[rows]
         velocity, force = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
@@ -310,7 +307,7 @@ class _Pending:
     speed: float  #: of approach in the first one, m/s
 
 
-def _coupled(mobility: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _find_coupled(mobility: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Return whether each contact, (K,) bool, can move or be moved by a wanted one."""
     count = len(wanted)
     if not wanted.any() or count == 1:
@@ -322,22 +319,15 @@ def _coupled(mobility: np.ndarray, wanted: np.ndarray) -> np.ndarray:
             return wanted
 
 
-def _stopping(
+def _solve_impulses(
     mobility: np.ndarray, velocity: np.ndarray, rebound: np.ndarray, friction: np.ndarray
 ) -> np.ndarray:
     """Return impulses after which contacts part at least as fast as asked, in their frames; (K, 3).
 
     They push, within pyramids of Coulomb friction, as MuJoCo's. One problem of least squares without negative
     unknowns finds those of a convex friction, which would lift what slides; the next ones ask for that much
-    less.
-
-    Parameters
-    ----------
-    mobility : (3 K, 3 K) array
-        Change of all velocities by all impulses.
-    velocity : (K, 3) array
-        Before.
-    rebound, friction : (K,) array
+    less. ``mobility`` (3 K, 3 K) is the change of all velocities by all impulses; ``velocity`` (K, 3) is the
+    one before; ``rebound`` and ``friction`` are (K,).
     """
     count = len(velocity)
     cone = np.zeros((count, 4, count, 3))  # n + mu t and n - mu t of each tangent
@@ -346,11 +336,11 @@ def _stopping(
     for edge, (tangent, sign) in enumerate(((1, 1), (1, -1), (2, 1), (2, -1))):
         cone[each, edge, each, tangent] = sign * friction
     edges = cone.reshape(4 * count, 3 * count)
-    soft = edges @ (mobility + _SHARE * np.diag(mobility.diagonal())) @ edges.T
+    soft = edges @ (mobility + _COMPLIANCE * np.diag(mobility.diagonal())) @ edges.T
     soft += 1e-9 * np.trace(soft) / len(soft) * np.eye(len(soft))
     root = np.linalg.cholesky(soft)
     wanted, impulses = rebound, np.zeros((count, 3))
-    for _ in range(_PASSES):
+    for _ in range(_MAX_ITERATIONS):
         target = np.repeat(wanted, 4) - edges @ velocity.ravel()
         sizes, _ = nnls(root.T, np.linalg.solve(root, target), maxiter=100 * len(target))
         impulses = (sizes @ edges).reshape(-1, 3)
@@ -369,13 +359,9 @@ def _time_constant(first: float, second: float) -> float:
 def restitution(first: float, second: float) -> float:
     """Return the restitution of a contact of MuJoCo from its ``solref``.
 
-    A spring and a damper stop a body, and cannot pull it back: the contact ends when the force does (Schwager
-    and Pöschel, Granular Matter 9, 2007). Impedance and gravity are left out.
-
-    Parameters
-    ----------
-    first, second : float
-        Time constant and damping ratio; negative: stiffness and damping of unit mass.
+    These are time constant and damping ratio; or, negative, stiffness and damping of unit mass. A spring and
+    a damper stop a body, and cannot pull it back: the contact ends when the force does (Schwager and Pöschel,
+    Granular Matter 9, 2007). Impedance and gravity are left out.
     """
     ratio = second if first > 0 else -second / (2 * math.sqrt(max(-first, 1e-12)))
     if ratio <= 0:

@@ -13,14 +13,7 @@ from gymnasium.spaces import Box
 
 from objectfolder.checks import whole_number
 from objectfolder.envs.body import Hulls, RigidBody, add_body, as_rigid_body
-from objectfolder.envs.reach_scene import (
-    GOAL_HIGH,
-    GOAL_LOW,
-    OBJECT_HIGH,
-    OBJECT_LOW,
-    check_size,
-    lowest_point,
-)
+from objectfolder.envs.reach import GOAL_HIGH, GOAL_LOW, OBJECT_HIGH, OBJECT_LOW, check_size, lowest_point
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
@@ -78,29 +71,12 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
     Like `objectfolder.envs.reach.ReachEnv`, but with the Sawyer arm. ``reset`` honours its seed, which
     Meta-World ignores, and goals are part of the observation, as in MT1.
 
-    Parameters
-    ----------
-    file : ObjectFile, path or RigidBody
-    hulls : path or sequence of trimesh.Trimesh, optional
-        Folder in which convex hulls are cached, or the hulls, object frame, m; default: a folder of the
-        user's.
-    horizon : int
-        Control steps (12.5 ms) of an episode, at most 500.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the object is too large for the scene.
+    Arguments are as there, but ``horizon`` is at most 500 control steps (12.5 ms).
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it
 
-    def __init__(
-        self,
-        file: "ObjectFile | RigidBody | str | Path",
-        hulls: Hulls = None,
-        horizon: int = 500,
-    ):
+    def __init__(self, file: "ObjectFile | RigidBody | str | Path", hulls: Hulls = None, horizon: int = 500):
         if whole_number("horizon", horizon, 1) > SawyerReachEnvV3.max_path_length:
             raise ObjectFolderError(f"horizon is {horizon}, expected 1 to {SawyerReachEnvV3.max_path_length}")
         body = as_rigid_body(file, hulls)

@@ -13,24 +13,10 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from objectfolder.checks import whole_number
-from objectfolder.envs.body import Hulls, RigidBody, as_rigid_body
-from objectfolder.envs.calls import (
-    KEPT,
-    checked_render_mode,
-    finite_actions,
-    no_options,
-    picture_size,
-    started,
-)
+from objectfolder.envs import calls
+from objectfolder.envs.body import Hulls, RigidBody, add_body, as_rigid_body
 from objectfolder.envs.drawing import draw_model, view_frame, view_rays
-from objectfolder.envs.reach_scene import (
-    GOAL_HIGH,
-    GOAL_LOW,
-    SUCCESS_RADIUS,
-    draw_placement,
-    lowest_point,
-    reach_scene,
-)
+from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
 SUBSTEPS = 5  #: simulation steps per control step
@@ -41,16 +27,22 @@ HAND_START = np.array([0.0, 0.6, 0.2])  #: m
 HAND_LOW, HAND_HIGH = np.array([-0.5, 0.4, 0.05]), np.array([0.5, 1.0, 0.5])  #: range of its target, m
 OPENING = 0.1  #: opening of the fingers that is observed as 1, m
 SIGMOID = np.sqrt(1 / 0.1 - 1)  #: makes the reward's long tail 0.1 at the margin
-
 #: Camera of `ReachEnv.render`: position and target, m; vertical field of view, degrees.
 EYE, TARGET, FOV = np.array([1.1, 0.05, 0.6]), np.array([0.0, 0.74, 0.12]), 26.0
-#: Attributes of an environment that change, beside its simulation.
-CHANGING = ("goal", "_margin", "_steps", "_previous", *KEPT)
-
+#: Attributes of an environment that change.
+_STATE_ATTRIBUTES = ("data", "goal", "_margin", "_steps", "_previous", *calls.COPIED_ATTRIBUTES)
 _REACH_HIGH = np.array([0.525, 1.025, 0.7])
 _REACH_LOW = np.array([-0.525, 0.348, -0.0525])
 _STATE_LOW = np.concatenate([_REACH_LOW, [-1], np.full(3, -2.0), np.full(11, -1.0)])
 _STATE_HIGH = np.concatenate([_REACH_HIGH, [1], np.full(3, 2.0), np.full(11, 1.0)])
+TIME_STEP = 0.0025  #: s
+OBJECT_LOW, OBJECT_HIGH = np.array([-0.1, 0.6]), np.array([0.1, 0.7])  #: range of the object's origin, m
+GOAL_LOW, GOAL_HIGH = np.array([-0.1, 0.8, 0.05]), np.array([0.1, 0.9, 0.3])  #: range of goals, m
+MIN_DISTANCE = 0.15  #: least horizontal distance of goal and object, m
+SUCCESS_RADIUS = 0.05  #: distance from the goal that counts as reached, m
+MAX_HEIGHT = 0.15  #: height of an object that fits under the open gripper at its start, m
+#: Radius of an object about its vertical axis that leaves goals free, m.
+MAX_RADIUS = MIN_DISTANCE - SUCCESS_RADIUS
 
 
 class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -101,6 +93,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 80}  # noqa: RUF012 - as the base class has it
+    mj_step = staticmethod(mujoco.mj_step)  #: makes the steps, so that `objectfolder.envs.senses` can listen
 
     def __init__(
         self,
@@ -110,8 +103,9 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         resolution: tuple[int, int] = (180, 240),
     ):
-        self.horizon, self.render_mode = whole_number("horizon", horizon, 1), checked_render_mode(render_mode)
-        self.resolution = picture_size(resolution)
+        self.horizon = whole_number("horizon", horizon, 1)
+        self.render_mode = calls.check_render_mode(render_mode)
+        self.resolution = calls.check_resolution(resolution)
         body = as_rigid_body(file, hulls)
         self._arguments = (file, hulls, horizon, render_mode, resolution)
         self.model = reach_scene(body)
@@ -134,7 +128,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Reset the hand, and draw new places of the object and the goal."""
-        no_options(options)
+        calls.refuse_options(options)
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         place, self.goal = draw_placement(self.np_random)
@@ -149,12 +143,12 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Simulate one control step, 12.5 ms."""
-        started(self._margin > 0)
-        action = np.clip(finite_actions(action, (4,)), -1, 1)
+        calls.require_reset(self._margin > 0)
+        action = np.clip(calls.check_actions(action, (4,)), -1, 1)
         target = self.data.mocap_pos[self._target] + ACTION_SCALE * action[:3]
         self.data.mocap_pos[self._target] = np.clip(target, HAND_LOW, HAND_HIGH)
         self.data.ctrl[:] = action[3], -action[3]
-        mujoco.mj_step(self.model, self.data, SUBSTEPS)
+        self.mj_step(self.model, self.data, SUBSTEPS)
         self._steps += 1
         distance = float(np.linalg.norm(self.data.qpos[self._hand] + TIP - self.goal))
         info = {"success": float(distance <= SUCCESS_RADIUS), "distance": distance}
@@ -164,19 +158,13 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Return a picture of the scene, (height, width, 3) uint8; None without ``render_mode``."""
         if self.render_mode is None:
             return None
-        started(self._margin > 0)
+        calls.require_reset(self._margin > 0)
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the previous step's positions
         rays = view_rays(view_frame(EYE, TARGET), FOV, *self.resolution)
         return draw_model(self.model, self.data, EYE, rays, *self.resolution)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept = {name: getattr(self, name) for name in CHANGING}
-        return type(self), self._arguments, (self.data, kept)
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        """Restore the simulation, the episode and the random generator of a pickle."""
-        self.data, kept = state
-        self.__dict__ |= kept
+        return type(self), self._arguments, {name: getattr(self, name) for name in _STATE_ATTRIBUTES}
 
     def _state(self) -> np.ndarray:
         qpos = self.data.qpos
@@ -193,14 +181,89 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 def reward(distance: float, margin: float) -> float:
-    """Return the reward of a step.
-
-    Parameters
-    ----------
-    distance : float
-        From the fingertips to the goal, m.
-    margin : float
-        From the hand's start to the goal, m.
-    """
+    """Return the reward of a step; ``margin`` is the distance of the hand's start from the goal, m."""
     beyond = max(distance - SUCCESS_RADIUS, 0.0) / margin
     return float(10 / (1 + (SIGMOID * beyond) ** 2))
+
+
+def reach_scene(body: RigidBody) -> mujoco.MjModel:
+    """Build the MuJoCo model of table, floating gripper, object and goal.
+
+    Raises ObjectFolderError if the object is too large, or MuJoCo is too old.
+    """
+    check_size(body)
+    if int(mujoco.__version__.partition(".")[0]) < 4:
+        raise ObjectFolderError(
+            f"MuJoCo {mujoco.__version__} is installed, expected 4 or newer (metaworld pins an older one, "
+            "for an environment of its own); install the extra rl, as `objectfolder doctor` says"
+        )
+    spec = mujoco.MjSpec()
+    spec.option.timestep = TIME_STEP
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    world, shapes = spec.worldbody, mujoco.mjtGeom
+    world.add_geom(
+        name="table", type=shapes.mjGEOM_PLANE, size=[2, 2, 0.1], pos=[0, 0.6, 0], rgba=[0.75, 0.6, 0.45, 1]
+    )
+    add_body(spec, body, "object")
+    _add_hand(spec)
+    goal = world.add_body(name="goal", mocap=True)
+    goal.add_geom(
+        type=shapes.mjGEOM_SPHERE, size=[0.02, 0, 0], contype=0, conaffinity=0, rgba=[0.85, 0.1, 0.1, 1]
+    )
+    return spec.compile()
+
+
+def _add_hand(spec: mujoco.MjSpec) -> None:
+    """Add a gripper that follows the body ``target`` with Meta-World's compliance and lag.
+
+    Its fingers, joints and motors are Meta-World's as well.
+    """
+    box, slide = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtJoint.mjJNT_SLIDE
+    spec.worldbody.add_body(name="target", mocap=True)
+    hand = spec.worldbody.add_body(name="hand", gravcomp=1)
+    for axis, direction in zip("xyz", np.eye(3)):
+        hand.add_joint(name=f"hand_{axis}", type=slide, axis=direction)
+    hand.add_geom(type=box, size=[0.03, 0.055, 0.02], pos=[0, 0, 0.07], mass=0.5, rgba=[0.3, 0.3, 0.35, 1])
+    for side, place, limits in (("right", -0.05, [0, 0.04]), ("left", 0.05, [-0.03, 0])):
+        finger = hand.add_body(name=f"finger_{side}", pos=[0, place, 0], gravcomp=1)
+        finger.add_joint(
+            name=f"finger_{side}", type=slide, axis=[0, 1, 0], range=limits, limited=True,
+            armature=100, damping=[1000, 0, 0],
+        )  # fmt: skip
+        finger.add_geom(
+            type=box, size=[0.015, 0.006, 0.045], mass=0.1, condim=4, friction=[2, 0.1, 0.002],
+            rgba=[0.6, 0.6, 0.65, 1],
+        )  # fmt: skip
+        motor = spec.add_actuator(
+            name=f"finger_{side}", target=f"finger_{side}", trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+        motor.set_to_position(kp=400)
+    spec.add_exclude(bodyname1="finger_right", bodyname2="finger_left")
+    spec.add_equality(
+        type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="target", name2="hand",
+        solref=[0.02, 1],
+    )  # fmt: skip
+
+
+def draw_placement(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Draw a place of the object (2,) and a goal (3,), m: uniform, at least `MIN_DISTANCE` apart."""
+    while True:
+        place, goal = rng.uniform(OBJECT_LOW, OBJECT_HIGH), rng.uniform(GOAL_LOW, GOAL_HIGH)
+        if np.linalg.norm(place - goal[:2]) >= MIN_DISTANCE:
+            return place, goal
+
+
+def lowest_point(body: RigidBody) -> float:
+    """Return the lowest z of the hulls; object frame, m."""
+    return float(min(hull.bounds[0, 2] for hull in body.hulls))
+
+
+def check_size(body: RigidBody) -> None:
+    """Raise ObjectFolderError if an object does not fit under the gripper, or might cover a goal."""
+    points = body.points
+    height, radius = np.ptp(points[:, 2]), np.linalg.norm(points[:, :2], axis=1).max()
+    if height > MAX_HEIGHT or radius > MAX_RADIUS:
+        raise ObjectFolderError(
+            f"{body.key} is {height:.3g} m tall and reaches {radius:.3g} m from its vertical axis; the scene "
+            f"takes {MAX_HEIGHT:g} m and {MAX_RADIUS:g} m: build the object with a smaller scale"
+        )

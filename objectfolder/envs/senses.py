@@ -1,6 +1,6 @@
 """Gymnasium wrapper that adds what is heard and felt to the observations of a MuJoCo environment."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -11,14 +11,14 @@ from gymnasium import spaces
 
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import finite_number, require_memory
+from objectfolder.envs.calls import MAX_PRESSURE
 from objectfolder.envs.feeling import Feeling, pad_names
 from objectfolder.envs.hearing import Hearing
-from objectfolder.envs.sounding import Objects, named_objects
+from objectfolder.envs.sounding import Objects, name_objects
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.touch.profiles import SensorProfile
 
-UNHEARD = 1e-6  # s, by which simulation and hearing differ by rounding
-LOUDEST = 1000.0  #: greatest sound pressure that is observed, Pa
+TIME_TOLERANCE = 1e-6  # s, by which simulation and hearing differ by rounding
 
 
 class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
@@ -31,9 +31,9 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
     Parameters
     ----------
     env : gymnasium.Env
-        With the attributes ``model`` and ``data``, as those of gymnasium and of this package, that calls
-        ``mujoco.mj_step``. Meanwhile, that function is replaced, so that each step is heard: environments of
-        one process must not step in several threads.
+        With the attributes ``model`` and ``data``, as those of gymnasium and of this package. It is heard if
+        it steps by its own ``mj_step(model, data, nstep=1)``: an attribute with the function of MuJoCo, whose
+        place the listening step takes during `step`.
     objects : mapping or iterable
         See `objectfolder.envs.hearing.Hearing`.
     listener : str or (3,) array, optional
@@ -48,12 +48,17 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         Of the pads.
     audio, touch : str
         Names of the entries. Two ears are two wrappers, around each other, with a name each.
+    intercept : bool
+        Hear an environment without such an attribute, as gymnasium's, that calls ``mujoco.mj_step``: the
+        function of the module is replaced during `step`, and put back after it. Such environments of one
+        process must not step in several threads.
 
     Raises
     ------
     ObjectFolderError
-        If the environment has no model and data, or an entry of the same name, there is neither a listener
-        nor a pad, or an argument is wrong. `reset` and `step` raise it as `Hearing` and `Feeling` do.
+        If the environment has no model and data, no ``mj_step`` to be heard by, or an entry of the same name,
+        there is neither a listener nor a pad, or an argument is wrong. `reset` and `step` raise it as
+        `Hearing` and `Feeling` do.
 
     Examples
     --------
@@ -74,11 +79,12 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         sensor: "str | SensorProfile" = "digit",
         audio: str = "audio",
         touch: str = "touch",
+        intercept: bool = False,
     ):
-        objects, pads = named_objects(objects), pad_names(pads)
+        objects, pads = name_objects(objects), pad_names(pads)
         gymnasium.utils.RecordConstructorArgs.__init__(
             self, objects=objects, listener=listener, pads=pads, seconds=seconds, sample_rate=sample_rate,
-            sensor=sensor, audio=audio, touch=touch, _disable_deepcopy=True,
+            sensor=sensor, audio=audio, touch=touch, intercept=intercept, _disable_deepcopy=True,
         )  # fmt: skip
         inner: Any = getattr(env, "unwrapped", env)
         if not isinstance(getattr(inner, "model", None), mujoco.MjModel) or not hasattr(inner, "data"):
@@ -91,6 +97,14 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
             raise ObjectFolderError(
                 "there is neither a listener nor a pad: give the name of a site to either"
             )
+        own_step = callable(getattr(inner, "mj_step", None))
+        if listener is not None and not own_step and not intercept:
+            raise ObjectFolderError(
+                f"{type(inner).__name__} has no mj_step by which it could be heard: let it step by an "
+                "attribute of this name, mj_step = staticmethod(mujoco.mj_step); or, if it calls "
+                "mujoco.mj_step, give intercept=True"
+            )
+        self._stepper: Any = inner if own_step else mujoco  #: whose ``mj_step`` is replaced during `step`
         model = inner.model
         self._hearing = None if listener is None else Hearing(model, objects, listener, sample_rate)
         self._feeling = Feeling(model, pads, objects, sensor) if pads else None
@@ -102,7 +116,7 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         self._sound = np.zeros(samples, np.float32)
         added: list[tuple[str, spaces.Space[Any]]] = []
         if self._hearing:
-            added.append((audio, spaces.Box(-LOUDEST, LOUDEST, (samples,), np.float32)))
+            added.append((audio, spaces.Box(-MAX_PRESSURE, MAX_PRESSURE, (samples,), np.float32)))
         if self._feeling:
             shape = (len(pads), self._feeling.profile.height, self._feeling.profile.width, 3)
             added.append((touch, spaces.Box(0, 255, shape, np.uint8)))
@@ -126,18 +140,22 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         self._sound = np.zeros_like(self._sound)
         if self._hearing:
             self._hearing.reset(self._data)
-        return self._sensed(observation), info
+        return self._add_senses(observation), info
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
         """Step the environment, and hear each step of its simulation."""
-        with self._listening():
+        if self._hearing is None:
             observation, *rest = self.env.step(action)
-        if self._hearing and abs(unheard := self._data.time - self._hearing.time) > UNHEARD:
-            raise ObjectFolderError(
-                f"{type(self.env.unwrapped).__name__} simulated {unheard:g} s that were not heard: step "
-                "with mujoco.mj_step, called by that name, or use Hearing without this wrapper"
-            )
-        return self._sensed(observation), *rest  # type: ignore[return-value]
+        else:
+            with _replaced_step(self._stepper, self._hear):
+                observation, *rest = self.env.step(action)
+            if abs(unheard := self._data.time - self._hearing.time) > TIME_TOLERANCE:
+                raise ObjectFolderError(
+                    f"{type(self.env.unwrapped).__name__} simulated {unheard:g} s that were not heard: step "
+                    "by its mj_step, or with intercept=True by mujoco.mj_step, called by that name, or use "
+                    "Hearing without this wrapper"
+                )
+        return self._add_senses(observation), *rest  # type: ignore[return-value]
 
     @property
     def _data(self) -> mujoco.MjData:
@@ -147,33 +165,36 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
             raise ObjectFolderError(f"data of {name} is {quoted(data)}, expected a mujoco.MjData")
         return data
 
-    def _sensed(self, observation: Any) -> dict[str, Any]:
+    def _add_senses(self, observation: Any) -> dict[str, Any]:
         seen = dict(observation) if isinstance(observation, dict) else {"observation": observation}
         if self._hearing:
-            seen[self._audio] = self._sound.clip(-LOUDEST, LOUDEST)
+            seen[self._audio] = self._sound.clip(-MAX_PRESSURE, MAX_PRESSURE)
         if self._feeling:
             seen[self._touch] = self._feeling.feel(self._data).images
         return seen
 
-    @contextmanager
-    def _listening(self) -> Iterator[None]:
-        """Hear each ``mj_step`` that the environment makes of its simulation."""
-        made, hearing = mujoco.mj_step, self._hearing
-        if hearing is None:
-            yield
-            return
+    def _hear(self, data: mujoco.MjData) -> None:
+        """Listen to a step, if it was one of the environment's simulation."""
+        if data is self._data and self._hearing:
+            sound = self._hearing.hear(data)
+            self._sound = np.concatenate([self._sound, sound])[-len(self._sound) :]
 
-        def heard(model: mujoco.MjModel, data: mujoco.MjData, nstep: int = 1) -> None:
-            if data is not self._data:
-                return made(model, data, nstep)
-            for _ in range(nstep):
-                made(model, data)
-                sound = hearing.hear(data)
-                self._sound = np.concatenate([self._sound, sound])[-len(self._sound) :]
-            return None
 
-        mujoco.mj_step = heard
-        try:
-            yield
-        finally:
-            mujoco.mj_step = made
+@contextmanager
+def _replaced_step(owner: Any, hear: Callable[[mujoco.MjData], None]) -> Iterator[None]:
+    """Replace ``mj_step`` of an environment, or of the module ``mujoco``, by one that then calls ``hear``."""
+    made, own = owner.mj_step, "mj_step" in vars(owner)
+
+    def step(model: mujoco.MjModel, data: mujoco.MjData, nstep: int = 1) -> None:
+        for _ in range(nstep):
+            made(model, data)
+            hear(data)
+
+    owner.mj_step = step
+    try:
+        yield
+    finally:
+        if own:
+            owner.mj_step = made
+        else:
+            del owner.mj_step  # the class has it

@@ -31,23 +31,10 @@ def close_holes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def simplify(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, ...]:
-    """Split a mesh into connected closed surfaces, with as few triangles as a tolerance allows.
+    """Split a mesh into connected closed surfaces, displaced by at most ``tolerance``, of few triangles.
 
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-    tolerance : float
-        Greatest displacement of the surface, in the mesh's unit.
-
-    Returns
-    -------
-    tuple of trimesh.Trimesh
-        Surfaces with a negative volume are cavities. Empty if the mesh is not closed.
-
-    Raises
-    ------
-    ObjectFolderError
-        If manifold3d is not installed.
+    Surfaces with a negative volume are cavities. There are none if the mesh is not closed. Raises
+    ObjectFolderError if manifold3d is not installed.
     """
     try:
         from manifold3d import Manifold, Mesh64

@@ -10,8 +10,7 @@ import scipy.linalg
 
 from objectfolder.audio.tuning import HEARING_HZ
 from objectfolder.checks import finite_number
-from objectfolder.envs.body import solid_moments
-from objectfolder.envs.poses import rotation
+from objectfolder.envs.body import rotation, solid_moments
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material, material
 from objectfolder.objectfile.file import ObjectFile
@@ -48,23 +47,20 @@ class Sounding:
             raise ObjectFolderError(f"scale is {self.scale} m, expected the longest side, above 0")
 
     @property
-    def made_of(self) -> str:
-        """Name of the body's material."""
-        given = self.material.name if isinstance(self.material, Material) else self.material
-        return given or self.file.material
+    def friction(self) -> float:
+        """Coefficient of dry sliding friction of the body's material."""
+        given = material(self.material) if isinstance(self.material, str) else self.material
+        return self.file.friction if given is None else given.friction
 
 
 Objects = Mapping[str, ObjectFile | Sounding] | Iterable[ObjectFile]
 
 
-def named_objects(objects: Objects) -> dict[str, Sounding]:
+def name_objects(objects: Objects) -> dict[str, Sounding]:
     """Return objects by the names of their bodies; without names, these are their keys.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there are none, or one is neither an ObjectFile nor a Sounding, or two have one key, or a name is
-        no text.
+    Raises ObjectFolderError if there are none, one is no ObjectFile or Sounding, two have one key, or a name
+    is no text.
     """
     if isinstance(objects, ObjectFile):
         objects = [objects]
@@ -94,16 +90,13 @@ def named_objects(objects: Objects) -> dict[str, Sounding]:
     return found
 
 
-def placed_objects(model: mujoco.MjModel, objects: Objects) -> list[tuple[int, str, Sounding]]:
+def find_bodies(model: mujoco.MjModel, objects: Objects) -> list[tuple[int, str, Sounding]]:
     """Return the numbers of the bodies of objects, their names, and the objects.
 
-    Raises
-    ------
-    ObjectFolderError
-        As `named_objects` and `body_number`, or if two objects have one body.
+    Raises ObjectFolderError as `name_objects` and `body_number`, or if two objects have one body.
     """
     found: dict[int, tuple[int, str, Sounding]] = {}
-    for name, one in named_objects(objects).items():
+    for name, one in name_objects(objects).items():
         number = body_number(model, name)
         if number in found:
             raise ObjectFolderError(
@@ -117,12 +110,8 @@ def placed_objects(model: mujoco.MjModel, objects: Objects) -> list[tuple[int, s
 def body_number(model: mujoco.MjModel, name: str) -> int:
     """Return the number of the body of an object: of this name, or the only one of a name that ends in /name.
 
-    Models that MuJoCo attaches have such names, if the prefix ends with a slash.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the scene has none of this name.
+    Models that MuJoCo attaches have such names, if the prefix ends with a slash. Raises ObjectFolderError if
+    the scene has none.
     """
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if number < 1:
@@ -137,17 +126,21 @@ def body_number(model: mujoco.MjModel, name: str) -> int:
     return number
 
 
+def site_number(model: mujoco.MjModel, name: str, argument: str) -> int:
+    """Return the number of a site, or raise ObjectFolderError that names the argument."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    if number < 0:
+        names = [model.site(i).name for i in range(model.nsite)]
+        raise ObjectFolderError(f"{argument}: the scene has no site {name!r}, but {quoted(names)}")
+    return number
+
+
 def require_audible(
     files: Sequence[ObjectFile], materials: Sequence[str], ratio: float, sample_rate: float
 ) -> None:
     """Raise ObjectFolderError unless each object has a mode that is heard, in each material.
 
-    Parameters
-    ----------
-    ratio : float
-        Of the smallest object, whose modes are the highest, to the size that its file says.
-    sample_rate : float
-        Hz
+    ``ratio`` is that of the smallest object, whose modes are the highest, to the size that its file says.
     """
     limit = min(sample_rate / 2, HEARING_HZ[1])
     for file in files:

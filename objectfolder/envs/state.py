@@ -33,8 +33,8 @@ SHAPES = (
 #: Fields of the model that say how bodies move and bounce.
 DYNAMICS = ("body_mass", "body_inertia", "body_iquat", "geom_solref", "pair_solref", "opt.gravity")
 
-SOME = 8  #: vertices of each mesh that are compared; all those of a scene can be megabytes
-LARGEST = 1 / mujoco.mjMINVAL  #: of the numbers of a state; MuJoCo's inverses of inertia reach it
+COMPARED_VERTICES = 8  #: vertices of each mesh that are compared; all those of a scene can be megabytes
+MAX_VALUE = 1 / mujoco.mjMINVAL  #: of the numbers of a state; MuJoCo's inverses of inertia reach it
 REMEDY = (
     "expected finite numbers: set such mocap poses, controls and forces, or, if the simulation has diverged, "
     "use a shorter time step or softer contacts; then reset it"
@@ -49,20 +49,9 @@ _DIVERGED = (
 class StateCheck:
     """Checks the data of a model, and that the model is still as a sense has read it.
 
-    Parameters
-    ----------
-    model : mujoco.MjModel
-    sense : str
-        Name of the class that reads it, for messages.
-    bodies : iterable of int
-        Numbers of the objects' bodies.
-    fixed, adaptable : sequence of str
-        Fields of the model that must not change, and that may change as long as the objects fit their bodies.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a field of the model is not finite, or a mass or inertia is negative.
+    ``sense`` is the name of the class that reads it, ``bodies`` are the numbers of the objects' bodies. The
+    fields of the model named in ``fixed`` must not change; those in ``adaptable`` may, as long as the objects
+    fit their bodies. Raises ObjectFolderError if a field is not finite, or a mass or inertia is negative.
     """
 
     def __init__(
@@ -74,21 +63,15 @@ class StateCheck:
         adaptable: Iterable[str],
     ):
         self._model, self._sense, self._fixed = model, sense, (*fixed,)
-        self._vertices = _some_vertices(model, bodies)
-        self._was = {name: self._bytes(model, name) for name in (*fixed, *adaptable)}
-        self._plain = [name for name in self._was if name != "mesh_vert" and "." not in name]
-        self._others = [name for name in self._was if name not in self._plain]
-        for name in self._was:
+        self._vertices = _sample_vertices(model, bodies)
+        self._known = {name: self._bytes(model, name) for name in (*fixed, *adaptable)}
+        self._plain = [name for name in self._known if name != "mesh_vert" and "." not in name]
+        self._others = [name for name in self._known if name not in self._plain]
+        for name in self._known:
             _require_finite(model, name)
 
     def require_same(self, data: object, name: str = "data") -> mujoco.MjData:
-        """Return what is given if it is the data of the model, or of one that is alike.
-
-        Raises
-        ------
-        ObjectFolderError
-            If it is anything else.
-        """
+        """Return the data if they are of the model or of one that is alike, else raise ObjectFolderError."""
         if not isinstance(data, mujoco.MjData):
             raise ObjectFolderError(
                 f"{name} is {quoted(data)}, expected the mujoco.MjData of the model that "
@@ -100,37 +83,27 @@ class StateCheck:
                 if getattr(other, size) != getattr(model, size):
                     self._refuse_other(f"its model has {size} = {getattr(other, size)}, expected "
                                        f"{getattr(model, size)}")  # fmt: skip
-            if differ := self._changed(other):
+            if differ := self._find_changes(other):
                 self._refuse_other(f"{_difference(model, other, differ[0])}")
         return data
 
     def require(self, data: object, fits: Callable[[], None], name: str = "data") -> mujoco.MjData:
-        """Return the data of a step if all that is read of it is right.
+        """Return the data of a step if all that is read of it is right; ``name`` is that of the argument.
 
-        Parameters
-        ----------
-        data : object
-        fits : callable
-            Raises ObjectFolderError if the model no longer has the objects in their sizes and materials.
-        name : str
-            Of the argument.
-
-        Raises
-        ------
-        ObjectFolderError
-            If it is no data of the model, or a number is not finite, or the model has been changed so that
-            it is another one for the sense.
+        ``fits`` raises ObjectFolderError if the model no longer has the objects in their sizes and materials.
+        So does this method if it is no data of the model, a number is not finite, or the model has been
+        changed so that it is another one for the sense.
         """
         checked = self.require_same(data, name)
-        if changed := self._changed(self._model):
+        if changed := self._find_changes(self._model):
             self._adapt(changed, fits)
-        if not _is_right(checked):
+        if not _is_valid(checked):
             _refuse(self._model, checked)
         return checked
 
-    def _changed(self, model: mujoco.MjModel) -> list[str]:
+    def _find_changes(self, model: mujoco.MjModel) -> list[str]:
         """Return the names of the fields that differ from those that the sense has read."""
-        was = self._was
+        was = self._known
         plain = [name for name in self._plain if getattr(model, name).tobytes() != was[name]]  # fast
         return plain + [name for name in self._others if self._bytes(model, name) != was[name]]
 
@@ -148,7 +121,7 @@ class StateCheck:
             fits()
         except ObjectFolderError as error:
             raise ObjectFolderError(f"{', '.join(changed)} of the model changed {made}: {error}") from error
-        self._was |= {name: self._bytes(self._model, name) for name in changed}
+        self._known |= {name: self._bytes(self._model, name) for name in changed}
 
     def _bytes(self, model: mujoco.MjModel, name: str) -> bytes:
         if name == "mesh_vert":
@@ -176,19 +149,19 @@ def divergences(data: mujoco.MjData) -> int:
     return sum(int(data.warning[kind].number) for kind in _DIVERGED)
 
 
-def _is_right(data: mujoco.MjData) -> bool:
+def _is_valid(data: mujoco.MjData) -> bool:
     """Return whether all that is read of a step is finite, and in its range."""
     parts = [getattr(data, name) for name in DATA]
     if data.ncon:
         contact = data.contact
-        if not _is_placed(data, contact):
+        if not _is_known_contact(data, contact):
             return False
         parts += [getattr(contact, name) for name in CONTACT]
     values = np.concatenate(parts, axis=None)
-    return bool(abs(data.time) <= LARGEST and np.abs(values, out=values).max(initial=0) <= LARGEST)
+    return bool(abs(data.time) <= MAX_VALUE and np.abs(values, out=values).max(initial=0) <= MAX_VALUE)
 
 
-def _is_placed(data: mujoco.MjData, contact: Any) -> bool:
+def _is_known_contact(data: mujoco.MjData, contact: Any) -> bool:
     """Return whether one contact, or all, are of geoms and constraints that there are."""
     geoms, address, dims = (np.asarray(getattr(contact, name)) for name in CONTACT_PLACES)
     return bool(
@@ -202,17 +175,17 @@ def _refuse(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     when = f"at {data.time:g} s"
     for name, owner in DATA.items():
         values = getattr(data, name)
-        wrong = ~(np.abs(values) <= LARGEST)
+        wrong = ~(np.abs(values) <= MAX_VALUE)
         if wrong.any():
             row = int(np.argwhere(wrong)[0, 0])
             whose = _owner(model, owner, row)
             raise ObjectFolderError(f"{whose}{name}[{row}] is {values[row].tolist()} {when}, {REMEDY}")
     for k, one in enumerate(data.contact):
-        if not _is_placed(data, one):
+        if not _is_known_contact(data, one):
             found = ", ".join(f"{name} {np.asarray(getattr(one, name)).tolist()}" for name in CONTACT_PLACES)
             raise ObjectFolderError(f"contact {k} has {found} {when}, which are not in the data; {REMEDY}")
         for name in CONTACT:
-            if not (np.abs(getattr(one, name)) <= LARGEST).all():
+            if not (np.abs(getattr(one, name)) <= MAX_VALUE).all():
                 both = " and ".join(_owner(model, "geom", int(n)) for n in one.geom).replace(": ", "")
                 value = np.asarray(getattr(one, name)).tolist()
                 raise ObjectFolderError(f"contact {k} of {both}: {name} is {value} {when}, {REMEDY}")
@@ -222,8 +195,8 @@ def _refuse(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 def _require_finite(model: mujoco.MjModel, name: str) -> None:
     """Raise ObjectFolderError unless a field of a model is finite, and no mass or inertia below zero."""
     values = np.atleast_1d(_field(model, name))
-    least = 0.0 if name in ("body_mass", "body_inertia") else -LARGEST
-    wrong = ~((values >= least) & (values <= LARGEST))
+    least = 0.0 if name in ("body_mass", "body_inertia") else -MAX_VALUE
+    wrong = ~((values >= least) & (values <= MAX_VALUE))
     if wrong.any():
         row = int(np.argwhere(wrong)[0, 0])
         whose = _owner(model, name.partition("_")[0], row)
@@ -262,10 +235,11 @@ def _field(model: mujoco.MjModel, name: str) -> Any:
     return getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name)
 
 
-def _some_vertices(model: mujoco.MjModel, bodies: Iterable[int]) -> np.ndarray:
+def _sample_vertices(model: mujoco.MjModel, bodies: Iterable[int]) -> np.ndarray:
     """Return the rows of some vertices of each mesh of bodies; (V,) int."""
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, [*bodies]))
     meshes = np.unique(model.geom_dataid[geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_MESH]])
     first, count = model.mesh_vertadr[meshes], model.mesh_vertnum[meshes]
-    rows: np.ndarray = (first + np.linspace(0, 1, SOME)[:, None] * (count - 1)).astype(int).ravel()
+    places = np.linspace(0, 1, COMPARED_VERTICES)[:, None]
+    rows: np.ndarray = (first + places * (count - 1)).astype(int).ravel()
     return rows

@@ -7,18 +7,18 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from objectfolder.audio.contact import STRIKERS, contact_time
+from objectfolder.audio.contact import contact_time, load_striker
 from objectfolder.audio.stream import ModalStream, Pulse
 from objectfolder.audio.synthesis import count_samples
 from objectfolder.checks import whole_number
-from objectfolder.envs.calls import KEPT, discrete_action, material_names, no_options, opened, started
-from objectfolder.envs.drop import LOUDEST, MATERIALS, SIZES
+from objectfolder.envs import calls
+from objectfolder.envs.drop import MATERIALS, SIZES
 from objectfolder.envs.sounding import require_audible
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.voice import Voice
 
-ALIKE = 0.03  #: greatest relative difference of a copy's size from that of the row
+SIZE_SPREAD = 0.03  #: greatest relative difference of a copy's size from that of the row
 IMPULSES = 0.005, 0.02  #: range of a tap, N s
 STRIKER = "wood"
 COST = 0.02  #: of a tap
@@ -76,8 +76,8 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         sample_rate: float = 48000,
         limit: int = 20,
     ):
-        self.files = opened(objects)
-        self.materials = material_names(materials, 2)
+        self.files = calls.open_files(objects)
+        self.materials = calls.distinct_materials(materials, 2)
         self.count, self.limit = whole_number("count", count), whole_number("limit", limit)
         if self.count < 3 or self.limit < 1:
             raise ObjectFolderError(
@@ -85,17 +85,17 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
                 "odd one, and at least 1 tap"
             )
         self.sample_rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
-        require_audible(self.files, self.materials, SIZES[0] * (1 - ALIKE), sample_rate)
+        require_audible(self.files, self.materials, SIZES[0] * (1 - SIZE_SPREAD), sample_rate)
         self._arguments = (self.files, self.materials, self.count, seconds, sample_rate, self.limit)
         self.observation_space = spaces.Dict(
             {
-                "sound": spaces.Box(-LOUDEST, LOUDEST, (self._samples,), np.float32),
+                "sound": spaces.Box(-calls.MAX_PRESSURE, calls.MAX_PRESSURE, (self._samples,), np.float32),
                 "tapped": spaces.Discrete(self.count + 1),
                 "taps": spaces.Box(0, self.limit, (self.count,), np.int64),
             }
         )
         self.action_space = spaces.Discrete(2 * self.count)  # type: ignore[assignment]
-        self._row: dict[str, Any] = {}
+        self._episode: dict[str, Any] = {}
         self._voices: dict[int, Voice] = {}
         self._taps = np.zeros(self.count, np.int64)
 
@@ -103,61 +103,65 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Set up a row."""
-        no_options(options)
+        calls.refuse_options(options)
         super().reset(seed=seed)
         rng = self.np_random
         kind, odd = int(rng.integers(len(self.files))), int(rng.integers(self.count))
         stuff, other = (int(k) for k in rng.choice(len(self.materials), 2, replace=False))
         ratio = np.exp(rng.uniform(*np.log(SIZES)))
-        scales = self.files[kind].scale * ratio * (1 + rng.uniform(-ALIKE, ALIKE, self.count))
-        self._row = {"odd": odd, "object": kind, "material": stuff, "other": other, "scales": scales}
+        scales = self.files[kind].scale * ratio * (1 + rng.uniform(-SIZE_SPREAD, SIZE_SPREAD, self.count))
+        self._episode = {"odd": odd, "object": kind, "material": stuff, "other": other, "scales": scales}
         self._voices, self._taps = {}, np.zeros(self.count, np.int64)
-        return self._observed(np.zeros(self._samples, np.float32), self.count), self._info()
+        return self._observe(np.zeros(self._samples, np.float32), self.count), self._info()
 
     def step(self, action: int) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Tap an object, or declare one."""
-        started(bool(self._row))
-        chosen = discrete_action(action, 2 * self.count)
+        calls.require_reset(bool(self._episode))
+        chosen = calls.check_action(action, 2 * self.count)
         info = self._info()
         if chosen >= self.count:
-            right, self._row = chosen - self.count == info["odd"], {}
+            right, self._episode = chosen - self.count == info["odd"], {}
             silence = np.zeros(self._samples, np.float32)
-            return self._observed(silence, self.count), float(right), True, False, info
-        sound = self._tapped(chosen)
+            return self._observe(silence, self.count), float(right), True, False, info
+        sound = self._tap(chosen)
         self._taps = self._taps + (np.arange(self.count) == chosen)
         cut = int(self._taps.sum()) >= self.limit
         if cut:
-            self._row = {}
-        return self._observed(sound, chosen), -COST, False, cut, info
+            self._episode = {}
+        return self._observe(sound, chosen), -COST, False, cut, info
 
     def _info(self) -> dict[str, Any]:
-        return {**self._row, "scales": self._row["scales"].copy()}
+        return {**self._episode, "scales": self._episode["scales"].copy()}
 
-    def _observed(self, sound: np.ndarray, tapped: int) -> dict[str, Any]:
+    def _observe(self, sound: np.ndarray, tapped: int) -> dict[str, Any]:
         return {"sound": sound, "tapped": np.int64(tapped), "taps": self._taps.copy()}
 
-    def _tapped(self, number: int) -> np.ndarray:
+    def _tap(self, number: int) -> np.ndarray:
         """Return the sound of a tap at a drawn place; (samples,) Pa."""
-        file, rng, voice = self.files[self._row["object"]], self.np_random, self._voice(number)
+        file, rng, voice = self.files[self._episode["object"]], self.np_random, self._voice(number)
         surface = file.surface
         vertex = rng.integers(len(surface.vertices))
         point = surface.vertices[vertex] * voice.scale
         gains = voice.gains(point[None], -rng.uniform(*IMPULSES) * surface.normals[vertex][None])[0]
-        lasting = contact_time(STRIKERS[STRIKER], voice.material, voice.mass)
+        lasting = contact_time(load_striker(STRIKER), voice.material, voice.mass)
         stream = ModalStream([voice.poles], self.sample_rate, self._samples, [voice.accelerated])
         stream.listen(0, voice.weights(_EAR))
         stream.strike(0, Pulse(0, lasting * self.sample_rate, gains))
         sound = stream.play(self._samples)
-        return sound.astype(np.float32).clip(-LOUDEST, LOUDEST)
+        return sound.astype(np.float32).clip(-calls.MAX_PRESSURE, calls.MAX_PRESSURE)
 
     def _voice(self, number: int) -> Voice:
         """Return the voice of an object of the row, made when it is first tapped."""
         if number not in self._voices:
-            row = self._row
+            row = self._episode
             stuff = self.materials[row["other" if number == row["odd"] else "material"]]
             file = self.files[row["object"]]
             self._voices[number] = file.voice(self.sample_rate, stuff, float(row["scales"][number]))
         return self._voices[number]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._arguments, {name: getattr(self, name) for name in ("_row", "_taps", *KEPT)}
+        return (
+            type(self),
+            self._arguments,
+            {name: getattr(self, name) for name in ("_episode", "_taps", *calls.COPIED_ATTRIBUTES)},
+        )

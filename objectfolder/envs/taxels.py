@@ -27,22 +27,9 @@ def taxel_mesh(
 ) -> trimesh.Trimesh:
     """Return the undeformed gel of a sensor with a vertex at the centre of each taxel.
 
-    Parameters
-    ----------
-    profile : str, Path or SensorProfile
-    rows, columns : int
-        Taxels along the height and the width of the sensor's image; at least 2.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        ``rows * columns`` vertices in the order of the image: row 0 is its top, column 0 its left. Pad frame,
-        metres: origin at the gel's apex, +x out of the gel, +y left and +z up in the image.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a number of taxels is less than 2, or there is no such sensor.
+    There are at least 2 rows along the height of the sensor's image and 2 columns along its width. Vertices
+    are in the order of the image: row 0 is its top, column 0 its left. Pad frame, metres: origin at the gel's
+    apex, +x out of the gel, +y left and +z up in the image.
     """
     profile = load_profile(profile)
     rows, columns = whole_number("taxels: rows", rows, 2), whole_number("taxels: columns", columns, 2)
@@ -112,26 +99,15 @@ def add_taxels(
     # Without two tangents after each normal, the sensor reads no speeds.
     frames = np.stack([outward, right, np.cross(right, outward)], axis=1)
     plain = mujoco.MjSpec().default  # MuJoCo's own, instead of the scene's
-    spec.add_mesh(
-        plain,
-        name=name,
-        uservert=mesh.vertices.ravel(),
-        userface=mesh.faces.ravel(),
-        usernormal=frames.ravel(),
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )
+    arrays = {"uservert": mesh.vertices, "userface": mesh.faces, "usernormal": frames}
+    flat = {key: values.ravel() for key, values in arrays.items()}
+    spec.add_mesh(plain, name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL, **flat)
     alone = {"contype": 0, "conaffinity": 0, "density": 0}
     found.add_geom(
         plain, name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=pos, quat=quat, group=3, **alone
     )
-    spec.add_sensor(
-        name=name,
-        type=mujoco.mjtSensor.mjSENS_TACTILE,
-        objtype=mujoco.mjtObj.mjOBJ_MESH,
-        objname=name,
-        reftype=mujoco.mjtObj.mjOBJ_GEOM,
-        refname=name,
-    )
+    kinds = {"objtype": mujoco.mjtObj.mjOBJ_MESH, "reftype": mujoco.mjtObj.mjOBJ_GEOM}
+    spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TACTILE, objname=name, refname=name, **kinds)
     touched = {
         each.meshname for each in spec.geoms if each.type == _MESH and (each.contype or each.conaffinity)
     }

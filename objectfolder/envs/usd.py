@@ -8,9 +8,9 @@ import numpy as np
 import trimesh
 
 from objectfolder.envs.body import RigidBody, density
-from objectfolder.envs.export_folder import export_folder
+from objectfolder.envs.export import export_folder
 from objectfolder.envs.hulls import MAX_HULLS
-from objectfolder.envs.visual import PLAIN, ROUGHNESS, texture_of, visual_mesh
+from objectfolder.envs.visual import GREY, ROUGHNESS, texture_image, visual_mesh
 from objectfolder.mesh.srgb import decode
 from objectfolder.objectfile.file import ObjectFile
 
@@ -31,31 +31,13 @@ def write_usd(
     The default prim, named after the object, is a rigid body with mass, centre and principal moments of
     `rigid_body`. Below it are the textured surface ``look`` and the convex hulls, which collide and are drawn
     as guides alone. Friction and density belong to a physics material.
-
-    Parameters
-    ----------
-    file : ObjectFile
-    out : path
-        Parent of the new folder, which is named after the object.
-    max_hulls : int
-    hulls : sequence of trimesh.Trimesh, optional
-        Default: computed, which takes up to half a minute.
-
-    Returns
-    -------
-    Path
-        Of the file.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the folder exists already, the file holds no geometry, or an extra is not installed.
+    Otherwise as `objectfolder.envs.export.write_mjcf`.
     """
     from pxr import Usd, UsdGeom, UsdPhysics
 
     with export_folder(file, out, max_hulls, hulls) as (new, body):
         look = visual_mesh(file)
-        image = texture_of(look)
+        image = texture_image(look)
         if image is not None:
             image.save(new / TEXTURE)
         stage = Usd.Stage.CreateInMemory()
@@ -115,7 +97,7 @@ def _add_look(stage: "Usd.Stage", key: str, look: trimesh.Trimesh, textured: boo
         texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(output)
         color.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
     else:
-        color.Set(Gf.Vec3f(*[float(decode(np.float64(PLAIN)))] * 3))
+        color.Set(Gf.Vec3f(*[float(decode(np.float64(GREY)))] * 3))
     material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
 

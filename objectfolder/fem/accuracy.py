@@ -4,30 +4,22 @@ from functools import cached_property
 
 import numpy as np
 
-from objectfolder.fem.blocks import halved
+from objectfolder.fem.blocks import halve_cells
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.eigen import FreeVibration
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.levels import MixedCells
 from objectfolder.materials import Material
 
-ESTIMATED = 10  # number of lowest modes whose error is estimated
+ESTIMATED_MODES = 10  # number of lowest modes whose error is estimated
 TOLERANCE = 1e-4  # residual of the compared modes; the error of their frequencies is its square
 ORDER, LOW_ORDER = 1.5, 1.0  # of convergence; the low one where the differences hardly fall
-FALL = 2**0.5  # least ratio of the differences that shows convergence
+MIN_FALL = 2**0.5  # least ratio of the differences that shows convergence
 NODES_PER_WAVE = 6  #: that resolve a wave: three quadratic elements
 
 
 class Discretisation:
-    """A solid on one grid. What its error estimate solves is kept for the solve of all modes.
-
-    Parameters
-    ----------
-    solid : Solid
-    material : Material
-    scale : float
-        Longest side, metres.
-    """
+    """A solid on one grid, longest side in metres. What its error estimate solves is kept for all modes."""
 
     def __init__(self, solid: Solid, material: Material, scale: float):
         self.solid, self.material, self.scale = solid, material, scale
@@ -42,22 +34,17 @@ class Discretisation:
         """Lowest frequencies on the grids of half and quarter resolution, as far as they exist; Hz."""
         half = coarser(self.solid)
         quarter = coarser(half) if half is not None else None
-        return [self._on(solid).lowest_frequencies() for solid in (half, quarter) if solid is not None]
+        grids = [solid for solid in (half, quarter) if solid is not None]
+        return [Discretisation(solid, self.material, self.scale).lowest_frequencies() for solid in grids]
 
-    def _on(self, solid: Solid) -> "Discretisation":
-        return Discretisation(solid, self.material, self.scale)
-
-    def lowest_frequencies(self, count: int = ESTIMATED) -> np.ndarray:
+    def lowest_frequencies(self, count: int = ESTIMATED_MODES) -> np.ndarray:
         """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""
         return np.sqrt(self.lowest_modes(count)[0]) / (2 * np.pi)
 
-    def lowest_modes(self, count: int = ESTIMATED) -> tuple[np.ndarray, np.ndarray]:
+    def lowest_modes(self, count: int = ESTIMATED_MODES) -> tuple[np.ndarray, np.ndarray]:
         """Compute the lowest elastic modes to `TOLERANCE`, uncertified.
 
-        Returns
-        -------
-        eigenvalues : (count,) array, rad^2/s^2
-        shapes : (3N, count) array, mass-normalised
+        Eigenvalues (count,), rad^2/s^2, and mass-normalised shapes (3N, count).
         """
         values, shapes = self.vibration.lowest(lambda found: count, TOLERANCE)
         return values[:count], shapes[:, :count]
@@ -65,10 +52,7 @@ class Discretisation:
     def errors(self, frequencies: np.ndarray) -> list[float] | None:
         """Estimate the relative errors of the lowest frequencies of this grid, Hz (M,).
 
-        Returns
-        -------
-        list of float, or None
-            One per frequency (see `discretisation_error`); None for elements without a coarser grid.
+        One per frequency (see `discretisation_error`); None for elements without a coarser grid.
         """
         return discretisation_error(frequencies, *self.coarser) if len(frequencies) and self.coarser else None
 
@@ -77,24 +61,19 @@ def coarser(solid: Solid) -> CutCells | None:
     """Return a solid in elements twice as large; None for elements other than cut cells."""
     if isinstance(solid, MixedCells):
         return solid.coarser
-    return halved(solid) if isinstance(solid, CutCells) else None
+    return halve_cells(solid) if isinstance(solid, CutCells) else None
 
 
 def discretisation_error(
     frequencies: np.ndarray, half: np.ndarray, quarter: np.ndarray | None = None
 ) -> list[float]:
-    """Estimate the relative errors of frequencies from those on grids of half and quarter resolution.
+    """Estimate the relative errors of frequencies, Hz, from those on grids of half and quarter resolution.
 
     Richardson extrapolation: if halving the cells divides the error by 2^p, the error of the finest grid is
     the difference between the last two grids divided by 2^p - 1. Smooth shells converge with p of about 2,
     inner edges and walls thinner than a cell with 1 to 1.5. The order observed on three coarse grids is not
     yet the final one, so the estimate assumes ``ORDER``, which is right within a factor of two for p from 1
-    to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``FALL``.
-
-    Parameters
-    ----------
-    frequencies, half, quarter : arrays
-        Lowest frequencies on each grid, Hz; as many as all have are compared.
+    to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``MIN_FALL``.
     """
     count = min(len(frequencies), len(half))
     last = half[:count] / frequencies[:count] - 1
@@ -102,24 +81,16 @@ def discretisation_error(
     if quarter is not None:
         seen = min(count, len(quarter))
         former = quarter[:seen] / half[:seen] - 1
-        order[:seen][former < FALL * last[:seen]] = LOW_ORDER
+        order[:seen][former < MIN_FALL * last[:seen]] = LOW_ORDER
     return np.abs(last / (2**order - 1)).tolist()
 
 
 def resolved_frequency(solid: Solid, material: Material, scale: float, wall: float) -> float:
     """Return the highest frequency in Hz whose waves span at least `NODES_PER_WAVE` node distances.
 
-    The shortest waves are shear waves, f = c / l, or in thin walls bending waves of a Kirchhoff plate,
-    f = pi t c / (sqrt(3) l^2); the lower frequency counts.
-
-    Parameters
-    ----------
-    solid : Solid
-    material : Material
-    scale : float
-        Longest side, metres.
-    wall : float
-        Wall thickness, unit frame.
+    The shortest waves are shear waves, f = c / l, or in thin walls bending waves of a Kirchhoff plate, f = pi
+    t c / (sqrt(3) l^2); the lower frequency counts. The longest side, ``scale``, is in metres, the thickness
+    of the wall in the unit frame.
     """
     length = NODES_PER_WAVE * scale / solid.resolution / solid.order
     inside = at_walls = 1  # widths of the largest elements, cells

@@ -9,7 +9,7 @@ from objectfolder.fem.accuracy import ORDER, Discretisation
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import MAX_VOLUME_ERROR, CutCells, cut_cells
 from objectfolder.fem.elasticity import Solid
-from objectfolder.fem.local import locally_refined
+from objectfolder.fem.local import refine_locally
 from objectfolder.fem.occupancy import MARGIN
 from objectfolder.fem.settings import FineGrids
 from objectfolder.materials import Material
@@ -19,12 +19,16 @@ from objectfolder.mesh.topology import Mesh, signed_volume
 _SAMPLES, _MORE_SAMPLES = 100_000, 400_000  # surface points, to find the cells that the surface touches
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
 _GROWTH = 1.8  # unknowns grow at least with this power of the resolution (thin sheets with free edges)
-_REACH = 1.5  # where uniform grids within the limit are coarser than wanted by this factor, sizes are mixed
-_BULK = 2 / 3  # share of the volume in full elements; thin shells need all their cells alike
-_FINEST = 192, 160, 128, 96  # cells along the longest side where sizes are mixed
+# Where uniform grids within the limit are coarser than wanted by this factor, sizes are mixed
+_MAX_COARSENESS = 1.5
+_MIN_BULK_SHARE = 2 / 3  # share of the volume in full elements; thin shells need all their cells alike
+_MIXED_RESOLUTIONS = 192, 160, 128, 96  # cells along the longest side where sizes are mixed
 _SUBDIVISIONS = 4  # of its cells: eight columns through each suffice, and cutting costs less than half
-_CELLS = 60_000  # at the surface, and eight times as many inside, that may be cut for it
-_CHEAP, _SURE = 1 / 5, 1 / 3  # grids of this share of the size limit refine to this share of the error
+_MAX_CUT_CELLS = 60_000  # at the surface, and eight times as many inside, that may be cut for it
+_EXTRA_SIZE, _EXTRA_ERROR = (
+    1 / 5,
+    1 / 3,
+)  # grids of this share of the size limit refine to this share of the error
 
 
 def adaptive_cut_cells(
@@ -37,19 +41,8 @@ def adaptive_cut_cells(
 ) -> CutCells:
     """Cut a surface at the finest listed resolution whose model stays within a size limit.
 
-    Blocky solids fill the grid and get a coarser one. The coarsest resolution has no size limit.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolutions : list of int
-        Finest first.
-    subdivisions : int
-        Sub-cells along each side of a cell, at least 4.
-    max_degrees_of_freedom : int
-    name : str
-        Name of the object in errors.
+    Blocky solids fill the grid and get a coarser one. Resolutions are listed finest first; the coarsest has
+    no size limit. Other parameters are those of `cut_cells`.
     """
     least = _least_unknowns(vertices, faces)
     for resolution in resolutions:
@@ -61,34 +54,17 @@ def adaptive_cut_cells(
     return cells
 
 
-def refined(
-    solid: Solid,
-    surface: Mesh,
-    fine: FineGrids,
-    material: Material,
-    scale: float,
-    name: str = "object",
+def refine_grid(
+    solid: Solid, surface: Mesh, fine: FineGrids, material: Material, scale: float, name: str = "object"
 ) -> Discretisation:
     """Cut a solid on finer grids until the estimated error of its lowest frequencies is accepted.
 
-    Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of
-    the cells' size, or to the finest one within the size limit. Where that is too coarse by more than
-    ``_REACH`` and most of the solid is bulk, cells get several sizes (`objectfolder.fem.local`). An
-    estimate may be a third of the error; so where it is accepted, grids go on to a third of it while they
-    stay small.
-
-    Parameters
-    ----------
-    solid : Solid
-        Elements other than cut cells are returned unchanged.
-    surface : (V, 3) and (F, 3) arrays, unit frame
-        Surface of the solid.
-    fine : FineGrids
-    material : Material
-    scale : float
-        Longest side, metres.
-    name : str
-        Name of the object in errors.
+    Each step goes to the coarsest grid that should suffice if the error falls with the power ``ORDER`` of the
+    cells' size, or to the finest one within the size limit. Where that is much too coarse and most of the
+    solid is bulk, cells get several sizes (`objectfolder.fem.local`). An estimate may be a
+    third of the error; so where it is accepted, grids go on to a third of it while they stay small. Elements
+    other than cut cells are returned unchanged. The surface is in the unit frame, the longest side,
+    ``scale``, in metres.
     """
     candidate = Discretisation(solid, material, scale)
     if not isinstance(solid, CutCells):
@@ -99,42 +75,45 @@ def refined(
         growth = (resolution / grid.resolution) ** _GROWTH
         return growth > 1 and max(growth * grid.degrees_of_freedom, least(resolution)) <= limit
 
-    rungs, wanted, limit = sorted(fine.resolutions), None, float(fine.max_degrees_of_freedom)
-    while rungs := [rung for rung in rungs if possible(rung, solid, limit)]:
+    resolutions, wanted, limit = sorted(fine.resolutions), None, float(fine.max_degrees_of_freedom)
+    while resolutions := [step for step in resolutions if possible(step, solid, limit)]:
         if wanted is None:
             error = candidate.errors(candidate.lowest_frequencies())
             if error is None:  # half of the grid falls apart
-                wanted = float(rungs[0])
+                wanted = float(resolutions[0])
                 continue
             worst, accepted = max(error), fine.max_error
             if worst <= accepted:
-                accepted, limit = _SURE * accepted, _CHEAP * fine.max_degrees_of_freedom
+                accepted, limit = _EXTRA_ERROR * accepted, _EXTRA_SIZE * fine.max_degrees_of_freedom
             if worst <= accepted:
                 break
             wanted = solid.resolution * (worst / accepted) ** (1 / ORDER)
-            beyond = worst > fine.max_error and wanted > _REACH * rungs[-1]
-            if beyond and _bulk(solid) > _BULK:
+            beyond = worst > fine.max_error and wanted > _MAX_COARSENESS * resolutions[-1]
+            if beyond and _bulk(solid) > _MIN_BULK_SHARE:
                 mixed = _mixed(surface, fine, material, scale, name)
                 if mixed is not None:
                     return mixed
-            continue  # fewer rungs may be left
-        rung = next((rung for rung in rungs if rung >= wanted), rungs[-1])
-        finer = merge_full_blocks(cut_cells(*surface, rung, fine.subdivisions, name))
+            continue  # fewer resolutions may be left
+        chosen = next((step for step in resolutions if step >= wanted), resolutions[-1])
+        finer = merge_full_blocks(cut_cells(*surface, chosen, fine.subdivisions, name))
         if finer.degrees_of_freedom <= fine.max_degrees_of_freedom:
             solid, candidate, wanted = finer, Discretisation(finer, material, scale), None
         else:
-            rungs = [smaller for smaller in rungs if smaller < rung]
+            resolutions = [step for step in resolutions if step < chosen]
     return candidate
 
 
 def _mixed(
     surface: Mesh, fine: FineGrids, material: Material, scale: float, name: str
 ) -> Discretisation | None:
-    """Cut a solid in cells of several sizes, the smallest as small as `_CELLS` allows."""
+    """Cut a solid in cells of several sizes, the smallest as small as `_MAX_CUT_CELLS` allows."""
     touched, volume = _touched(*surface, _MORE_SAMPLES), signed_volume(*surface)
-    finest = next((rung for rung in _FINEST if touched(rung) + volume * rung**3 / 8 <= _CELLS), _FINEST[-1])
+    finest = next(
+        (step for step in _MIXED_RESOLUTIONS if touched(step) + volume * step**3 / 8 <= _MAX_CUT_CELLS),
+        _MIXED_RESOLUTIONS[-1],
+    )
     cells = cut_cells(*surface, finest, _SUBDIVISIONS, name)
-    return locally_refined(cells, fine.max_degrees_of_freedom, material, scale)
+    return refine_locally(cells, fine.max_degrees_of_freedom, material, scale)
 
 
 def _bulk(cells: CutCells) -> float:

@@ -53,17 +53,17 @@ def merge_full_blocks(cells: CutCells) -> CutCells:
     )
 
 
-def halved(cells: CutCells) -> CutCells | None:
+def halve_cells(cells: CutCells) -> CutCells | None:
     """Return the same solid on a grid of half the resolution, its moments computed from the fine ones.
 
     None if the resolution is odd or the coarse elements are not connected.
     """
-    found = halved_from(cells)
+    found = halve_with_parents(cells)
     return None if found is None else found[0]
 
 
-def halved_from(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
-    """Return the solid as `halved`, and the coarse element of each fine one: (E,), -1 if it was dropped."""
+def halve_with_parents(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
+    """Return the solid as `halve_cells`, and the coarse element of each fine one, (E,), or -1."""
     if cells.resolution % 2:
         return None
     count, resolution = len(cells.index), cells.resolution // 2

@@ -13,6 +13,7 @@ Blocks of full cells become larger elements (`objectfolder.fem.blocks`).
 """
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,9 +21,11 @@ from numpy.polynomial import legendre
 from scipy.spatial import cKDTree
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.fem.certainty import CUT_CELLS
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    main_piece,
     mix_nodes,
     scatter,
     strain_displacement,
@@ -31,14 +34,12 @@ from objectfolder.fem.elasticity import (
 )
 from objectfolder.fem.hex20 import NODES, shape_functions, shape_gradients
 from objectfolder.fem.occupancy import DEGREE, MARGIN, Occupancy, measure
-from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.topology import components, signed_volume
 
-FULL = 1 - 1e-5  # fill of a cell that counts as full
+MIN_FULL_FILL = 1 - 1e-5  # fill of a cell that counts as full
 EMPTY_FILL = 1e-3  # parts with a smaller fill are dropped
-FICTITIOUS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material
-CUT_CELLS = "hex20 cut cells"  #: name of the element
+VOID_STIFFNESS = 1e-6  # stiffness and mass of the void in a cut cell, relative to the material
 MAX_VOLUME_ERROR = 0.05  #: accepted relative volume error of the cells, before its correction
 
 
@@ -46,6 +47,8 @@ MAX_VOLUME_ERROR = 0.05  #: accepted relative volume error of the cells, before 
 class CutCells:
     """Solid in the unit frame as cut cells: each element is a grid cell with one part of its material."""
 
+    name: ClassVar[str] = CUT_CELLS  #: of the element
+    order: ClassVar[int] = 2  #: degree of the complete polynomials
     index: np.ndarray  #: (E, 3) int64, grid position of each element's cell
     occupancy: np.ndarray  #: (E, 5, 5, 5) float32, Legendre moments in x, y, z over [-1, 1]^3
     connectivity: np.ndarray  #: (E, 20) int64, nodes of each element
@@ -67,24 +70,14 @@ class CutCells:
             object.__setattr__(self, "width", np.ones(len(self.index), np.int64))
 
     @property
-    def name(self) -> str:
-        """Name of the element."""
-        return CUT_CELLS
-
-    @property
     def elements(self) -> int:
         """Number of elements."""
         return len(self.index)
 
     @property
-    def order(self) -> int:
-        """Degree of the complete polynomials."""
-        return 2
-
-    @property
     def degrees_of_freedom(self) -> int:
         """Number of unknowns."""
-        return 3 * node_count(self)
+        return 3 * (int(self.connectivity.max()) + 1 - len(self.hanging))
 
     @property
     def cell_size(self) -> float:
@@ -104,7 +97,7 @@ class CutCells:
     @property
     def is_full(self) -> np.ndarray:
         """(E,) whether each element is full of material."""
-        return self.fill > FULL
+        return self.fill > MIN_FULL_FILL
 
     @property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -173,19 +166,9 @@ class CutCells:
         )
 
     def strain_energies(self, material: Material, scale: float, shapes: np.ndarray) -> np.ndarray:
-        """Integrate twice the strain energy of displacements over each element.
+        """Integrate twice the strain energy of displacements over each element; (E, M), joules.
 
-        Parameters
-        ----------
-        material : Material
-        scale : float
-            Longest side, metres.
-        shapes : (3 free, M) array
-            Displacements of the free nodes, metres.
-
-        Returns
-        -------
-        (E, M) array, joules
+        Displacements (3 free, M) of the free nodes, and the longest side, ``scale``, are in metres.
         """
         size, count = self.cell_size * scale, shapes.shape[1]
         basis = _reference_matrices(material, size)[0]
@@ -206,7 +189,7 @@ class CutCells:
         """(E, 125) corrected moments of material and void, for cells of a size in metres."""
         moments = self.occupancy.reshape(-1, DEGREE**3).astype(np.float64)
         full = np.eye(1, DEGREE**3) * 8
-        return (moments + FICTITIOUS * (full - moments)) * (self.correction * (size / 2) ** 3)
+        return (moments + VOID_STIFFNESS * (full - moments)) * (self.correction * (size / 2) ** 3)
 
     def _joined(self, blocks: np.ndarray, size: int) -> sp.csr_matrix:
         """Sum element matrices, given by their `upper_blocks`, over the free nodes."""
@@ -222,21 +205,11 @@ class CutCells:
         return matrix + symmetric(join.T @ hung @ join)
 
     def interpolate(self, values: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Evaluate a nodal field at points with the elements' shape functions.
+        """Evaluate a field (free, C) of the free nodes at points (P, 3), unit frame; (P, C).
 
         In a cell with several elements, the element with the nearest material is used. A point in a cell
         without elements (on its boundary, or in a dropped piece) takes the value at the nearest position
         inside the nearest element.
-
-        Parameters
-        ----------
-        values : (free, C) array
-            C columns of a field at the free nodes.
-        points : (P, 3) array, unit frame
-
-        Returns
-        -------
-        (P, C) array
         """
         position = (np.asarray(points, np.float64) - self.lower) / self.cell_size
         element = _element_at(self, position)
@@ -247,28 +220,15 @@ class CutCells:
 def cut_cells(
     vertices: np.ndarray, faces: np.ndarray, resolution: int, subdivisions: int, name: str = "mesh"
 ) -> CutCells:
-    """Cut a closed surface into grid cells.
+    """Cut a closed surface, (V, 3) in the unit frame and (F, 3), into grid cells.
 
     Occupancy is integrated exactly along columns and by quadrature across them. Fill fractions of sub-cells
-    would smear walls that are one or two sub-cells thick and make them too stiff (20 to 40 % in frequency
-    at 1.6 sub-cells).
+    would smear walls that are one or two sub-cells thick and make them too stiff (20 to 40 % in frequency at
+    1.6 sub-cells). The resolution is the number of cells along the longest side; a cell has at least 4
+    sub-cells along each side, and four columns go through each.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolution : int
-        Cells along the longest side.
-    subdivisions : int
-        Sub-cells along each side of a cell, at least 4; four columns go through each.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If no cell holds material, the solid is in several pieces, or the volume error exceeds
-        `MAX_VOLUME_ERROR`.
+    Raises ObjectFolderError, with the object's name, if no cell holds material, the solid is in several
+    pieces, or the volume error exceeds `MAX_VOLUME_ERROR`.
     """
     material = measure(vertices, faces, resolution, subdivisions)
     kept, connectivity, pieces = glue(material)
@@ -306,13 +266,9 @@ def cut_cells(
 def glue(material: Occupancy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Number the nodes of the elements; parts with continuous material between them share nodes.
 
-    Parts too small to become elements still connect the nodes of their neighbours.
-
-    Returns
-    -------
-    kept : (E,) parts that become elements
-    connectivity : (E, 20) nodes of each, numbered without gaps
-    piece : (E,) piece of the solid, connected through faces, of each
+    Parts too small to become elements still connect the nodes of their neighbours. Returns the parts that
+    become elements (E,), the nodes of each (E, 20), numbered without gaps, and the piece of the solid,
+    connected through faces, of each (E,).
     """
     first, second = material.links.T
     offset = material.cell[second] - material.cell[first]
@@ -330,11 +286,6 @@ def glue(material: Occupancy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     faces = element[material.links[np.abs(offset).sum(1) == 1]]
     faces = faces[(faces >= 0).all(1)]
     return kept, connectivity, components(faces[:, 0], faces[:, 1], len(kept))[1]
-
-
-def node_count(cells: CutCells) -> int:
-    """Count the free nodes, without assembly."""
-    return int(cells.connectivity.max()) + 1 - len(cells.hanging)
 
 
 def _element_at(cells: CutCells, position: np.ndarray) -> np.ndarray:

@@ -15,13 +15,14 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import FiniteElements
 from objectfolder.fem.factorisation import Factorisation, factorise, nested_dissection
-from objectfolder.fem.krylov import CONVERGED, lowest_modes
+from objectfolder.fem.krylov import RESIDUAL_TOLERANCE, lowest_modes
 
 SHIFT = -((2 * np.pi * 300.0) ** 2)  # rad^2/s^2; at most, see `FreeVibration`
 EXPANSION = 30  # shifts are at most this share of the Rayleigh quotient of a uniform expansion
 CLUSTER = 1e-6  # frequencies closer than this (relative) span one subspace
-SPARES = 4  # modes computed beyond the wanted ones, so that the cut splits no repeated eigenvalue
-LOOSE = 1e-12  # share of the energy of moving each unknown alone, below which a mode's is zero up to rounding
+SPARE_MODES = 4  # modes computed beyond the wanted ones, so that the cut splits no repeated eigenvalue
+# Share of the energy of moving each unknown alone, below which a mode's is zero up to rounding
+ZERO_ENERGY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -30,19 +31,14 @@ class Modes:
 
     eigenvalues: np.ndarray  #: (M,), rad^2/s^2
     shapes: np.ndarray  #: (3N, M), mass-normalised, kg^-1/2
-    residuals: np.ndarray  #: (M,), ||K u - lambda M u|| / ||lambda M u||, before `canonical`
+    residuals: np.ndarray  #: (M,), ||K u - lambda M u|| / ||lambda M u||, before `canonicalise`
     rigid_frequencies: np.ndarray  #: (6,), Hz; exactly zero in exact arithmetic
     count_below: int  #: elastic modes below the frequency limit, by inertia
     truncated: bool  #: whether fewer modes were kept
 
 
 class FreeVibration:
-    """Eigenproblem of a free solid; its factorised K - sigma M serves rough and exact solves alike.
-
-    Parameters
-    ----------
-    fem : FiniteElements
-    """
+    """Eigenproblem of a free solid; its factorised K - sigma M serves rough and exact solves alike."""
 
     def __init__(self, fem: FiniteElements):
         self.fem = fem
@@ -68,20 +64,12 @@ class FreeVibration:
         return None if below is None else max(below - 6, 0)
 
     def lowest(
-        self, wanted: Callable[[np.ndarray], int], tolerance: float = CONVERGED
+        self, wanted: Callable[[np.ndarray], int], tolerance: float = RESIDUAL_TOLERANCE
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute the lowest elastic modes to a relative residual, uncertified.
 
-        Parameters
-        ----------
-        wanted : callable
-            Maps the eigenvalues found so far, ascending, to the number of modes that must converge.
-        tolerance : float
-
-        Returns
-        -------
-        values : (k,) array, rad^2/s^2
-        vectors : (3N, k) array, mass-normalised
+        ``wanted`` maps the eigenvalues found so far, ascending, to the number of modes that must converge.
+        Returns eigenvalues (k,), rad^2/s^2, and mass-normalised vectors (3N, k).
         """
         fem = self.fem
         return lowest_modes(
@@ -97,7 +85,9 @@ class FreeVibration:
             """Modes counted by inertia or, without a count, those found below the limit."""
             return min(int((found < limit).sum()) if below is None else below, max_modes)
 
-        values, vectors = self.lowest(lambda found: min(wanted(found) + SPARES, fem.stiffness.shape[0] - 6))
+        values, vectors = self.lowest(
+            lambda found: min(wanted(found) + SPARE_MODES, fem.stiffness.shape[0] - 6)
+        )
         if below is not None and int((values < limit).sum()) < wanted(values):
             raise ObjectFolderError(
                 f"{name}: inertia counts at least {wanted(values)} modes below {max_frequency:g} Hz, the "
@@ -105,7 +95,7 @@ class FreeVibration:
                 "report this mesh"
             )
         alone = np.einsum("i,ij,ij->j", fem.stiffness.diagonal(), vectors, vectors)
-        loose = int((values < LOOSE * alone).sum())
+        loose = int((values < ZERO_ENERGY * alone).sum())
         if loose:
             raise ObjectFolderError(
                 f"{name}: the solid has at least {6 + loose} rigid modes, expected 6; it is in several "
@@ -113,7 +103,7 @@ class FreeVibration:
                 "larger voxelize.max_degrees_of_freedom"
             )
         keep = np.flatnonzero(values < limit)[: wanted(values)]
-        # Of the solver's own vectors: `canonical` mixes modes whose eigenvalues still differ a little.
+        # Of the solver's own vectors: `canonicalise` mixes modes whose eigenvalues still differ a little.
         inertia = fem.mass @ (vectors[:, keep] * values[keep])
         residual = np.linalg.norm(fem.stiffness @ vectors[:, keep] - inertia, axis=0)
         rigid = np.einsum("ij,ij->j", self._rigid, fem.stiffness @ self._rigid)
@@ -121,7 +111,7 @@ class FreeVibration:
         return Modes(
             eigenvalues=values[keep],
             # Before the cut, which may separate the modes of a repeated eigenvalue.
-            shapes=canonical(values, vectors, fem)[:, keep],
+            shapes=canonicalise(values, vectors, fem)[:, keep],
             residuals=residual / np.linalg.norm(inertia, axis=0),
             rigid_frequencies=np.sqrt(np.abs(rigid)) / (2 * np.pi),
             count_below=count,
@@ -130,23 +120,10 @@ class FreeVibration:
 
 
 def solve_modes(fem: FiniteElements, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
-    """Find the elastic modes below a frequency.
+    """Find the elastic modes below a frequency, Hz, at most so many, lowest first.
 
-    Parameters
-    ----------
-    fem : FiniteElements
-    max_frequency : float
-        Hz.
-    max_modes : int
-        Maximum number of modes to keep, lowest first.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the solid has more than six rigid modes (it is not one connected piece), or the solver misses
-        modes.
+    Raises ObjectFolderError, with the object's name, if the solid has more than six rigid modes (it is not
+    one connected piece), or the solver misses modes.
     """
     return FreeVibration(fem).modes_below(max_frequency, max_modes, name)
 
@@ -165,7 +142,7 @@ def rigid_motions(nodes: np.ndarray) -> np.ndarray:
     return motion.reshape(-1, 6)
 
 
-def canonical(values: np.ndarray, vectors: np.ndarray, fem: FiniteElements) -> np.ndarray:
+def canonicalise(values: np.ndarray, vectors: np.ndarray, fem: FiniteElements) -> np.ndarray:
     """Fix signs and the bases of repeated eigenvalues.
 
     A solver may return either sign of a mode and any basis of a repeated eigenvalue's subspace. Each

@@ -1,4 +1,4 @@
-"""Linear elasticity and assembly, shared by all elements."""
+"""What all finite elements share: linear elasticity, assembly, and the choice of one connected piece."""
 
 import math
 from dataclasses import dataclass
@@ -7,9 +7,11 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 
+from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 
-GATHERED = 1 << 24  #: nodal values that are in memory at once while points are interpolated
+MAX_GATHERED_VALUES = 1 << 24  #: nodal values that are in memory at once while points are interpolated
+MAX_DROPPED = 0.05  #: accepted volume fraction outside the main piece
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,30 @@ def mix_nodes(weights: np.ndarray, values: np.ndarray, nodes: np.ndarray) -> np.
     In pieces, since the values at the nodes of all points may not fit into memory.
     """
     out = np.empty((len(nodes), values.shape[1]))
-    step = max(GATHERED // max(nodes.shape[1] * values.shape[1], 1), 1)
+    step = max(MAX_GATHERED_VALUES // max(nodes.shape[1] * values.shape[1], 1), 1)
     for start in range(0, len(nodes), step):
         part = slice(start, start + step)
         out[part] = np.einsum("pi,pic->pc", weights[part], values[nodes[part]])
     return out
+
+
+def main_piece(piece: np.ndarray, volume: np.ndarray, name: str) -> tuple[np.ndarray, float]:
+    """Keep the largest connected piece of a solid: which elements (E,), and the dropped volume fraction.
+
+    Takes the piece of each element (E,) and its volume (E,). Raises ObjectFolderError, with the object's
+    name, if the other pieces hold more than `MAX_DROPPED` of the volume.
+    """
+    volumes = np.bincount(piece, weights=volume)
+    share = np.sort(volumes / volumes.sum())[::-1]
+    dropped = float(share[1:].sum())
+    if dropped > MAX_DROPPED:
+        shown = [f"{s:.2%}" for s in share[:5]] + ["..."] * (len(share) > 5)
+        raise ObjectFolderError(
+            f"{name}: the solid is in {len(share)} separate pieces "
+            f"({', '.join(shown)} of the volume), expected one: "
+            "join the mesh's parts, or split it into several objects"
+        )
+    return piece == volumes.argmax(), dropped
 
 
 def elasticity(material: Material) -> np.ndarray:
@@ -104,19 +125,10 @@ def strain_displacement(gradients: np.ndarray) -> np.ndarray:
 
 
 def upper_blocks(matrices: np.ndarray, size: int) -> np.ndarray:
-    """Take the blocks on and above the diagonal of symmetric element matrices.
+    """Take the blocks on and above the diagonal of symmetric element matrices; (..., P size^2).
 
-    Parameters
-    ----------
-    matrices : (..., n size, n size) array
-        Of elements with n nodes.
-    size : int
-        Unknowns per node.
-
-    Returns
-    -------
-    (..., P size^2) array
-        P = n (n + 1) / 2 blocks of pairs of nodes, in the order of `numpy.triu_indices`.
+    Matrices (..., n size, n size) of elements with n nodes and ``size`` unknowns per node have P = n (n + 1)
+    / 2 blocks of pairs of nodes, in the order of `numpy.triu_indices`.
     """
     lead, n = matrices.shape[:-2], matrices.shape[-1] // size
     own, other = np.triu_indices(n)
@@ -125,16 +137,9 @@ def upper_blocks(matrices: np.ndarray, size: int) -> np.ndarray:
 
 
 def scatter(blocks: np.ndarray, connectivity: np.ndarray, nodes: int) -> sp.csr_matrix:
-    """Sum element matrices into one symmetric sparse matrix.
+    """Sum element matrices, given by their `upper_blocks` (E, P size^2), into one symmetric sparse matrix.
 
-    Parameters
-    ----------
-    blocks : (E, P size^2) array
-        Their `upper_blocks`.
-    connectivity : (E, n) int array
-        Nodes of each element.
-    nodes : int
-        Number of all nodes.
+    Connectivity (E, n) holds the nodes of each element, of all the nodes.
     """
     own, other = (connectivity[:, side].ravel() for side in np.triu_indices(connectivity.shape[1]))
     blocks = blocks.reshape(len(own), -1)

@@ -24,26 +24,11 @@ def discretize(
     max_degrees_of_freedom: int,
     name: str = "mesh",
 ) -> Solid:
-    """Divide the inside of a closed surface into elements.
+    """Divide the inside of a closed surface, (V, 3) in the unit frame and (F, 3), into elements.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    element : str
-        One of `Element`.
-    resolutions : list of int
-        Elements along the longest side, finest first: the first within the size limit is used, else the last.
-    subdivisions : int
-        Sub-cells along each side of a cut cell.
-    max_degrees_of_freedom : int
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the element is unknown, or the solid is in several pieces or too thin.
+    Resolutions, elements along the longest side, are listed finest first: the first within the size limit is
+    used, else the last. Cut cells have so many subdivisions along each side. Raises ObjectFolderError, with
+    the object's name, if the element is not one of `Element`, or the solid is in several pieces or too thin.
     """
     if element not in get_args(Element):
         raise ObjectFolderError(
@@ -71,10 +56,7 @@ def solid_arrays(solid: Solid) -> dict[str, Any]:
 def solid_from_arrays(arrays: dict[str, np.ndarray]) -> Solid:
     """Return the solid stored in the arrays of ``solid.npz``.
 
-    Raises
-    ------
-    ObjectFolderError
-        If its element is unknown.
+    Raises ObjectFolderError if its element is unknown.
     """
     kind = str(arrays.get("kind"))
     if kind not in _CLASSES:

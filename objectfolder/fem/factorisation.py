@@ -144,15 +144,9 @@ class Cholmod:
 
 
 def factorise(matrix: sp.csr_matrix, order: np.ndarray, definite: bool = False) -> Factorisation:
-    """Factorise a symmetric matrix with three unknowns per node.
+    """Factorise a symmetric matrix (3N, 3N) with three unknowns per node, known to be definite or not.
 
-    Parameters
-    ----------
-    matrix : (3N, 3N) sparse
-    order : (3N,) int array
-        Order of elimination; see `nested_dissection`.
-    definite : bool
-        Whether the matrix is known to be positive definite.
+    The order of elimination (3N,) is that of `nested_dissection`.
     """
     if PyPardisoSolver is not None:
         return Pardiso(matrix, order, definite)
@@ -162,14 +156,9 @@ def factorise(matrix: sp.csr_matrix, order: np.ndarray, definite: bool = False) 
 
 
 def nested_dissection(nodal_graph: sp.csr_matrix) -> np.ndarray:
-    """Return a fill-reducing order of the unknowns by METIS; (3N,).
+    """Return a fill-reducing order of the unknowns by METIS, (3N,), from the adjacency (N, N) of the nodes.
 
     All matrices of a solid share it. It is found on the nodes, a ninth of the work of an order of unknowns.
-
-    Parameters
-    ----------
-    nodal_graph : (N, N) sparse
-        Adjacency of the nodes.
     """
     graph = nodal_graph.copy()
     graph.setdiag(0)

@@ -13,10 +13,15 @@ import scipy.sparse as sp
 
 from objectfolder.errors import ObjectFolderError
 
-CONVERGED = 1e-11
-DENSE, FEW = 600, 4  # limits of unknowns, in all and per wanted mode, for a dense solve
-_BLOCK, _WIDE_BLOCK, _MANY = 8, 16, 150  # block sizes, and the number of modes above which it is wide
-_ENDLESS = 50  # basis size, per wanted mode and column of a block, beyond which nothing converges; 6 suffice
+RESIDUAL_TOLERANCE = 1e-11
+MAX_DENSE_SIZE, MAX_DENSE_RATIO = 600, 4  # limits of unknowns, in all and per wanted mode, for a dense solve
+_BLOCK, _WIDE_BLOCK, _WIDE_BLOCK_MODES = (
+    8,
+    16,
+    150,
+)  # block sizes, and the number of modes above which it is wide
+# Basis size, per wanted mode and column of a block, beyond which nothing converges; 6 suffice
+_MAX_BASIS_RATIO = 50
 _FIRST_CHECK, _GROWTH = 2.0, 1.06  # basis size per wanted mode at the first convergence check; growth after
 
 
@@ -27,46 +32,27 @@ def lowest_modes(
     shift: float,
     deflated: np.ndarray,
     wanted: Callable[[np.ndarray], int],
-    tolerance: float = CONVERGED,
+    tolerance: float = RESIDUAL_TOLERANCE,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the lowest eigenpairs of K u = lambda M u other than the deflated ones.
 
-    Parameters
-    ----------
-    stiffness : (3N, 3N) sparse
-        K.
-    nodal_mass : (N, N) sparse
-        M is its Kronecker product with the identity.
-    solve : callable
-        Applies (K - shift M)^-1 to (3N, b) columns.
-    shift : float
-        Below every eigenvalue; the lowest modes are the most accurate.
-    deflated : (3N, R) array
-        Known eigenvectors, M-orthonormal.
-    wanted : callable
-        Maps ascending Ritz values to the number of lowest ones that must converge.
-    tolerance : float
-        Relative residual of a Ritz pair of the inverse.
+    K is (3N, 3N); M the Kronecker product of the nodal mass (N, N) with the identity. ``solve`` applies (K -
+    shift M)^-1 to (3N, b) columns; the shift is below every eigenvalue, and the lowest modes are the most
+    accurate. Deflated are known M-orthonormal eigenvectors (3N, R). ``wanted`` maps ascending Ritz values to
+    the number of lowest ones that must converge, up to a relative residual of the inverse.
 
-    Returns
-    -------
-    values : (k,) array, ascending
-    vectors : (3N, k) array, M-orthonormal
-
-    Raises
-    ------
-    ObjectFolderError
-        If the modes do not converge.
+    Returns ascending values (k,) and M-orthonormal vectors (3N, k). Raises ObjectFolderError if the modes do
+    not converge.
     """
     size, known = deflated.shape
     target = wanted(np.empty(0))
-    if size <= max(DENSE, FEW * target):
+    if size <= max(MAX_DENSE_SIZE, MAX_DENSE_RATIO * target):
         mass = sp.kron(nodal_mass, sp.eye_array(3)).toarray()
         pushed = mass @ deflated
         lift = 1e3 * (stiffness.diagonal() / mass.diagonal()).max()  # above all others
         values, vectors = la.eigh(stiffness.toarray() + lift * pushed @ pushed.T, mass)
         return values[: size - known], vectors[:, : size - known]
-    block = _WIDE_BLOCK if target > _MANY else _BLOCK
+    block = _WIDE_BLOCK if target > _WIDE_BLOCK_MODES else _BLOCK
     check = int(_FIRST_CHECK * target) + 4 * block
     basis = np.empty((size, known + check + block), order="F")
     basis[:, :known] = deflated
@@ -100,7 +86,7 @@ def lowest_modes(
         number = wanted(values)
         if number <= positive and (residual[:number] < tolerance * inverse[:number]).all():
             return values[:number], used[:, known:] @ share[:, :number]
-        if known + count + block > size or count > _ENDLESS * (number + block):
+        if known + count + block > size or count > _MAX_BASIS_RATIO * (number + block):
             raise ObjectFolderError(
                 f"{number} modes of {size} unknowns do not converge in {count} vectors, as of solids far too "
                 "small, large, stiff or soft: check the object's scale and material"
@@ -118,12 +104,9 @@ def _orthonormal(
 ) -> tuple[np.ndarray, ...]:
     """Decompose columns by an M-orthonormal basis: vectors = basis @ inside + new @ beyond.
 
-    In exact arithmetic only the last ``recent`` basis vectors have non-zero coefficients; rounding leaves
-    so little of the others that one pass over all of them suffices.
-
-    Returns
-    -------
-    new, pushed, inside, beyond : ``pushed`` is the product of M and ``new``
+    In exact arithmetic only the last ``recent`` basis vectors have non-zero coefficients; rounding leaves so
+    little of the others that one pass over all of them suffices. Returns new, pushed (M times new), inside
+    and beyond.
     """
     inside, beyond = np.zeros((basis.shape[1], vectors.shape[1])), np.eye(vectors.shape[1])
     for first in (max(basis.shape[1] - recent, 0), 0):

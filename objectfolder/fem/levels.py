@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from objectfolder.fem.blocks import halved_from
+from objectfolder.fem.blocks import halve_with_parents
 from objectfolder.fem.cutcell import CutCells
 
 
@@ -39,7 +39,7 @@ class Levels:
     def of(cls, finest: CutCells, count: int) -> "Levels":
         """Halve a grid as long as it is even and stays connected, up to ``count`` grids."""
         grids, parents = [finest], []
-        while len(grids) < count and (found := halved_from(grids[-1])) is not None:
+        while len(grids) < count and (found := halve_with_parents(grids[-1])) is not None:
             grids.append(found[0])
             parents.append(found[1])
         return cls(grids, parents)
@@ -54,12 +54,8 @@ class Levels:
     def mesh(self, divided: Sequence[np.ndarray], coarser: CutCells | None = None) -> MixedCells:
         """Build the elements that are not divided and lie in no element that is not divided.
 
-        Parameters
-        ----------
-        divided : list of (E,) bool arrays
-            For every level, whether each of its elements is divided; none of the finest is.
-        coarser : CutCells, optional
-            The same solid in larger elements.
+        ``divided`` says for every level whether each of its elements is (E,); none of the finest is.
+        ``coarser`` is the same solid in larger elements.
         """
         level, element = self.leaves(divided)
         used = [own == k for k, own in enumerate(level)]
@@ -93,7 +89,7 @@ class Levels:
         held = (mesh.fill * width**3).sum() / finest.fill.sum()  # coarse elements too small to keep
         return replace(mesh, volume_error=float(held * (1 + finest.volume_error) - 1))
 
-    def coarsened(self, divided: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def coarsen(self, divided: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Return the divisions that make each element but the largest twice as large."""
         masks = [np.zeros(len(grid.index), bool) for grid in self.grids]
         for level in range(1, len(masks) - 1):

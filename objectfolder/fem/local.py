@@ -10,8 +10,8 @@ from objectfolder.fem.levels import Levels, MixedCells
 from objectfolder.materials import Material
 
 LEVELS = 6  #: grids of an octree
-LARGEST = 8  #: side of the largest element, in cells of the finest grid
-_FIRST = 0.3  # share of the size limit that the uniform grid of the indicator may take
+MAX_WIDTH = 8  #: side of the largest element, in cells of the finest grid
+_INDICATOR_SIZE = 0.3  # share of the size limit that the uniform grid of the indicator may take
 _HALVINGS = 16  # steps of the search for the threshold
 
 
@@ -21,31 +21,24 @@ class _Solved:
     eigenvalues: np.ndarray  # (M,)
 
 
-def locally_refined(
+def refine_locally(
     finest: CutCells, max_degrees_of_freedom: int, material: Material, scale: float
 ) -> Discretisation | None:
     """Choose the sizes of cells within a size limit; None if the solid has no two coarse grids.
 
-    Modes are solved on the finest uniform grid within 30 % of the limit, and on its half. Where the energy
-    of a block differs between the two, small cells matter: the difference is what dividing the block is
-    worth, and each further division is worth less by the power ``ORDER`` of the cells' size. Elements are
-    divided in order of this worth until the limit is reached. Full elements are never divided.
-
-    Parameters
-    ----------
-    finest : CutCells
-        Cells of the finest size, not merged.
-    max_degrees_of_freedom : int
-    material : Material
-    scale : float
-        Longest side, metres.
+    Modes are solved on the finest uniform grid within 30 % of the limit, and on its half. Where the energy of
+    a block differs between the two, small cells matter: the difference is what dividing the block is worth,
+    and each further division is worth less by the power ``ORDER`` of the cells' size. Elements are divided in
+    order of this worth until the limit is reached. Full elements are never divided. ``finest`` are cells of
+    the finest size, not merged; the longest side, ``scale``, is in metres.
     """
     levels = Levels.of(finest, LEVELS)
     start = next(
         (
             level
             for level in range(1, len(levels.grids) - 1)
-            if levels.mesh(levels.uniform(level)).degrees_of_freedom <= _FIRST * max_degrees_of_freedom
+            if levels.mesh(levels.uniform(level)).degrees_of_freedom
+            <= _INDICATOR_SIZE * max_degrees_of_freedom
         ),
         None,
     )
@@ -57,7 +50,7 @@ def locally_refined(
         middle = (low + high) / 2
         divided = [own > 2**middle for own in worth]
         for level, mask in enumerate(divided):
-            mask |= 2**level > LARGEST
+            mask |= 2**level > MAX_WIDTH
         mesh = levels.mesh(divided)
         if mesh.degrees_of_freedom > max_degrees_of_freedom:
             low = middle
@@ -104,7 +97,7 @@ def _with_coarser(levels: Levels, divided: list[np.ndarray]) -> MixedCells:
     mesh = None
     steps = [divided]
     for _ in range(2):
-        steps.append(levels.coarsened(steps[-1]))
+        steps.append(levels.coarsen(steps[-1]))
     for step in reversed(steps):
         mesh = levels.mesh(step, mesh)
     assert mesh is not None

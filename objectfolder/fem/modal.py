@@ -6,20 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.accuracy import ESTIMATED, Discretisation, resolved_frequency
-from objectfolder.fem.adaptive import refined
-from objectfolder.fem.cutcell import CUT_CELLS
+from objectfolder.fem.accuracy import ESTIMATED_MODES, Discretisation, resolved_frequency
+from objectfolder.fem.adaptive import refine_grid
+from objectfolder.fem.certainty import solver_checks
 from objectfolder.fem.elasticity import Solid
 from objectfolder.fem.settings import FineGrids
 from objectfolder.materials import Material
+from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.thickness import wall_thickness
 from objectfolder.mesh.topology import Mesh
 
-MAX_RESIDUAL = 1e-8
-MAX_RIGID = 1e-3  #: frequency of rigid modes, over the lowest elastic one
-CERTAIN, REFUSED = 0.1, 0.3  #: uncertainty of frequencies that needs no warning; that is refused
 MAX_VERTICES = 20_000  #: of a surface at which shapes are stored; furniture has hundreds of thousands
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
 
@@ -50,27 +46,11 @@ def modal_analysis(
     name: str = "object",
     wall: float = np.inf,
 ) -> ModalData:
-    """Compute the modes of a solid and evaluate them at points.
+    """Compute the modes of a solid and evaluate them at points (P, 3), unit frame.
 
-    Parameters
-    ----------
-    cells : Solid
-    points : (P, 3) array, unit frame
-    material : Material
-    scale : float
-        Longest side, metres.
-    max_frequency : float
-        Hz.
-    max_modes : int
-    name : str
-        Name of the object in errors.
-    wall : float
-        Wall thickness, unit frame; the highest resolved frequency depends on it.
-
-    Notes
-    -----
     A mode decays with rate c (`Material.damping`) and rings at sqrt(lambda - c^2). Overdamped and inaudible
-    modes are dropped.
+    modes are dropped. The longest side, ``scale``, is in metres, the limit of frequencies in Hz; the
+    thickness of the wall, unit frame, limits the highest resolved frequency.
     """
     candidate = Discretisation(cells, material, scale)
     return _modes_at(candidate, points, max_frequency, max_modes, name, wall)
@@ -93,7 +73,7 @@ def _modes_at(
     nodal = modes.shapes[:, rings].reshape(len(fem.nodes), -1)
     shapes = cells.interpolate(nodal, points).reshape(len(points), 3, -1)
     frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
-    errors = candidate.errors(np.sqrt(modes.eigenvalues[:ESTIMATED]) / (2 * np.pi))
+    errors = candidate.errors(np.sqrt(modes.eigenvalues[:ESTIMATED_MODES]) / (2 * np.pi))
     report = {
         "element": cells.name,
         "resolution": cells.resolution,
@@ -138,35 +118,18 @@ def refined_analysis(
     max_modes: int,
     name: str = "object",
 ) -> ModalData:
-    """Compute modes as `modal_analysis`, on a finer grid if `objectfolder.fem.adaptive.refined` chooses one.
+    """Compute modes as `modal_analysis`, on a finer grid if `refine_grid` chooses one.
 
-    Parameters
-    ----------
-    solid : Solid
-        Solid on the first grid.
-    surface : (V, 3) and (F, 3) arrays, unit frame
-        Surface of the solid.
-    fine : FineGrids
-    points, material, scale, max_frequency, max_modes, name
-        See `modal_analysis`.
+    The solid is on the first grid; its surface is (V, 3), unit frame, and (F, 3).
     """
-    candidate = refined(solid, surface, fine, material, scale, name)
+    candidate = refine_grid(solid, surface, fine, material, scale, name)
     return _modes_at(candidate, points, max_frequency, max_modes, name, wall_thickness(*surface))
 
 
 def shape_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Choose the points at which shapes are stored: vertices, at most `MAX_VERTICES`, then random points.
 
-    Parameters
-    ----------
-    vertices, faces : (V, 3) and (F, 3) arrays
-    count : int
-        Random points, uniform by area.
-    rng : Generator
-
-    Returns
-    -------
-    (min(V, `MAX_VERTICES`) + count, 3) array
+    Returns (min(V, `MAX_VERTICES`) + count, 3): so many random points, uniform by area.
     """
     if len(vertices) > MAX_VERTICES:
         kept = vertices[np.sort(rng.choice(len(vertices), MAX_VERTICES, replace=False))]
@@ -175,70 +138,24 @@ def shape_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.ra
     return np.concatenate([kept, sample_surface(vertices, faces, count, rng)])
 
 
-def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object") -> str | None:
-    """Describe an estimated error of the lowest frequencies above `CERTAIN`; None below.
+def solved_band(data: ModalData, material: Material, max_frequency: float, max_modes: int) -> list[float]:
+    """Return the band of natural frequencies in Hz in which no mode of the object is missing.
 
-    Cut cells whose error cannot be estimated, since half of their grid falls apart, count as above `REFUSED`.
-    Other elements have no estimates.
-
-    Parameters
-    ----------
-    report : dict
-        Content of ``modal.json``.
-    allow : bool
-        Whether an error above `REFUSED` is accepted, too.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the error exceeds `REFUSED`, or is not known, and is not allowed.
+    `objectfolder.audio.tuning` rescales the modes to other materials and sizes of the same shape; the
+    rescaled band bounds the frequencies for which that is valid. The solve had an upper limit, Hz, and a
+    greatest number of modes. Both ends are equal if the band is empty; the lower is 0 only if no mode was
+    dropped.
     """
-    error, grid = report["frequency_uncertainty"], f"{report['resolution']}^3"
-    if error is None:
-        if report["element"] != CUT_CELLS or not report["modes"]:
-            return None
-        error = math.inf
-        text = f"{name}: frequencies may be wrong; walls are too thin for the {grid} grid to say how much"
-    else:
-        worst = int(np.argmax(report["discretisation_error"]))
-        text = (
-            f"{name}: frequencies may be {error:.0%} wrong, mode {worst + 1} most: walls or joints are thin "
-            f"for the {grid} grid"
-        )
-    if error <= CERTAIN:
-        return None
-    if error > REFUSED and not allow:
-        raise ObjectFolderError(
-            f"{text}; thicken them, raise modal.fine.max_degrees_of_freedom in params.yaml, or accept the "
-            "error there: `modal.allow_uncertain: true` (docs/modal.md#accuracy)"
-        )
-    return text
-
-
-def solver_checks(report: dict[str, Any]) -> dict[str, bool]:
-    """Check that residuals are small and that rigid modes have zero frequency."""
-    return {
-        "residuals_ok": report["residual_max"] < MAX_RESIDUAL,
-        "rigid_modes_ok": max(report["rigid_hz"]) < rigid_limit(report),
-    }
-
-
-def solver_warning(report: dict[str, Any], name: str) -> str | None:
-    """Return what is to be said of a solve whose checks fail."""
-    if report["residuals_ok"] and report["rigid_modes_ok"]:
-        return None
-    return (
-        f"{name}: the solver is less exact than usual (residual {report['residual_max']:.1e}, expected under "
-        f"{MAX_RESIDUAL:g}; rigid modes up to {max(report['rigid_hz']):.2g} Hz, expected under "
-        f"{rigid_limit(report):.2g}); very thin parts make it so"
-    )
-
-
-def rigid_limit(report: dict[str, Any]) -> float:
-    """Return the frequency below which rigid modes count as zero, Hz: rounding grows with the elastic ones.
-
-    Where no mode was kept, all are above the limit of the solve.
-    """
-    return MAX_RIGID * float([*report["lowest_hz"], report["max_frequency_hz"]][0])
+    top = max_frequency
+    if data.report["truncated"]:
+        top = float(np.sqrt(data.eigenvalues[-1])) / (2 * np.pi) if len(data.eigenvalues) else 0.0
+    count = data.report["count_below_max_frequency"]
+    if data.report["modes"] == (max_modes if count is None else min(count, max_modes)):
+        return [0.0, top]
+    if material.loss_factor:  # it rings, whatever its frequency
+        return [MIN_FREQUENCY, max(MIN_FREQUENCY, top)]
+    # Some modes were inaudible or overdamped: a mode of natural frequency w rings if alpha + beta w^2 < 2 w.
+    root = math.sqrt(max(0.0, 1 - material.alpha * material.beta))
+    dull = (1 + root) / material.beta if material.beta else math.inf
+    low = max(MIN_FREQUENCY, material.alpha / (1 + root) / (2 * np.pi))
+    return [low, max(low, min(top, dull / (2 * np.pi)))]

@@ -37,20 +37,12 @@ class Occupancy:
 
 
 def measure(vertices: np.ndarray, faces: np.ndarray, resolution: int, subdivisions: int) -> Occupancy:
-    """Measure the material of a closed surface in the cells of a grid.
+    """Measure the material of a closed surface, (V, 3) in the unit frame and (F, 3), in the cells of a grid.
 
     Columns run along the axis that most of the surface faces, because walls parallel to them are quantised.
     Material is continuous along a column, and between neighbouring columns (diagonals included) where their
     intervals inside the solid overlap. Gaps narrower than a column (half a sub-cell) are not resolved.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolution : int
-        Cells along the longest side.
-    subdivisions : int
-        Sub-cells along each side of a cell, at least 4; four columns go through each.
+    Resolution and subdivisions are those of `objectfolder.fem.cutcell.cut_cells`.
     """
     turn = 2 - facing_axis(vertices, faces)  # cyclic, so that the surface stays oriented
     found = _measure_along_z(np.roll(vertices, turn, axis=1), faces, resolution, subdivisions)
@@ -256,23 +248,14 @@ def _column_moments(
 
 @cache
 def _columns(across: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and weights of a cell's columns, a quadrature rule over [-1, 1]^2.
+    """Return places and weights of a cell's columns, a quadrature rule over [-1, 1]^2; (across, across) each.
 
-    Each row is shifted by its own fraction of a column, so that all positions along an axis differ: an
-    aligned lattice would quantise the thickness of walls parallel to it (a table top by several per cent).
-    The weights are the closest to equal ones that integrate a full cell's polynomials exactly. Of several
-    point-symmetric permutations of the shifts, the one with the most even weights is used.
-
-    Parameters
-    ----------
-    across : int, even
-        Columns along each side of a cell.
-
-    Returns
-    -------
-    place : (across, across) array
-        Column (a, b) is at x = place[a, b], y = place[b, a] of the unit cell.
-    weight : (across, across) array, positive
+    Column (a, b) is at x = place[a, b], y = place[b, a] of the unit cell. Each row is shifted by its own
+    fraction of a column, so that all positions along an axis differ: an aligned lattice would quantise the
+    thickness of walls parallel to it (a table top by several per cent). The weights are the closest to equal
+    ones that integrate a full cell's polynomials exactly, and positive. Of several point-symmetric
+    permutations of the shifts, the one with the most even weights is used. The number of columns across is
+    even.
     """
     rng, half = np.random.default_rng(0), across // 2
     equal, rules = 4 / across**2, []

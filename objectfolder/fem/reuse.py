@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.fem.modal import MIN_FREQUENCY, ModalData, solver_checks
+from objectfolder.fem.certainty import solver_checks
+from objectfolder.fem.modal import MIN_FREQUENCY, ModalData
 from objectfolder.fem.similarity import similarity
 from objectfolder.io import file_digest
 from objectfolder.materials import Material
@@ -32,14 +33,16 @@ class Request:
 
 
 def problem_digest(
-    files: Iterable[Path], points: np.ndarray, poisson_ratio: float, options: dict[str, Any]
+    files: Iterable[Path], code: str, points: np.ndarray, poisson_ratio: float, options: dict[str, Any]
 ) -> str:
     """Return the digest of everything that modes depend on beyond scaling.
 
     Parameters
     ----------
     files : iterable of Path
-        The solid, its surface, and the list of the sources that analyse them; those that exist.
+        The solid, its surface; those that exist.
+    code : str
+        Digest of the code of the solve.
     points : (P, 3) array
         Points at which the mode shapes are evaluated.
     poisson_ratio : float
@@ -49,7 +52,7 @@ def problem_digest(
     read = [file_digest(path) for path in files if path.is_file()]
     place = hashlib.sha256(np.ascontiguousarray(points).tobytes()).hexdigest()
     fields = [field.name for field in dataclasses.fields(Material)]
-    text = json.dumps([read, place, poisson_ratio, options, fields], sort_keys=True)
+    text = json.dumps([read, code, place, poisson_ratio, options, fields], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

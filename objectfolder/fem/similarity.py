@@ -10,15 +10,8 @@ from objectfolder.materials import Material
 def similarity(old: tuple[Material, float], new: tuple[Material, float]) -> tuple[float, float]:
     """Return the scale factors of eigenvalues and of mass-normalised mode shapes.
 
-    Parameters
-    ----------
-    old, new : tuple of Material and float
-        Material and longest side in metres; their numbers may be tensors.
-
-    Returns
-    -------
-    tuple of float
-        The ratios of E / (rho L^2) and of (rho L^3)^(-1/2), new over old.
+    The ratios of E / (rho L^2) and of (rho L^3)^(-1/2), new over old, of materials and longest sides in
+    metres; their numbers may be tensors.
     """
     (old_material, old_scale), (material, scale) = old, new
     size, density = scale / old_scale, material.density / old_material.density

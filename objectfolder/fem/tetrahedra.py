@@ -8,6 +8,7 @@ from contextlib import chdir
 from dataclasses import dataclass, replace
 from functools import cached_property
 from tempfile import TemporaryDirectory
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,12 +18,12 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    main_piece,
     mix_nodes,
     scatter,
     strain_displacement,
     upper_blocks,
 )
-from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.topology import components, signed_volume
 
@@ -35,6 +36,8 @@ _SEARCHED = 32  # nearest centroids among which a point's tetrahedron is searche
 class Tetrahedra:
     """Solid in the unit frame as 10-node tetrahedra with straight edges."""
 
+    name: ClassVar[str] = "tet10"  #: of the element
+    order: ClassVar[int] = 2  #: degree of the complete polynomials
     vertices: np.ndarray  #: (N, 3) nodes, midpoints of edges included
     connectivity: np.ndarray  #: (E, 10) int64
     resolution: int  #: longest side divided by the requested edge length
@@ -42,19 +45,9 @@ class Tetrahedra:
     volume_error: float = 0.0  #: relative to the surface's volume; not corrected
 
     @property
-    def name(self) -> str:
-        """Name of the element."""
-        return "tet10"
-
-    @property
     def elements(self) -> int:
         """Number of elements."""
         return len(self.connectivity)
-
-    @property
-    def order(self) -> int:
-        """Degree of the complete polynomials."""
-        return 2
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -112,21 +105,10 @@ class Tetrahedra:
 
 
 def tetrahedra(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> Tetrahedra:
-    """Fill a closed surface with tetrahedra.
+    """Fill a closed surface, (V, 3) in the unit frame and (F, 3), with tetrahedra.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolution : int
-        Longest side divided by the edge length.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If pytetwild is not installed, or the solid is in several pieces.
+    The resolution is the longest side divided by the edge length. Raises ObjectFolderError, with the object's
+    name, if pytetwild is not installed, or the solid is in several pieces.
     """
     try:
         import pytetwild

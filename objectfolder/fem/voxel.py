@@ -6,6 +6,7 @@ locking. Neither resolves walls thinner than a cell.
 """
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import label
@@ -15,6 +16,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elasticity import (
     FiniteElements,
     elasticity,
+    main_piece,
     mix_nodes,
     scatter,
     strain_displacement,
@@ -22,7 +24,6 @@ from objectfolder.fem.elasticity import (
 )
 from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.occupancy import MARGIN
-from objectfolder.fem.pieces import main_piece
 from objectfolder.materials import Material
 from objectfolder.mesh.scanline import inside
 from objectfolder.mesh.topology import signed_volume
@@ -35,6 +36,7 @@ _GAUSS = 1 / np.sqrt(3)
 class Voxels:
     """Solid in the unit frame as whole cells of a grid."""
 
+    order: ClassVar[int] = 1  #: degree of the complete polynomials
     index: np.ndarray  #: (E, 3) int64, grid position of each voxel
     connectivity: np.ndarray  #: (E, 8) int64
     resolution: int  #: cells along each axis of the grid
@@ -51,11 +53,6 @@ class Voxels:
     def elements(self) -> int:
         """Number of elements."""
         return len(self.index)
-
-    @property
-    def order(self) -> int:
-        """Degree of the complete polynomials."""
-        return 1
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -101,23 +98,11 @@ class Voxels:
 def voxels(
     vertices: np.ndarray, faces: np.ndarray, resolution: int, incompatible: bool, name: str = "mesh"
 ) -> Voxels:
-    """Fill the cells of a grid whose centres are inside a closed surface.
+    """Fill the grid's cells whose centres are inside a closed surface, (V, 3), unit frame, and (F, 3).
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolution : int
-        Cells along the longest side.
-    incompatible : bool
-        Whether the elements have Wilson's incompatible modes.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If no cell centre is inside, or the voxels are in several pieces.
+    The resolution is the number of cells along the longest side; elements may have Wilson's incompatible
+    modes. Raises ObjectFolderError, with the object's name, if no cell centre is inside, or the voxels are in
+    several pieces.
     """
     side = 1 + MARGIN
     spacing = side / resolution
@@ -133,9 +118,7 @@ def voxels(
     index = index[main]
     solid = Voxels(index, lattice_connectivity(index, CORNERS), resolution, incompatible)
     return replace(
-        solid,
-        dropped_volume=dropped,
-        volume_error=solid.volume / signed_volume(vertices, faces) - 1,
+        solid, dropped_volume=dropped, volume_error=solid.volume / signed_volume(vertices, faces) - 1
     )
 
 

@@ -10,7 +10,7 @@ from objectfolder.fem.elements import discretize
 from objectfolder.fem.settings import VoxelizeConfig
 from objectfolder.mesh.featurecodec import Features
 from objectfolder.mesh.scanline import check_winding
-from objectfolder.mesh.sdf import fitting_grid
+from objectfolder.mesh.sdf import fit_grid
 from objectfolder.mesh.topology import Mesh, signed_volume
 
 
@@ -28,29 +28,15 @@ class Voxelization:
 def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "mesh") -> Voxelization:
     """Certify solid and surface, divide the solid into elements, and sample the distance to the surface.
 
-    Parameters
-    ----------
-    surface, solid : (V, 3) and (F, 3) arrays each, unit frame
-        Surface to see and touch, and solid that vibrates; they differ where gaps are bridged for sound only.
-    config : VoxelizeConfig
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a surface is open, crosses itself, or is too thin for its grid.
+    Meshes (V, 3) and (F, 3) of the unit frame: the surface to see and touch, and the solid that vibrates;
+    they differ where gaps are bridged for sound only. Raises ObjectFolderError if a surface is open, crosses
+    itself, or is too thin for its grid.
     """
     certificates = [check_winding(*mesh, name) for mesh in (solid, surface)]
     cells = discretize(
-        *solid,
-        config.element,
-        config.resolutions,
-        config.subdivisions,
-        config.max_degrees_of_freedom,
-        name,
+        *solid, config.element, config.resolutions, config.subdivisions, config.max_degrees_of_freedom, name
     )
-    grid = fitting_grid(*surface, config.sdf_resolution, name)
+    grid = fit_grid(*surface, config.sdf_resolution, name)
     report = {
         "cells": {
             "winding": asdict(certificates[0]),

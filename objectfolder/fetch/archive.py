@@ -31,22 +31,10 @@ def extract(archive: Path, into: Path, max_bytes: int = MAX_BYTES, max_members: 
     The extraction filter of ``tarfile`` only sets safe permissions and owners here: it would extract links
     inside the folder and absolute paths, and knows no limits.
 
-    Parameters
-    ----------
-    archive : Path
-        The format is recognised by content.
-    into : Path
-        New directory; removed again on error.
-    max_bytes : int
-        Maximum extracted size.
-    max_members : int
-        Maximum number of members, folders included.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is damaged, not an archive, too large, or has a member that is a link, a device, encrypted, or
-        outside the folder; the message names archive and member.
+    ``archive``: the format is recognised by content; ``into``: new directory; removed again on error;
+    ``max_bytes``: maximum extracted size; ``max_members``: maximum number of members, folders included.
+    Raises ObjectFolderError if it is damaged, not an archive, too large, or has a member that is a link, a
+    device, encrypted, or outside the folder; the message names archive and member.
     """
     into.mkdir(parents=True)
     budget = _Budget(archive.name, max_bytes, max_members)
@@ -68,10 +56,7 @@ def extract(archive: Path, into: Path, max_bytes: int = MAX_BYTES, max_members: 
 def safe_path(name: str, where: str) -> PurePosixPath:
     """Return the path of a member relative to its folder.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the path is empty, absolute, very deep or leaves the folder.
+    Raises ObjectFolderError if the path is empty, absolute, very deep or leaves the folder.
     """
     path = PurePosixPath(name.replace("\\", "/"))
     if path.is_absolute() or PureWindowsPath(name).drive or ".." in path.parts or "\0" in name:

@@ -83,17 +83,9 @@ def object_url(template: str, model: str) -> str:
 def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
     """Read a catalogue.
 
-    Parameters
-    ----------
-    path : Path
-        YAML with ``sources`` and ``objects``.
-    urls : sequence of str
-        ``SOURCE=TEMPLATE``: URL templates to use instead of those in the catalogue.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is missing or invalid, an object has an unknown source, or a template is not a URL.
+    ``path``: YAML with ``sources`` and ``objects``; ``urls``: ``SOURCE=TEMPLATE``: URL templates to use
+    instead of those in the catalogue. Raises ObjectFolderError if it is missing or invalid, an object has an
+    unknown source, or a template is not a URL.
     """
     if not path.is_file():
         raise ObjectFolderError(
@@ -147,15 +139,8 @@ def comparable_name(name: str) -> str:
 def select_objects(catalogue: Catalogue, wanted: Sequence[str]) -> list[str]:
     """Find objects by key, published name or id at the source; case and punctuation are ignored.
 
-    Returns
-    -------
-    list of str
-        Unique keys, in the given order.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such object; the message lists similar names.
+    Returns their keys, each once, in the given order. Raises ObjectFolderError, which lists similar names, if
+    there is no such object.
     """
     known = {
         comparable_name(name): key

@@ -24,9 +24,9 @@ from objectfolder.io import write_text
 
 WAITS = (1.0, 2.0, 4.0, 8.0)  #: seconds between attempts that bring nothing
 TIMEOUT = 30  #: seconds without an answer or a byte
-LEAST, PERIOD = 1 << 16, 60  #: bytes that must arrive, in so many seconds
+MIN_BYTES, PERIOD = 1 << 16, 60  #: bytes that must arrive, in so many seconds
 MAX_DOWNLOAD = 1 << 30  #: bytes of a file whose size is not known beforehand
-SPARE = 1 << 28  #: bytes that a download leaves free on the disk
+RESERVE = 1 << 28  #: bytes that a download leaves free on the disk
 BLOCK = 1 << 16
 RETRYABLE = (408, 425, 429, 500, 502, 503, 504)  #: HTTP status codes
 RANGE_NOT_SATISFIABLE = 416
@@ -38,11 +38,7 @@ ProgressFactory = Callable[[str], ProgressCallback]  #: takes the name of the fi
 class UnreachableError(ObjectFolderError):
     """No connection to a host at the first attempt.
 
-    Parameters
-    ----------
-    host : str
-        As in a URL, perhaps with a port.
-    reason : object
+    ``host``: as in a URL, perhaps with a port.
     """
 
     def __init__(self, host: str, reason: object):
@@ -72,25 +68,12 @@ def download(
     A download is resumed only if the server still has the same file, by its ETag or date (RFC 9110,
     If-Range), which is stored next to it in ``<name>.tag``.
 
-    Parameters
-    ----------
-    url : str
-        ``http`` or ``https``.
-    path : Path
-        Destination, partial after an error. Its directory must exist.
-    report : callable
-        Called with the bytes received and the bytes expected, or None.
-    waits : sequence of float
-        Seconds before each further attempt. Attempts that bring bytes at the least rate restart the sequence.
-    most : int
-        Maximum size of the file, bytes.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the server cannot be reached (`UnreachableError`, after the first attempt), refuses, redirects to
-        another protocol, keeps breaking off or is slower than `LEAST` in `PERIOD`, or the file is too large
-        or cannot be written.
+    ``url``: ``http`` or ``https``. ``path``: destination, partial after an error. Its directory must exist.
+    ``report``: called with the bytes received and the bytes expected, or None. ``waits``: seconds before each
+    further attempt. Attempts that bring bytes at the least rate restart the sequence. ``most``: maximum size
+    of the file, bytes. Raises ObjectFolderError if the server cannot be reached (`UnreachableError`, after
+    the first attempt), refuses, redirects to another protocol, keeps breaking off or is slower than
+    `MIN_BYTES` in `PERIOD`, or the file is too large or cannot be written.
     """
     furthest, since, left = 0, time.monotonic(), list(waits)
     reached = False
@@ -104,7 +87,7 @@ def download(
             reached = True
             size = path.stat().st_size if path.exists() else 0
             now = time.monotonic()
-            if size > furthest + (now - since) * LEAST / PERIOD:
+            if size > furthest + (now - since) * MIN_BYTES / PERIOD:
                 furthest, since, left = size, now, list(waits)
             if not left:
                 kept = f" from the {size} bytes that are kept" if _tag(path).exists() else ""
@@ -143,8 +126,8 @@ class _PacedStream(io.RawIOBase):
         got = self.raw.readinto(buffer)
         self.count += got or 0
         if (now := time.monotonic()) - self.since > PERIOD:
-            if self.count < LEAST:
-                raise TimeoutError(f"{self.count:,} bytes in {PERIOD} s, expected {LEAST:,} or more")
+            if self.count < MIN_BYTES:
+                raise TimeoutError(f"{self.count:,} bytes in {PERIOD} s, expected {MIN_BYTES:,} or more")
             self.since, self.count = now, 0
         return got
 
@@ -214,12 +197,12 @@ def _attempt(url: str, path: Path, report: ProgressCallback, most: int) -> None:
             raise _RetryableError(f"{error.code} {error.reason}") from error
     except (OSError, HTTPException, UnicodeError) as error:  # UnicodeError: of a host's name
         reason = getattr(error, "reason", None) or error or type(error).__name__
-        if _unconnected(reason):
+        if _is_unconnected(reason):
             raise _NoConnectionError(reason.strerror or reason) from error
         raise _RetryableError(reason) from error
 
 
-def _unconnected(reason: object) -> TypeGuard[OSError]:
+def _is_unconnected(reason: object) -> TypeGuard[OSError]:
     """Return whether no host of that name is known, none listens, or no way leads there."""
     return isinstance(reason, socket.gaierror | ConnectionRefusedError) or (
         isinstance(reason, OSError) and reason.errno in (errno.ENETUNREACH, errno.EHOSTUNREACH)
@@ -245,7 +228,7 @@ def _receive(response: HTTPResponse, path: Path, start: int, report: ProgressCal
         stream = path.open("ab" if resumed else "xb")
     except OSError as error:
         raise _cannot_write(path, error) from error
-    room = done + free_bytes(path) - SPARE
+    room = done + free_bytes(path) - RESERVE
     with stream:
         _check_size(response.url, path, total or done, most, room)
         report(done, total)
@@ -271,7 +254,7 @@ def _check_size(url: str, path: Path, size: int, most: int, room: int) -> None:
     if size > room:
         raise ObjectFolderError(
             f"{url}: no space in {path.parent}: {size / 1e6:,.1f} MB would leave less than "
-            f"{SPARE / 1e6:.0f} MB free; make room and run the same command again"
+            f"{RESERVE / 1e6:.0f} MB free; make room and run the same command again"
         )
 
 

@@ -16,25 +16,11 @@ MAX_LIST = 1 << 24  #: bytes of a list of files
 def download_polyhaven(url: str, resolution: str, into: Path, part: Path, progress: ProgressFactory) -> None:
     """Download the glTF of a model and the files that it refers to.
 
-    Parameters
-    ----------
-    url : str
-        File list of the model in the Poly Haven API (``/files/{id}``): JSON, in which
-        ``gltf.<resolution>.gltf`` has ``url``, ``size``, ``md5`` and ``include``, a mapping from the paths
-        that the glTF refers to, to ``url``, ``size`` and ``md5``.
-    resolution : str
-        Of the textures, such as ``1k``.
-    into : Path
-        Directory for the files.
-    part : Path
-        Prefix of the paths of unfinished downloads.
-    progress : callable
-        As in `download_to`.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a download fails or is damaged, or the list is malformed.
+    ``url``: file list of the model in the Poly Haven API (``/files/{id}``): JSON, in which
+    ``gltf.<resolution>.gltf`` has ``url``, ``size``, ``md5`` and ``include``, a mapping from the paths that
+    the glTF refers to, to ``url``, ``size`` and ``md5``; ``resolution``: of the textures, such as ``1k``;
+    ``into``: directory for the files; ``part``: prefix of the paths of unfinished downloads; ``progress``: as
+    in `download_to`. Raises ObjectFolderError if a download fails or is damaged, or the list is malformed.
     """
     index = into.with_name("files.json")
     download_to(index, url, part.with_name(f"{part.name}.index.part"), progress, MAX_LIST)

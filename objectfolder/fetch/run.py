@@ -3,37 +3,42 @@
 import logging
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.parse import urlsplit
 
 import numpy as np
+from ruamel.yaml import YAML
 
 from objectfolder.disk import refuse_links
 from objectfolder.engine.dvc.repository import track
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fetch import checksums
 from objectfolder.fetch.archive import extract
 from objectfolder.fetch.catalogue import Catalogue
 from objectfolder.fetch.download import ProgressFactory, UnreachableError, download_to, no_progress
-from objectfolder.fetch.layout import collect, find_mesh
-from objectfolder.fetch.local import find_local
+from objectfolder.fetch.files import collect, find_local, find_mesh
 from objectfolder.fetch.polyhaven import download_polyhaven
-from objectfolder.io import check_output, file_digest
+from objectfolder.io import check_output, file_digest, write_text
 from objectfolder.locks import exclusive
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.text import visible
 from objectfolder.workspace import params
 from objectfolder.workspace.objects import add_mesh
+from objectfolder.yamlfile import read_yaml
 
 CACHE = Path("build/.fetch")  #: unfinished downloads
 SOURCE_FILE = "SOURCE.txt"  #: beside the mesh
 SIZE_TOLERANCE = 0.05  #: between the catalogue's size and the mesh's own
 _log = logging.getLogger(__name__)
+CHECKSUMS = Path("data/checksums.yaml")
+CHECKSUMS_HEADER = (
+    "# SHA-256 of the files that `objectfolder fetch` has used, recorded at first use. Commit this file.\n"
+)
 
 
 class FetchStatus(StrEnum):
@@ -125,8 +130,8 @@ def _fetch(
             f"{home} exists, but {params.PARAMS_FILE} has no such object; remove the folder"
         )
     entry, source = catalogue.objects[key], catalogue.source(key)
-    lock = root / checksums.PATH
-    recorded = checksums.read_checksums(lock).get(key, {})
+    lock = root / CHECKSUMS
+    recorded = read_checksums(lock).get(key, {})
     for left in (root / CACHE).glob(f"{key}.*/"):  # by a fetch that was killed
         shutil.rmtree(left, ignore_errors=True)
     with TemporaryDirectory(dir=root / CACHE, prefix=f"{key}.") as folder:
@@ -137,7 +142,7 @@ def _fetch(
             used = {obtained.archive.name: obtained.archive} if obtained.archive else files
             digests = {name: file_digest(path) for name, path in used.items()}
             if not accept_changed:
-                checksums.check_unchanged(recorded, digests, key, lock)
+                check_unchanged(recorded, digests, key, lock)
             notice = scratch / SOURCE_FILE
             notice.write_text(source_text(key, catalogue, obtained.origin), encoding="utf-8")
             most = params.settings(NormalizeConfig, values, root / params.PARAMS_FILE).texture_size
@@ -148,7 +153,7 @@ def _fetch(
         except (ObjectFolderError, OSError) as error:
             message = str(error).replace(f"{scratch / 'object'}/", "")
             raise ObjectFolderError(f"{message} (from {obtained.origin})") from error
-    checksums.record_checksums(lock, key, digests)
+    record_checksums(lock, key, digests)
     detail = f"{entry.material}, {entry.scale:g} m"
     if abs(own_size / entry.scale - 1) > SIZE_TOLERANCE:
         detail += f" (scaled: the mesh itself measures {own_size:.3g} m)"
@@ -168,11 +173,7 @@ def fetch_all(
 
     A host that cannot be reached is not asked for further objects.
 
-    Parameters
-    ----------
-    keys : sequence of str
-    on_result : callable
-        Called with each result. The other parameters are those of `fetch_object`.
+    ``on_result``: called with each result. The other parameters are those of `fetch_object`.
     """
     # Without a workspace, raises once instead of once per object.
     present = params.read(root / params.PARAMS_FILE)["objects"]
@@ -240,3 +241,42 @@ def _obtain(
     except ObjectFolderError as error:
         raise ObjectFolderError(f"{error} (from {url})") from error
     return _Obtained(tree, url, archive)
+
+
+def read_checksums(path: Path) -> dict[str, dict[str, str]]:
+    """Read recorded checksums by object and file name; empty if the file does not exist.
+
+    Raises ObjectFolderError if it is damaged.
+    """
+    if not path.exists():
+        return {}
+    values = read_yaml(path)
+    values = {} if values is None else values
+    if not isinstance(values, dict) or not all(isinstance(files, dict) for files in values.values()):
+        raise ObjectFolderError(f"{path} does not map objects to files and checksums; restore it from git")
+    return values
+
+
+def check_unchanged(recorded: Mapping[str, str], digests: Mapping[str, str], key: str, path: Path) -> None:
+    """Compare checksums with the recorded ones; new files are accepted.
+
+    Raises ObjectFolderError if a file has changed.
+    """
+    for name, digest in digests.items():
+        if recorded.get(name, digest) != digest:
+            raise ObjectFolderError(
+                f"{name} of {key} has changed since it was first used: expected SHA-256 {recorded[name]} "
+                f"({path}), got {digest}; to accept the new file, give --accept-changed"
+            )
+
+
+def record_checksums(path: Path, key: str, digests: Mapping[str, str]) -> None:
+    """Record the checksums of an object, replacing those of files with the same names."""
+    values = read_checksums(path)
+    values[key] = {**values.get(key, {}), **digests}
+    yaml = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.width = 4096
+    stream = StringIO()
+    yaml.dump({name: dict(sorted(values[name].items())) for name in sorted(values)}, stream)
+    write_text(path, CHECKSUMS_HEADER + stream.getvalue())

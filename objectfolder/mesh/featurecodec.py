@@ -69,20 +69,9 @@ def pack_features(features: Features) -> np.ndarray:
 def unpack_features(stream: np.ndarray, counts: Mapping[str, int], samples: int) -> Features:
     """Return the features that `pack_features` compressed.
 
-    Parameters
-    ----------
-    stream : (bytes,) uint8 array
-    counts : mapping
-        How many it holds; see `Features.counts`. Those left out are 0.
-    samples : int
-        Of the grid along each side.
-
-    Raises
-    ------
-    ValueError
-        If the stream holds another number of bytes, or places that are not in order or outside the grid.
-    lzma.LZMAError
-        If the stream is damaged.
+    Their grid has so many samples along each side. ``counts`` says how many it holds, see
+    `Features.counts`; those left out are 0. Raises ``ValueError`` if the stream holds another number of
+    bytes, or places that are not in order or outside the grid, and ``lzma.LZMAError`` if it is damaged.
     """
     sizes = [width * counts.get(name, 0) for name, width in COUNTED.items()]
     raw = lzma.LZMADecompressor(memlimit=_MEMORY).decompress(stream.tobytes(), sum(sizes) + 1)
@@ -91,12 +80,12 @@ def unpack_features(stream: np.ndarray, counts: Mapping[str, int], samples: int)
     parts = np.split(np.frombuffer(raw, np.uint8), np.cumsum(sizes)[:-1])
     edges, cells, sheets, moved = (part.reshape(width, -1) for part, width in zip(parts, COUNTED.values()))
     found = Features(
-        _summed(edges[:4]),
+        _sum_differences(edges[:4]),
         edges[4],
-        _summed(cells[:4]),
+        _sum_differences(cells[:4]),
         cells[4:].T.copy(),
-        _summed(sheets),
-        _summed(moved[:4]),
+        _sum_differences(sheets),
+        _sum_differences(moved[:4]),
         moved[4:].T.copy(),
     )
     for numbers, end in (
@@ -119,7 +108,7 @@ def _differences(numbers: np.ndarray) -> np.ndarray:
     return np.stack([(steps >> shift) & 255 for shift in (0, 8, 16, 24)])
 
 
-def _summed(parts: np.ndarray) -> np.ndarray:
+def _sum_differences(parts: np.ndarray) -> np.ndarray:
     """Invert `_differences`; (N,) int64."""
     steps = sum(part.astype(np.int64) << shift for part, shift in zip(parts, (0, 8, 16, 24)))
     return np.cumsum(steps)

@@ -41,13 +41,8 @@ class _Crossings:
 def find_features(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> Features:
     """Find the misplaced crossings of a grid's edges, points of sharp edges in its cells, and thin walls.
 
-    Parameters
-    ----------
-    values : (R, R, R) int8
-        Distance grid of the surface; see `objectfolder.mesh.grid.DistanceGrid`.
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-        Closed, oriented outward.
+    The grid (R, R, R) int8 is that of the surface, unit frame, closed and oriented outward; see
+    `objectfolder.mesh.grid.DistanceGrid`.
     """
     count, spacing = len(values), 2 * BOUND / (len(values) - 1)
     scaled = (np.asarray(vertices, np.float64) + BOUND) / spacing

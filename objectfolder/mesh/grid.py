@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 
 from objectfolder.mesh.featurecodec import Features
-from objectfolder.mesh.gridcodec import BOUND
+from objectfolder.mesh.gridcodec import BOUND, enclosing_box
 
 #: Corners of a tetrahedron; not of `torch.tensor`, which obeys torch's defaults at the time of import.
 _TETRAHEDRON = torch.from_numpy(np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]], np.float32))
@@ -32,7 +32,7 @@ class DistanceGrid:
         self.features = features
         self.band = float(band)
         self.spacing = 2 * BOUND / (len(self.values) - 1)
-        box = _box(self.values)
+        box = enclosing_box(self.values < 127)  # beyond it every sample is 127
         volume = self.values[tuple(box)].astype(np.float32)
         volume *= np.float32(self.band / 127)
         # grid_sample expects (batch, channel, z, y, x), with any strides.
@@ -83,19 +83,6 @@ class DistanceGrid:
         taps = points + corner[:, None] * (self.spacing / 2)
         value = self.distance(torch.cat([points[None], taps]).view(-1, 3)).view(5, -1)
         return value[0], _direction(value[1:], corner)
-
-
-def _box(values: np.ndarray) -> list[slice]:
-    """Return the box, per axis, of all samples below 127 and one beyond them on each side.
-
-    Outside of it every sample is 127, as on its faces, unless those are the grid's own.
-    """
-    sides = []
-    for axis, count in enumerate(values.shape):
-        found = np.flatnonzero(values.min(tuple({0, 1, 2} - {axis})) < 127)
-        first, last = (found[0], found[-1]) if len(found) else (0, count - 1)
-        sides.append(slice(max(int(first) - 1, 0), min(int(last) + 2, count)))
-    return sides
 
 
 def _keys(t: Any) -> Any:

@@ -32,18 +32,18 @@ def band_width(resolution: int) -> float:
     return max(BAND_VOXELS * 2 * BOUND / (resolution - 1), LEAST_BAND)
 
 
+def enclosing_box(marked: np.ndarray) -> list[slice]:
+    """Return the box of a grid's marked samples and one beyond on each side; all if none is."""
+    sides = []
+    for axis, count in enumerate(marked.shape):
+        found = np.flatnonzero(marked.any(tuple({0, 1, 2} - {axis})))
+        first, last = (int(found[0]), int(found[-1])) if len(found) else (0, count - 1)
+        sides.append(slice(max(first - 1, 0), min(last + 2, count)))
+    return sides
+
+
 def pack_grid(values: np.ndarray) -> tuple[np.ndarray, str]:
-    """Compress a grid.
-
-    Parameters
-    ----------
-    values : (R, R, R) int8 array, -127 to 127
-
-    Returns
-    -------
-    stream : (bytes,) uint8 array
-    predictor : {"none", "planes"}
-    """
+    """Compress a grid (R, R, R) int8, -127 to 127; return the stream, uint8, and its predictor."""
     forms = {"none": values, "planes": _residuals(values)}
     streams = {name: lzma.compress(form.tobytes(), filters=_FILTERS[name]) for name, form in forms.items()}
     shortest = min(PREDICTORS, key=lambda name: len(streams[name]))
@@ -53,19 +53,15 @@ def pack_grid(values: np.ndarray) -> tuple[np.ndarray, str]:
 def unpack_grid(stream: np.ndarray, resolution: int, predictor: str) -> np.ndarray:
     """Return the (R, R, R) int8 grid that `pack_grid` compressed.
 
-    Raises
-    ------
-    ValueError
-        If the stream holds another number of values; at most one value too many is unpacked.
-    lzma.LZMAError
-        If the stream is damaged.
+    Raises ``ValueError`` if the stream holds another number of values, of which at most one too many is
+    unpacked, and ``lzma.LZMAError`` if it is damaged.
     """
     size = resolution**3
     raw = lzma.LZMADecompressor(memlimit=_MEMORY).decompress(stream.tobytes(), size + 1)
     if len(raw) != size:
         raise ValueError(f"{len(raw)} values or more in the grid, expected {size}")
     values = np.frombuffer(raw, np.int8).reshape((resolution,) * 3)
-    return values if predictor == "none" else _restored(values)
+    return values if predictor == "none" else _restore(values)
 
 
 def _residuals(values: np.ndarray) -> np.ndarray:
@@ -77,7 +73,7 @@ def _residuals(values: np.ndarray) -> np.ndarray:
     return (wide - predicted).astype(np.int8)
 
 
-def _restored(residuals: np.ndarray) -> np.ndarray:
+def _restore(residuals: np.ndarray) -> np.ndarray:
     """Inverse of `_residuals`."""
     values = np.empty_like(residuals)
     before = last = np.zeros(residuals.shape[1:], np.int16)

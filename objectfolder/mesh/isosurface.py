@@ -11,13 +11,14 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.raycast import RayCaster
-from objectfolder.mesh.sharpen import sharp_normals, stored_triangles
+from objectfolder.mesh.sharpen import extract_triangles, sharp_normals
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 _NEAR = 0.5  # voxels, within which the gradient of the grid points to the nearest side of a wall
 _ASTRAY = 0.1  # voxels by which Newton steps may lead farther than the grid's distance
+_NEWTON_STEPS = 3
 _VERTICES = 8  # nearest vertices, one of which the nearest triangle has
 _PART = 4096  # points that are compared with triangles at a time
 
@@ -58,8 +59,8 @@ class Isosurface:
 
     @cached_property
     def _mesh(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Vertices, faces, and which faces have a stored point or vertex; see `stored_triangles`."""
-        index, faces, touched = stored_triangles(self.grid.values, self.grid.features)
+        """Vertices, faces, and which faces have a stored point or vertex; see `extract_triangles`."""
+        index, faces, touched = extract_triangles(self.grid.values, self.grid.features)
         vertices = index * self.grid.spacing - BOUND
         _freeze(vertices, faces)
         return vertices, faces, touched
@@ -120,21 +121,12 @@ class Isosurface:
 
         return cKDTree(self.vertices)
 
-    def nearest(self, points: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:
-        """Project points to the surface.
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Project points (N, 3), unit frame, to the surface; return them and their distances, (N,).
 
-        Within half a voxel of the surface, takes Newton steps along the gradient of the distance. For points
-        farther away, where a gradient can lead to the wrong side of a wall, where the steps go astray, and
-        beside edges and thin walls, which the grid does not hold, finds the nearest triangle.
-
-        Parameters
-        ----------
-        points : (N, 3) array, unit frame
-
-        Returns
-        -------
-        projected : (N, 3) float64
-        distance : (N,) float64, from the given points
+        Within half a voxel of the surface, takes Newton steps along the gradient of the distance. For
+        points farther away, where a gradient can lead to the wrong side of a wall, where the steps go
+        astray, and beside edges and thin walls, which the grid does not hold, finds the nearest triangle.
         """
         points = np.asarray(points, np.float64)
         voxel = self.grid.spacing
@@ -145,7 +137,7 @@ class Isosurface:
         far |= (np.abs(points) > BOUND).any(1)  # the grid is clamped beyond its border
         if self.grid.features is not None:
             far |= self._beside_features(points)
-        for step in range(steps):
+        for step in range(_NEWTON_STEPS):
             if step:
                 distance, normals = self.grid.distance_and_normals(position)
             position = position - (distance[:, None] * normals).to(torch.float64)
@@ -157,9 +149,9 @@ class Isosurface:
     def _nearest_on_triangles(self, points: np.ndarray) -> np.ndarray:
         """Return the nearest points of the triangles around the nearest vertices; (N, 3)."""
         parts = [points[first : first + _PART] for first in range(0, len(points), _PART)]
-        return np.concatenate([self._nearest_feet(part) for part in parts]) if parts else points
+        return np.concatenate([self._closest_points(part) for part in parts]) if parts else points
 
-    def _nearest_feet(self, points: np.ndarray) -> np.ndarray:
+    def _closest_points(self, points: np.ndarray) -> np.ndarray:
         """Do `_nearest_on_triangles` for at most `_PART` points."""
         from trimesh.triangles import closest_point
 
@@ -169,10 +161,10 @@ class Isosurface:
         once[:, 1:] &= around[:, 1:] != around[:, :-1]
         row, face = np.nonzero(once)[0], around[once]
         voxel = self.grid.spacing  # the thresholds of trimesh are absolute
-        feet = voxel * closest_point(self.vertices[self.faces[face]] / voxel, points[row] / voxel)
-        distance = np.linalg.norm(feet - points[row], axis=1)
+        closest = voxel * closest_point(self.vertices[self.faces[face]] / voxel, points[row] / voxel)
+        distance = np.linalg.norm(closest - points[row], axis=1)
         order = np.lexsort((distance, row))
-        return feet[order[np.searchsorted(row, np.arange(len(points)))]]
+        return closest[order[np.searchsorted(row, np.arange(len(points)))]]
 
     @cached_property
     def _around(self) -> np.ndarray:

@@ -2,42 +2,25 @@
 
 import numpy as np
 
+from objectfolder.mesh.gridcodec import enclosing_box
+
 
 def zero_level(values: np.ndarray, zero: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Extract the zero level set by marching cubes (Lewiner et al. 2003).
 
-    Parameters
-    ----------
-    values : (R, R, R) int8 array, negative inside
-        Some are negative or 0, and some positive.
-    zero : float
-        Taken for values of 0; not positive.
-
-    Returns
-    -------
-    vertices : (V, 3) float64
-        In units of samples.
-    faces : (F, 3) int64
-        Counter-clockwise seen from outside.
+    Of the values (R, R, R) int8, negative inside, some are negative or 0, and some positive. ``zero``,
+    which is not positive, is taken for those of 0. Returns vertices (V, 3) float64 in units of samples, and
+    faces (F, 3) int64, counter-clockwise seen from outside.
     """
     from skimage.measure import marching_cubes
 
-    box = _box(values <= 0)
+    box = enclosing_box(values <= 0)
     values = values[tuple(box)]
     distances = values.astype(np.float32)
     if zero:
         distances[values == 0] = zero
     vertices, faces, _, _ = marching_cubes(distances, 0.0, allow_degenerate=False, mask=_crossed(values))
     return vertices.astype(np.float64) + [side.start for side in box], faces.astype(np.int64)
-
-
-def _box(inside: np.ndarray) -> list[slice]:
-    """Return the range of samples, per axis, that contains the inside and its neighbours."""
-    sides = []
-    for axis, count in enumerate(inside.shape):
-        found = np.flatnonzero(inside.any(tuple({0, 1, 2} - {axis})))
-        sides.append(slice(max(int(found[0]) - 1, 0), min(int(found[-1]) + 2, count)))
-    return sides
 
 
 def _crossed(values: np.ndarray) -> np.ndarray:

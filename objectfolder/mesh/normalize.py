@@ -8,7 +8,7 @@ import trimesh
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.closing.piercing import self_intersections
-from objectfolder.mesh.closing.surface import ClosedSurface, Rung, close_surface
+from objectfolder.mesh.closing.surface import ClosedSurface, RepairStep, close_surface
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
 from objectfolder.mesh.topology import Mesh
 
@@ -26,7 +26,7 @@ class Normalized:
     source_centre: np.ndarray  #: (3,) centre of the bounding box, in the z-up source's units
     source_size: float  #: longest side of the bounding box, in the source's units
 
-    def seen(self, bridge: str) -> Mesh:
+    def select_visible(self, bridge: str) -> Mesh:
         """Return the surface to see and touch; it lacks the bridges that are for sound only."""
         return (bridge == "fem" and self.surface.unbridged) or self.surface.mesh
 
@@ -38,8 +38,8 @@ class Normalized:
             "source_up": up,
             "source_centre": self.source_centre.tolist(),
             "source_size": self.source_size,
-            "rung": surface.rung,
-            "rungs": [_in_metres(rung, scale) for rung in surface.rungs],
+            "rung": surface.last_step,
+            "rungs": [_in_metres(step, scale) for step in surface.repairs],
             "warnings": surface.warnings,
             "weld_tolerance": surface.weld_tolerance,
             "deviation_max_m": surface.deviation_max * scale,
@@ -121,13 +121,9 @@ def _check_box(done: Normalized, name: str) -> None:
 
 
 def mass_properties(surface: Mesh) -> dict[str, Any]:
-    """Compute volume, centre of mass and inertia of a closed surface, at density 1.
+    """Compute the mass properties of a closed surface, at density 1, in its frame.
 
-    Returns
-    -------
-    dict
-        ``volume``, ``centre`` [x, y, z] and ``inertia`` [xx, yy, zz, xy, xz, yz] about the centre, in the
-        frame of the surface.
+    ``volume``, ``centre`` [x, y, z], and ``inertia`` [xx, yy, zz, xy, xz, yz] about the centre.
     """
     found = trimesh.Trimesh(*surface, process=False).mass_properties
     inertia = np.asarray(found.inertia)
@@ -138,8 +134,8 @@ def mass_properties(surface: Mesh) -> dict[str, Any]:
     }
 
 
-def _in_metres(rung: Rung, scale: float) -> dict[str, Any]:
-    values = asdict(rung)
+def _in_metres(step: RepairStep, scale: float) -> dict[str, Any]:
+    values = asdict(step)
     for name in ("volume_before", "volume_after"):
         volume = values.pop(name)
         values[f"{name}_m3"] = None if volume is None else volume * scale**3

@@ -21,7 +21,7 @@ def area_vectors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def averaged(normals: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:
+def average_normals(normals: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:
     """Average unit normals (V, 3) with those of neighbouring vertices, ``rounds`` times."""
     import scipy.sparse as sp  # takes a quarter of a second
 
@@ -35,24 +35,17 @@ def averaged(normals: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:
     return normals
 
 
-def usable(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray | None, float]:
+def replace_bad_normals(
+    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray
+) -> tuple[np.ndarray | None, float]:
     """Return the normals of the faces' corners, with bad ones replaced by face normals.
 
     A normal is bad if it is zero, infinite, or does not point to the outer side of its face: shading would
-    turn black or use light from behind. NaN marks a missing normal, which does not count as bad.
+    turn black or use light from behind. The given ones (V, 3) have any length; NaN marks a missing normal,
+    which does not count as bad.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-    faces : (F, 3) int array
-    normals : (V, 3) array
-        Of any length; NaN where missing.
-
-    Returns
-    -------
-    corners : (F, 3, 3) array, unit; None if more than `MAX_BAD` of the given normals are bad
-    bad : float
-        Fraction of bad normals among the corners that have one.
+    Returns unit normals (F, 3, 3), or None if more than `MAX_BAD` of the given ones are bad; and the
+    fraction of bad ones among the corners that have one.
     """
     given = ~np.isnan(normals).any(1)[faces]
     finite = np.isfinite(normals).all(1)
@@ -68,23 +61,12 @@ def usable(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tupl
     return np.where(wrong[..., None], own[:, None], corners), bad
 
 
-def creased(vertices: np.ndarray, faces: np.ndarray, angle: float = CREASE) -> np.ndarray:
-    """Compute smooth normals of the faces' corners, with creases at sharp edges.
+def crease_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Compute smooth unit normals of the faces' corners, (F, 3, 3), with creases at sharp edges.
 
     The normal of a corner is the area-weighted mean over the faces around its point whose normals differ
-    from its own face's by less than an angle. Coincident vertices count as one point, so that texture seams
-    do not show.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array
-    faces : (F, 3) int array
-    angle : float
-        Crease angle, rad.
-
-    Returns
-    -------
-    (F, 3, 3) array, unit
+    from its own face's by less than `CREASE`. Coincident vertices count as one point, so that texture
+    seams do not show.
     """
     _, point = np.unique(vertices, axis=0, return_inverse=True)
     corner = point.ravel()[faces].ravel()
@@ -96,7 +78,7 @@ def creased(vertices: np.ndarray, faces: np.ndarray, angle: float = CREASE) -> n
     one = np.repeat(np.arange(len(corner)), partners)
     step = np.arange(len(one)) - np.repeat(np.cumsum(partners) - partners, partners)
     other = np.argsort(corner, kind="stable")[np.repeat(first, partners) + step]
-    near = np.einsum("ij,ij->i", flat[one // 3], flat[other // 3]) > math.cos(angle)
+    near = np.einsum("ij,ij->i", flat[one // 3], flat[other // 3]) > math.cos(CREASE)
     near |= np.logical_not(flat.any(1))[one // 3]  # degenerate faces take the mean of all
     added = np.where(near[:, None], areas[other // 3], 0)
     total = np.stack([np.bincount(one, column, len(corner)) for column in added.T], 1)
@@ -107,22 +89,10 @@ def creased(vertices: np.ndarray, faces: np.ndarray, angle: float = CREASE) -> n
 def split_vertices(
     faces: np.ndarray, corners: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Duplicate vertices so that each has one normal.
+    """Duplicate vertices so that each has one normal, given unit normals of the faces' corners, (F, 3, 3).
 
-    Parameters
-    ----------
-    faces : (F, 3) int array
-    corners : (F, 3, 3) array
-        Unit normals of the corners.
-    count : int
-        Number of vertices.
-
-    Returns
-    -------
-    vertex : (V',) int array
-        Original vertex of each new one; the first ``count`` are the originals themselves.
-    faces : (F, 3) int array
-    normals : (V', 3) array, unit
+    Returns the original of each new vertex, (V',), of which the first ``count`` are the originals
+    themselves; the faces; and the unit normals (V', 3).
     """
     corner, normals = faces.ravel(), corners.reshape(-1, 3)
     _, group = np.unique(normals, axis=0, return_inverse=True)

@@ -37,21 +37,13 @@ def needs_ears(points: np.ndarray) -> np.ndarray:
 
 
 def split(points: np.ndarray) -> np.ndarray:
-    """Split polygons into triangles.
+    """Split polygons (P, n, 3) that are flat or nearly so into triangles of their corners, (P, n - 2, 3) int.
 
-    Parameters
-    ----------
-    points : (P, n, 3) array
-        Corners of polygons that are flat or nearly so.
-
-    Returns
-    -------
-    (P, n - 2, 3) int array
-        Corners of the triangles: a fan, or where it would leave the polygon, ears cut in its plane.
+    They are a fan, or where it would leave the polygon, ears cut in its plane.
     """
     count, corners = points.shape[:2]
     triangles = np.tile(fan(corners), (count, 1, 1))
-    for i in np.flatnonzero(needs_ears(points)):
+    for i in np.flatnonzero(needs_ears(points)) if corners > 3 else ():
         ears = manifold3d.triangulate([in_plane(points[i], area_vector(points[i]))])
         if len(ears) == corners - 2:  # otherwise the polygon crosses itself
             triangles[i] = ears

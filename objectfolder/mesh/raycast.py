@@ -1,8 +1,14 @@
-"""Ray casting against triangles with Embree."""
+"""Ray casting against triangles with Embree, and wall thickness by rays."""
 
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
+
+from objectfolder.mesh.normals import area_vectors
+
+THIN_SHARE = 0.1  # quantile: thin parts with less surface than this do not count
+_RAYS = 4096
+_OFFSET = 1e-5  # start of the rays below the surface
 
 
 class RayCaster:
@@ -24,19 +30,10 @@ class RayCaster:
     def first_hit(
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Find the first triangle along each ray.
+        """Find the first triangle along each ray, from origins (N, 3) or (3,).
 
-        Parameters
-        ----------
-        origins : (N, 3) or (3,) array
-        directions : (N, 3) array
-        max_distance : (N,) array, optional
-            Length of the rays; short rays are cheaper.
-
-        Returns
-        -------
-        distance : (N,) float32, ``inf`` where nothing is hit
-        face : (N,) int64, -1 where nothing is hit
+        ``max_distance`` (N,) is the length of the rays; short rays are cheaper. Returns distances, (N,)
+        float32, ``inf`` where nothing is hit, and faces, (N,) int64, -1 there.
         """
         hit = self._run(origins, directions, max_distance)
         face = hit["primID"].astype(np.int64)
@@ -54,22 +51,10 @@ class RayCaster:
     def intersect(
         self, origins: np.ndarray, directions: np.ndarray, max_distance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Find the first hits of N rays, of which H hit a triangle.
+        """Find the first hits of N rays as `first_hit`, of which H hit a triangle.
 
-        Parameters
-        ----------
-        origins : (N, 3) or (3,) array
-        directions : (N, 3) array
-        max_distance : (N,) array, optional
-            Length of the rays.
-
-        Returns
-        -------
-        ray : (H,) int64
-        distance : (H,) float32
-        face : (H,) int32
-        weights : (H, 3) float32
-            Barycentric weights of the face's corners.
+        Returns rays, (H,) int64; distances, (H,) float32; faces, (H,) int32; and barycentric weights of the
+        faces' corners, (H, 3) float32.
         """
         hit = self._run(origins, directions, max_distance)
         ray = np.flatnonzero(hit["primID"] >= 0)
@@ -79,16 +64,8 @@ class RayCaster:
     def first_crossing(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Find the first triangle along each ray and the side from which the ray hits it.
 
-        Parameters
-        ----------
-        origins : (N, 3) or (3,) array
-        directions : (N, 3) array
-
-        Returns
-        -------
-        distance : (N,) float32, ``inf`` where nothing is hit
-        leaving : (N,) bool
-            Whether the ray hits the triangle from behind; on a closed surface, from inside.
+        Returns distances, (N,) float32, ``inf`` where nothing is hit; and whether the ray hits the triangle
+        from behind, on a closed surface from inside, (N,) bool.
         """
         hit = self._run(origins, directions)
         met = hit["primID"] >= 0
@@ -107,6 +84,23 @@ class RayCaster:
     ) -> dict[str, np.ndarray]:
         rays = _rays(origins, directions)
         return self._scene.run(*rays, dists=_lengths(max_distance), query="INTERSECT", output=1)
+
+
+def wall_thickness(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Estimate the thickness, measured along inward normals, below which a tenth of the surface falls.
+
+    The faces are closed and show outward.
+    """
+    caster, rng = RayCaster(vertices, faces), np.random.default_rng(0)
+    vertices = np.asarray(vertices, np.float64)
+    normal = area_vectors(vertices, faces)
+    area = np.linalg.norm(normal, axis=1)
+    face = rng.choice(len(faces), _RAYS, p=area / area.sum())
+    share = rng.dirichlet(np.ones(3), _RAYS)
+    inward = -normal[face] / area[face, None]
+    points = np.einsum("pi,pid->pd", share, vertices[faces[face]])
+    distance, _ = caster.first_hit(points + _OFFSET * inward, inward)
+    return float(np.quantile(distance, THIN_SHARE))
 
 
 def _lengths(max_distance: np.ndarray | None) -> np.ndarray | None:

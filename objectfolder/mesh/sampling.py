@@ -26,10 +26,11 @@ def sample_surface(
     return sample_faces(vertices, faces, count, rng)[0]
 
 
-def split_rows(count: int, rng: np.random.Generator, val: float = 0.1, test: float = 0.1) -> np.ndarray:
-    """Assign rows to splits at random; (count,) int8: 0 train, 1 val, 2 test."""
+def split_rows(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Assign rows to splits at random; (count,) int8: 0 train, and a tenth each 1 val, 2 test."""
     order = rng.permutation(count)
     split = np.zeros(count, np.int8)
-    split[order[: round(val * count)]] = 1
-    split[order[round(val * count) : round(val * count) + round(test * count)]] = 2
+    tenth = round(0.1 * count)
+    split[order[:tenth]] = 1
+    split[order[tenth : 2 * tenth]] = 2
     return split

@@ -26,26 +26,11 @@ def crossings(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find the crossings of ``count`` x ``count`` columns with a triangle surface.
 
-    Column (i, j) passes through ``lower[:2] + (i + shift[0, j], j + shift[1, i]) * spacing``.
+    Column (i, j) passes through ``lower[:2] + (i + shift[0, j], j + shift[1, i]) * spacing``, with shifts
+    of the rows of columns in [-1/2, 1/2] samples; ``lower`` is the place of sample (0, 0, 0).
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-    faces : (F, 3) int array
-    count : int
-        Samples along each axis.
-    lower : (3,) array
-        Position of sample (0, 0, 0).
-    spacing : float
-        Distance between samples.
-    shift : (2, count) array, optional
-        Shifts of the rows of columns, in [-1/2, 1/2] samples; default: none.
-
-    Returns
-    -------
-    column : (C,) int64, ``i * count + j``
-    height : (C,) float64, z of the crossing in units of samples
-    sign : (C,) int64, +1 where the column enters the solid going up, -1 where it leaves
+    Returns the columns, (C,) int64, ``i * count + j``; heights, (C,) float64, z of the crossing in units of
+    samples; and signs, (C,) int64, +1 where the column enters the solid going up, -1 where it leaves.
     """
     points = (np.asarray(vertices, np.float64) - lower) / spacing
     corner = points[faces]
@@ -99,21 +84,10 @@ class Certificate:
 def winding_certificate(
     vertices: np.ndarray, faces: np.ndarray, count: int = CERTIFICATE_COLUMNS
 ) -> Certificate:
-    """Measure whether a surface is closed with winding number 0 or 1 everywhere.
+    """Measure whether a surface, in any unit, is closed with winding number 0 or 1 everywhere.
 
-    ``count`` x ``count`` columns along each axis cover the bounding box. All three axes are used, because a
-    column misses holes parallel to it.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array, any unit
-    faces : (F, 3) int array
-    count : int
-        Columns along the longest side.
-
-    Returns
-    -------
-    Certificate
+    Columns along each axis cover the bounding box, ``count`` along its longest side. All three axes are
+    used, because a column misses holes parallel to it.
     """
     vertices = np.asarray(vertices, np.float64)
     lower, upper = vertices.min(0), vertices.max(0)
@@ -143,10 +117,7 @@ def winding_certificate(
 def check_winding(vertices: np.ndarray, faces: np.ndarray, name: str) -> Certificate:
     """Certify that a surface bounds a solid.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is open, intersects itself, or is inside out.
+    Raises `ObjectFolderError` if it is open, intersects itself, or is inside out.
     """
     certificate = winding_certificate(vertices, faces)
     if not certificate.columns:

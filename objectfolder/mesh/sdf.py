@@ -3,18 +3,17 @@
 import math
 from dataclasses import dataclass
 
-import igl
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.featurecodec import Features
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.gridcodec import BOUND, band_width, quantise
+from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.scanline import inside
 from objectfolder.mesh.settings import FINEST
-from objectfolder.mesh.sharpen import stored_triangles
-from objectfolder.mesh.thickness import wall_thickness
-from objectfolder.mesh.topology import Mesh, signed_volume
+from objectfolder.mesh.sharpen import extract_triangles
+from objectfolder.mesh.topology import Mesh, distance, signed_volume
 
 REFINEMENTS = (1.0, 4 / 3, 5 / 3, 2.0)  #: of the asked resolution, where walls are thin
 #: Walls have at least this many voxels, up to ``FINEST``. Distances are interpolated linearly, with a kink
@@ -37,25 +36,12 @@ class FittedGrid:
     kept: float  #: volume that the stored surface encloses, as a fraction of the true one
 
 
-def fitting_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> FittedGrid:
-    """Compute a distance grid that is as fine as the walls of a closed surface require.
+def fit_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> FittedGrid:
+    """Compute a distance grid that is as fine as the walls of a closed surface, unit frame, require.
 
     The resolution is the asked one, or the first of its `REFINEMENTS` at which walls have `WALL_VOXELS` and
-    the volume of the stored surface is within `VOLUME_ERROR`, at most ``FINEST``.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolution : int
-        Least number of samples along each axis.
-    name : str
-        Name of the object in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the stored surface encloses less than ``MIN_KEPT_VOLUME`` of the volume even so.
+    the volume of the stored surface is within `VOLUME_ERROR`, at most ``FINEST``. Raises
+    `ObjectFolderError` if the stored surface encloses less than ``MIN_KEPT_VOLUME`` of the volume even so.
     """
     wall = wall_thickness(vertices, faces)
     for samples in _resolutions(resolution, wall):
@@ -78,19 +64,10 @@ def _resolutions(asked: int, wall: float) -> list[int]:
 
 
 def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> tuple[np.ndarray, float]:
-    """Compute the band-limited signed distance of a closed surface.
+    """Compute the band-limited signed distance of a closed surface at the samples of [-0.52, 0.52]^3.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    resolution : int
-        Samples along each axis of [-0.52, 0.52]^3.
-
-    Returns
-    -------
-    values : (R, R, R) int8, negative inside; see `objectfolder.mesh.grid.DistanceGrid`
-    band : float
+    Returns the values (R, R, R) int8, negative inside, and the band; see
+    `objectfolder.mesh.grid.DistanceGrid`.
     """
     mesh = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
     band = band_width(resolution)
@@ -101,7 +78,7 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> t
     for start in range(0, len(near), _CHUNK):
         index = near[start : start + _CHUNK]
         cell = tuple(index.T)
-        values[cell] = np.sign(values[cell]) * quantise(_distance(mesh, spacing * index - BOUND), band)
+        values[cell] = np.sign(values[cell]) * quantise(distance(mesh, spacing * index - BOUND), band)
     return values, band
 
 
@@ -111,7 +88,7 @@ def kept_volume(
     """Return the volume that the surface of a distance grid encloses, as a fraction of the true one."""
     if values.min() >= 0 and not (features and len(features.sheets)):
         return 0.0
-    stored, triangles, _ = stored_triangles(values, features)
+    stored, triangles, _ = extract_triangles(values, features)
     spacing = 2 * BOUND / (len(values) - 1)
     return signed_volume(stored * spacing, triangles) / signed_volume(vertices, faces)
 
@@ -119,19 +96,9 @@ def kept_volume(
 def check_resolved(values: np.ndarray, kept: float, name: str) -> None:
     """Check that a distance grid resolves its surface.
 
-    Walls thinner than the spacing may lie in a cell without crossing its edges, as needles do, and are lost.
-
-    Parameters
-    ----------
-    values : (R, R, R) array
-    kept : float
-        See `kept_volume`.
-    name : str
-
-    Raises
-    ------
-    ObjectFolderError
-        If the stored surface encloses less than ``MIN_KEPT_VOLUME`` of the volume.
+    Walls thinner than the spacing may lie in a cell without crossing its edges, as needles do, and are
+    lost. Raises `ObjectFolderError` if less than ``MIN_KEPT_VOLUME`` of the volume is kept, see
+    `kept_volume`.
     """
     if kept < MIN_KEPT_VOLUME:
         count = len(values)
@@ -157,14 +124,9 @@ def _near_surface(mesh: Mesh, resolution: int, band: float) -> np.ndarray:
     while True:
         half = (side - 1) / 2  # the block's centre lies so far from its corners along each axis
         reach = band + math.sqrt(3) * half * spacing + 1e-6
-        corners = corners[_distance(mesh, spacing * (corners + half) - BOUND) <= reach]
+        corners = corners[distance(mesh, spacing * (corners + half) - BOUND) <= reach]
         side //= 2
         corners = (corners[:, None] + side * children).reshape(-1, 3)
         corners = corners[(corners < resolution).all(1)]
         if side == 1:
             return corners
-
-
-def _distance(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """Return the distance of points (N, 3) from a surface; (N,)."""
-    return np.sqrt(igl.point_mesh_squared_distance(points, *mesh)[0])

@@ -9,7 +9,7 @@ from objectfolder.settings import Count
 class NormalizeConfig:
     """Section ``normalize`` of ``params.yaml``."""
 
-    texture_size: Count  #: longest side of the kept texture, pixels
+    texture_size: Count = 1024  #: longest side of the kept texture, pixels
 
 
 FINEST = 384  #: samples along each axis; finer grids make files and queries of megabytes and seconds

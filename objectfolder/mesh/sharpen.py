@@ -9,7 +9,7 @@ import numpy as np
 
 from objectfolder.mesh.featurecodec import MARGIN, ORIGIN, REACH, STEPS, Features
 from objectfolder.mesh.levelset import zero_level
-from objectfolder.mesh.normals import area_vectors, creased, split_vertices, unit_vectors
+from objectfolder.mesh.normals import area_vectors, crease_normals, split_vertices, unit_vectors
 
 BESIDE = -0.05  # stored distance instead of 0, so that each vertex lies on one edge of the grid only
 ON_EDGE = 1e-4  # voxels off a grid edge by which a vertex is still on it; single precision has 3e-5
@@ -17,70 +17,46 @@ MIXED = np.cos(np.deg2rad(3))  # of the angle to the faces' normal from which a 
 FOLDED = 0.2  # least cosine between the normals of faces before and after an edge is flipped
 
 
-def stored_triangles(
+def extract_triangles(
     values: np.ndarray, features: Features | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Extract the triangles that a distance grid and its features hold.
+    """Extract the triangles that a distance grid (R, R, R) int8, negative inside, and its features hold.
 
-    Parameters
-    ----------
-    values : (R, R, R) int8 array, negative inside
-    features : Features or None
-
-    Returns
-    -------
-    vertices : (V, 3) float64
-        In voxels.
-    faces : (F, 3) int64
-        Counter-clockwise seen from outside.
-    touched : (F,) bool, or None without features
-        Faces with a stored point or vertex.
+    Returns vertices (V, 3) float64 in voxels; faces (F, 3) int64, counter-clockwise seen from outside; and
+    which faces have a stored point or vertex, (F,) bool, or None without features.
     """
     if features is None:
         return *zero_level(values), None
     if len(features.sheets):
         values = values.copy()
         values.ravel()[features.sheets] = -127  # deep, so that they join across diagonals
-    return sharpened(*zero_level(values, BESIDE), features, len(values))
+    return insert_features(*zero_level(values, BESIDE), features, len(values))
 
 
-def sharpened(
+def insert_features(
     vertices: np.ndarray, faces: np.ndarray, features: Features, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Put stored features into a mesh of marching cubes.
+    """Put stored features into a mesh of marching cubes, in voxels, of a grid of ``count`` samples a side.
 
     Crossings move to their stored places. In a cell with a stored point, the faces become a fan around it;
-    an edge between two such fans is flipped, so that it joins their points. Vertices of thin walls move last.
+    an edge between two such fans is flipped, so that it joins their points. Vertices of thin walls move
+    last.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float64 array
-        In voxels, on the edges of the grid.
-    faces : (F, 3) int array
-    features : Features
-    count : int
-        Samples of the grid along each side.
-
-    Returns
-    -------
-    vertices : (V', 3) float64
-    faces : (F', 3) int64
-    touched : (F',) bool
-        Faces of fans, and those with vertices of thin walls.
+    Returns vertices, faces, and which faces are of fans, or have vertices of thin walls, (F',) bool.
     """
     edges = _grid_edges(vertices, count)
-    placed = _placed(vertices, edges, features)
-    vertices, thin = _moved(placed, edges, features, count)
+    placed = _place_crossings(vertices, edges, features)
+    vertices, thin = _move_walls(placed, edges, features, count)
     if not len(features.cells):
         return vertices, faces, thin[faces].any(1)
     cell = np.floor(placed[faces].mean(1)).astype(np.int64) @ [count**2, count, 1]
-    chosen, which = _found(cell, features.cells)
+    chosen, which = _find(cell, features.cells)
     border, owner = _borders(faces[chosen], which, len(vertices))
     low = np.stack(np.unravel_index(features.cells, (count,) * 3), 1)
     points = low + features.points / STEPS * (1 + 2 * MARGIN) - MARGIN
     fans = np.column_stack([border, len(vertices) + owner])
     vertices = np.concatenate([vertices, points])
-    fans = _flipped(vertices, fans)
+    fans = _flip_edges(vertices, fans)
     plain = np.delete(faces, chosen, 0)
     touched = np.concatenate([thin[plain].any(1), np.ones(len(fans), bool)])
     used, index = np.unique(np.concatenate([plain, fans]), return_inverse=True)
@@ -93,23 +69,8 @@ def sharp_normals(
     """Give vertices the normals of their faces where those of the grid are wrong, split at creases.
 
     Within a voxel of an edge, and in walls of two voxels, distances are those to several faces; their
-    gradient belongs to none.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array
-    faces : (F, 3) int array
-    touched : (F,) bool array
-        Faces of fans.
-    smooth : (V, 3) array
-        Unit normals of the grid at the vertices.
-
-    Returns
-    -------
-    vertex : (V',) int64
-        Vertex of each new one.
-    faces : (F, 3) int64
-    normals : (V', 3)
+    gradient belongs to none. ``touched`` (F,) tells the faces of fans; ``smooth`` (V, 3) are unit normals
+    of the grid. Returns the vertex of each new one, (V',); faces (F, 3); and normals (V', 3).
     """
     areas = area_vectors(vertices, faces)
     mean = np.stack([np.bincount(faces.ravel(), np.repeat(a, 3), len(vertices)) for a in areas.T], 1)
@@ -118,7 +79,7 @@ def sharp_normals(
     near = own[faces].any(1)
     index, inverse = np.unique(faces[near], return_inverse=True)
     local = inverse.reshape(-1, 3)
-    flat = creased(vertices[index], local)
+    flat = crease_normals(vertices[index], local)
     corners = np.where(own[faces[near]][..., None], flat, smooth[faces[near]])
     vertex, split, normals = split_vertices(local, corners, len(index))
     extra = len(vertices) + np.arange(len(vertex) - len(index))
@@ -148,20 +109,20 @@ def _grid_edges(vertices: np.ndarray, count: int) -> _GridEdges:
     return _GridEdges(single, axis, 3 * (low.astype(np.int64) @ [count**2, count, 1]) + axis)
 
 
-def _placed(vertices: np.ndarray, edges: _GridEdges, features: Features) -> np.ndarray:
+def _place_crossings(vertices: np.ndarray, edges: _GridEdges, features: Features) -> np.ndarray:
     """Move the vertices on listed grid edges to their places."""
-    rows, which = _found(edges.number, features.edges)
+    rows, which = _find(edges.number, features.edges)
     vertex, axis = edges.vertex[rows], edges.axis[rows]
     placed = vertices.copy()
     placed[vertex, axis] = np.floor(vertices[vertex, axis]) + features.places[which] / STEPS
     return placed
 
 
-def _moved(
+def _move_walls(
     vertices: np.ndarray, edges: _GridEdges, features: Features, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move the vertices of thin walls, off their edges; return which they are, too."""
-    rows, which = _found(edges.number, features.moved)
+    rows, which = _find(edges.number, features.moved)
     vertex = edges.vertex[rows]
     middles = edge_middles(features.moved[which], count)
     moved, thin = vertices.copy(), np.zeros(len(vertices), bool)
@@ -177,7 +138,7 @@ def edge_middles(numbers: np.ndarray, count: int) -> np.ndarray:
     return middles
 
 
-def _found(numbers: np.ndarray, listed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find(numbers: np.ndarray, listed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of numbers that are in an ascending list, and their places there."""
     if not len(listed):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -195,7 +156,7 @@ def _borders(faces: np.ndarray, owner: np.ndarray, count: int) -> tuple[np.ndarr
     return directed[single], group[single]
 
 
-def _flipped(vertices: np.ndarray, fans: np.ndarray) -> np.ndarray:
+def _flip_edges(vertices: np.ndarray, fans: np.ndarray) -> np.ndarray:
     """Flip the edges that two fans share, unless the new faces would fold; fans are (edge, point)."""
     low, high = fans[:, :2].min(1), fans[:, :2].max(1)
     _, inverse, uses = np.unique(low * len(vertices) + high, return_inverse=True, return_counts=True)

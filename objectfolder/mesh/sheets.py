@@ -24,20 +24,8 @@ def find_sheets(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find samples that should count as inside of walls under a voxel, and the vertices around them.
 
-    Parameters
-    ----------
-    values : (R, R, R) int8
-        Distance grid; see `objectfolder.mesh.grid.DistanceGrid`.
-    vertices : (V, 3) array, in voxels
-    faces : (F, 3) int array
-        Closed, oriented outward.
-
-    Returns
-    -------
-    sheets : (S,) int64
-    moved : (M,) int64
-    offsets : (M, 3) uint8
-        See `objectfolder.mesh.featurecodec.Features`.
+    The grid (R, R, R) int8 is that of the surface, in voxels, closed and oriented outward. Returns the
+    lists ``sheets``, ``moved`` and ``offsets`` of `objectfolder.mesh.featurecodec.Features`.
     """
     count = len(values)
     sheets = _within_walls(values, vertices, faces)

@@ -34,7 +34,7 @@ class TexturedMesh:
         """Return the mesh with moved or uniformly scaled vertices; normals stay."""
         return replace(self, vertices=np.asarray(vertices, np.float64))
 
-    def turned(self, turn: Callable[[np.ndarray], np.ndarray]) -> "TexturedMesh":
+    def rotate(self, turn: Callable[[np.ndarray], np.ndarray]) -> "TexturedMesh":
         """Return the mesh rotated by a function of vectors (N, 3)."""
         turned = None if self.normals is None else turn(self.normals)
         return replace(self, vertices=turn(self.vertices), normals=turned)
@@ -54,9 +54,9 @@ class TexturedMesh:
             normals=of_vertices,
         )
 
-    def smoothed(self) -> "TexturedMesh":
-        """Return the mesh with smooth normals and creases, see `objectfolder.mesh.normals.creased`."""
-        return self.with_normals(normals.creased(self.vertices, self.faces))
+    def with_smooth_normals(self) -> "TexturedMesh":
+        """Return the mesh with smooth normals and creases, see `objectfolder.mesh.normals.crease_normals`."""
+        return self.with_normals(normals.crease_normals(self.vertices, self.faces))
 
     @property
     def bounds(self) -> np.ndarray:
@@ -98,7 +98,7 @@ class TexturedMesh:
 
     def write_glb(self, path: str | Path) -> None:
         """Write a binary glTF, rotated y up as the format requires."""
-        scene = trimesh.Scene(self.turned(y_up).to_trimesh())
+        scene = trimesh.Scene(self.rotate(y_up).to_trimesh())
         Path(path).write_bytes(scene.export(file_type="glb", tree_postprocessor=complete_document))
 
 
@@ -129,7 +129,7 @@ def appearance_report(mesh: TexturedMesh) -> dict[str, Any]:
         source), ``source_texture_size`` (longest side, pixels), the fractions of faces
         ``uv_degenerate_fraction`` (no area in a texture larger than a pixel), ``uv_outside_fraction`` (beyond
         [0, 1], where textures repeat) and ``uv_not_finite_fraction``, the fraction of normals
-        ``normals_bad_fraction`` that `objectfolder.mesh.normals.usable` replaced, and ``notes``.
+        ``normals_bad_fraction`` that `objectfolder.mesh.normals.replace_bad_normals` replaced, and ``notes``.
     """
     return {
         "texture_size": None if mesh.texture is None else list(mesh.texture.shape[1::-1]),

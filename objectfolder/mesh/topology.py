@@ -1,4 +1,4 @@
-"""Triangle meshes as vertices and faces: volumes, edges, connected pieces, boundary loops."""
+"""Triangle meshes as vertices and faces: volumes, edges, connected pieces, boundary loops, distances."""
 
 import igl
 import numpy as np
@@ -46,19 +46,7 @@ def is_closed(faces: np.ndarray) -> bool:
 
 
 def components(first: np.ndarray, second: np.ndarray, count: int) -> tuple[int, np.ndarray]:
-    """Count and label the connected components of a graph of ``count`` nodes.
-
-    Parameters
-    ----------
-    first, second : (E,) int arrays
-        Ends of the edges.
-    count : int
-
-    Returns
-    -------
-    number : int
-    label : (count,) int array
-    """
+    """Count and label the components of a graph of ``count`` nodes; edges join two lists (E,)."""
     graph = coo_array((np.ones(len(first), bool), (first, second)), shape=(count, count))
     return connected_components(graph, directed=False)
 
@@ -90,7 +78,7 @@ def connected_pieces(vertices: np.ndarray, faces: np.ndarray) -> list[Mesh]:
     return [compact(vertices, faces[groups[label]]) for label in np.argsort(first)]
 
 
-def merged(meshes: list[Mesh]) -> Mesh:
+def join_meshes(meshes: list[Mesh]) -> Mesh:
     """Concatenate meshes."""
     offsets = np.cumsum([0, *(len(v) for v, _ in meshes)])
     faces = [f + start for (_, f), start in zip(meshes, offsets)]
@@ -119,3 +107,8 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
         # Start at the lowest vertex, independent of the order of faces.
         loops.append(np.roll(loop, -int(np.argmin(loop))))
     return sorted(loops, key=lambda loop: int(loop[0]))
+
+
+def distance(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Compute exact unsigned distances of points (N, 3) to a surface; (N,)."""
+    return np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(points), *mesh)[0])

@@ -9,35 +9,39 @@ the second. The large matrices are stored as int8.
 
 import math
 import warnings
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.nets import int8
-from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.nets.siren import Siren
 from objectfolder.nets.spline import SplineGrid
+from objectfolder.nets.storage import UNFILLED, fill, from_codes, to_codes
 
 # Not the first sine layer: it is small, and its weights for position and features differ in magnitude.
 INT8 = ("grid.table", "sines.layers.1.weight", "output.weight")
 BLOCK = 32  # points evaluated at once; fixed, so that a row's bits do not depend on its batch
 
 
+@dataclass(frozen=True)
+class GainsShape:
+    """Size of a `GainsNet`; fields as in `GainsConfig`."""
+
+    resolution: int
+    channels: int
+    width: int
+    features: int
+    frequency: float
+
+
 class GainsNet(nn.Module):
     """Net from surface points to mode shapes.
 
-    Parameters
-    ----------
-    damped_frequency : (M,) tensor, rad/s
-    damping : (M,) tensor, 1/s
-    amplitude : (M,) tensor
-        Root mean square of each mode shape, kg^-1/2; the net predicts shapes relative to it.
-    used : bool tensor
-        Nodes of the grid; see `SplineGrid`.
-    resolution, channels, width, features, frequency
-        See `GainsConfig`.
+    Of M modes it takes damped frequency (rad/s), damping (1/s) and amplitude: the root mean square of each
+    mode shape, kg^-1/2; the net predicts shapes relative to it. ``used`` marks nodes of the grid, see
+    `SplineGrid`.
     """
 
     damped_frequency: torch.Tensor
@@ -50,33 +54,23 @@ class GainsNet(nn.Module):
         damping: torch.Tensor,
         amplitude: torch.Tensor,
         used: torch.Tensor,
-        resolution: int,
-        channels: int,
-        width: int,
-        features: int,
-        frequency: float,
+        shape: GainsShape,
     ):
         super().__init__()
-        self.config = {
-            "resolution": resolution,
-            "channels": channels,
-            "width": width,
-            "features": features,
-            "frequency": frequency,
-        }
+        self.config = asdict(shape)
         self.register_buffer("damped_frequency", damped_frequency.double())
         self.register_buffer("damping", damping.double())
         self.register_buffer("amplitude", amplitude.float())
-        self.grid = SplineGrid(resolution, channels, used)
-        self.sines = Siren(3 + channels, [width, features], frequency)
+        self.grid = SplineGrid(shape.resolution, shape.channels, used)
+        self.sines = Siren(3 + shape.channels, [shape.width, shape.features], shape.frequency)
         with torch.no_grad():
             # Position weights are large from the start; grid features start small and grow in training.
             first = self.sines.weights[0]
             first[:, :3].uniform_(-1 / 3, 1 / 3)
-            first[:, 3:].normal_(0, 1 / (frequency * math.sqrt(first.shape[1])))
+            first[:, 3:].normal_(0, 1 / (shape.frequency * math.sqrt(first.shape[1])))
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Initializing zero-element tensors")  # an object without modes
-            self.output = nn.Linear(features, 3 * len(damping))
+            self.output = nn.Linear(shape.features, 3 * len(damping))
 
     def features(self, points: torch.Tensor, looked_up: torch.Tensor) -> torch.Tensor:
         """Evaluate the second layer at (N, 3) points of the unit frame, given the grid's features there."""
@@ -103,7 +97,7 @@ class GainsNet(nn.Module):
         tensors = {}
         for name, value in self.state_dict().items():
             if name in INT8:
-                tensors[name], tensors[f"{name}_exponent"] = int8.to_codes(value)
+                tensors[name], tensors[f"{name}_exponent"] = to_codes(value)
             elif value.dtype == torch.bool:
                 tensors[name] = np.packbits(value.numpy())
             else:
@@ -112,13 +106,7 @@ class GainsNet(nn.Module):
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "GainsNet":
-        """Invert `to_tensors`.
-
-        Raises
-        ------
-        LookupError, RuntimeError, TypeError, ValueError
-            If the tensors or the configuration are invalid.
-        """
+        """Invert `to_tensors`; LookupError, RuntimeError, TypeError or ValueError if anything is invalid."""
         nodes = (config["resolution"] + 2) ** 3
         used = torch.from_numpy(np.unpackbits(tensors["grid.used"], count=nodes).astype(bool))
         state = {}
@@ -126,7 +114,7 @@ class GainsNet(nn.Module):
             if name.endswith("_exponent"):
                 continue
             if value.dtype == np.int8:
-                state[name] = int8.from_codes(np.array(value), np.array(tensors[f"{name}_exponent"]))
+                state[name] = from_codes(np.array(value), np.array(tensors[f"{name}_exponent"]))
             else:
                 state[name] = torch.from_numpy(np.array(value))
         state["grid.used"] = used
@@ -136,8 +124,8 @@ class GainsNet(nn.Module):
         if (modes[0] <= 0).any() or (modes[1] < 0).any():
             raise ValueError("modes have frequencies that are not positive, or negative damping")
         with UNFILLED:
-            net = cls(state["damped_frequency"], state["damping"], state["amplitude"], used, **config)
-        return filled(net, state)
+            net = cls(modes[0], modes[1], modes[2], used, GainsShape(**config))
+        return fill(net, state)
 
 
 def energy_weights(damped_frequency: np.ndarray, damping: np.ndarray) -> np.ndarray:

@@ -1,22 +1,20 @@
 """Training of AudioNet ``gains``."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.sparse import csc_array
 from torch import nn
-from torch.autograd.function import once_differentiable
 
-from objectfolder.nets import int8
-from objectfolder.nets.audio_config import GainsConfig
-from objectfolder.nets.audio_gains import GainsNet, energy_weights
-from objectfolder.nets.fit import CurvePoint, fit, minibatches
+from objectfolder.nets.audio_gains import GainsNet, GainsShape, energy_weights
+from objectfolder.nets.fit import CurvePoint, FitSettings, Session, fit, minibatches
+from objectfolder.nets.optimizers import Soap
+from objectfolder.nets.settings import GainsConfig
 from objectfolder.nets.siren import sine_bound
-from objectfolder.nets.soap import Soap
-from objectfolder.nets.spline import touched
+from objectfolder.nets.spline import mark_touched
+from objectfolder.nets.storage import round_to_codes, round_with
 
 ENERGY_SHARE = 0.8  # share of the energy-weighted error in the loss; the rest is weighted by gain
 DROPPED = 0.012  #: share (root mean square) of the weighted shapes dropped in training, for speed
@@ -24,102 +22,60 @@ SPANNED = 0.02  #: share (root mean square) that features may leave, as too few 
 RIDGE = 1e-6  # regularisation of the output layer's least squares, relative to the mean feature power
 
 
-class WeightedRows(torch.autograd.Function):
-    """Weighted sums of rows of a table; differentiable in the table.
+@dataclass(frozen=True)
+class ModeSamples:
+    """Mode shapes at points of a surface, from which nets of sound learn."""
 
-    The sums are a sparse matrix times the table. PyTorch's own derivative of ``embedding_bag`` takes 25 times
-    as long as SciPy's product with the transposed matrix.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, table: torch.Tensor, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Sum (N, K) rows of a (T, C) table with (N, K) weights; (N, C)."""
-        ctx.save_for_backward(rows, weights)
-        ctx.count = len(table)
-        return F.embedding_bag(rows, table, per_sample_weights=weights, mode="sum")
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None]:
-        """Return the gradient of the table, (T, C)."""
-        rows, weights = ctx.saved_tensors
-        entries = weights.numpy().ravel(), rows.numpy().ravel(), np.arange(0, rows.numel() + 1, rows.shape[1])
-        transposed = csc_array(entries, shape=(ctx.count, len(rows)))
-        return torch.from_numpy(transposed @ gradients[0].numpy()), None, None
+    points: np.ndarray  #: (P, 3), unit frame
+    shapes: np.ndarray  #: (P, 3, M), kg^-1/2
+    damped_frequency: np.ndarray  #: (M,), rad/s
+    damping: np.ndarray  #: (M,), 1/s
+    train: np.ndarray  #: rows to learn from
+    val: np.ndarray  #: rows of the validation
 
 
 def train_gains(
-    points: np.ndarray,
-    shapes: np.ndarray,
-    damped_frequency: np.ndarray,
-    damping: np.ndarray,
-    train: np.ndarray,
-    val: np.ndarray,
-    config: GainsConfig,
-    batch: int,
-    generator: torch.Generator,
-    report: Callable[[CurvePoint], None] = lambda point: None,
+    samples: ModeSamples, config: GainsConfig, batch: int, session: Session
 ) -> tuple[GainsNet, list[CurvePoint]]:
-    """Fit a `GainsNet` to mode shapes at surface points.
+    """Fit a `GainsNet` to mode shapes at surface points, ``batch`` of them a step, on the CPU.
 
-    Parameters
-    ----------
-    points : (P, 3) array, unit frame
-    shapes : (P, 3, M) array, kg^-1/2
-    damped_frequency, damping : (M,) arrays
-    train, val : int arrays
-        Rows of the splits.
-    config : GainsConfig
-    batch : int
-        Points per training step.
-    generator : torch.Generator
-        Seeds initialisation and batches.
-    report : callable
-        Called with each `CurvePoint`; its losses are relative squared errors of the gains.
+    Losses of the curve are relative squared errors of the gains.
 
-    Notes
-    -----
     The loss is a weighted mean of the two relative squared errors of `gain_errors`, of energy and of gain;
     weighting by energy alone leaves weak modes 50 % wrong. It is computed on the principal components of the
     weighted shapes, without the weakest; see `DROPPED`. The net has as many features as there are components
     that matter, see `SPANNED`, within the limits of ``config``. At the end the linear output layer is solved
     by least squares, which is optimal for every mode whatever its weight.
     """
-    x = torch.from_numpy(np.asarray(points, np.float32))
-    shape = torch.from_numpy(np.asarray(shapes, np.float32))
-    rows, val_rows = torch.from_numpy(train), torch.from_numpy(val)
+    x = torch.from_numpy(np.asarray(samples.points, np.float32))
+    shape = torch.from_numpy(np.asarray(samples.shapes, np.float32))
+    rows, val_rows = torch.from_numpy(samples.train), torch.from_numpy(samples.val)
+    damped_frequency, damping = samples.damped_frequency, samples.damping
     amplitude = shape[rows].square().mean((0, 1)).sqrt().clamp(min=1e-12)
     target = (shape / amplitude).flatten(1)
     energy = amplitude.square() * torch.from_numpy(energy_weights(damped_frequency, damping)).float()
     gain = (amplitude / torch.from_numpy(damped_frequency).float()).square()
     weight = ENERGY_SHARE * energy / energy.sum() + (1 - ENERGY_SHARE) * gain / gain.sum()
     components, power = _principal_components(target * weight.sqrt().repeat(3), rows)
-    features = feature_count(power, config)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+    features = count_features(power, config)
+    with session.initialisation():
         net = GainsNet(
-            torch.from_numpy(damped_frequency),
-            torch.from_numpy(damping),
-            amplitude,
-            touched(x[rows], config.resolution),
-            config.resolution,
-            config.channels,
-            config.width,
-            features,
-            config.frequency,
+            *(torch.from_numpy(damped_frequency), torch.from_numpy(damping), amplitude),
+            mark_touched(x[rows], config.resolution),
+            GainsShape(config.resolution, config.channels, config.width, features, config.frequency),
         )
         if len(damping) == 0:
             return net.eval(), []
         head = nn.Linear(features, components.shape[1])
         bound = sine_bound(features, config.frequency)
         nn.init.uniform_(head.weight, -bound, bound)
-    batches = iter(minibatches(len(train), batch, generator))
+    batches = iter(minibatches(len(rows), batch, session.generator))
     nodes, weights = net.grid.nodes(x)
 
     def loss(index: torch.Tensor) -> torch.Tensor:
         taken = (values.index_select(0, index) for values in (x, nodes, weights, components))
         points, of_points, with_weights, true = taken
-        found = head(net.features(points, WeightedRows.apply(net.grid.padded(), of_points, with_weights)))
+        found = head(net.features(points, net.grid.lookup(of_points, with_weights)))
         return F.mse_loss(found, true, reduction="sum") / (len(index) * 3 * len(damping))
 
     groups: list[dict[str, Any]] = [
@@ -130,17 +86,15 @@ def train_gains(
         nn.ModuleList([net, head]),
         batch_loss=lambda: loss(rows[next(batches)]),
         val_loss=lambda: loss(val_rows).item(),
-        steps=config.steps,
-        learning_rate=config.learning_rate,
-        final_rate=0.005,
-        report=report,
+        settings=FitSettings(config.steps, config.learning_rate, final_rate=0.005),
+        session=session,
         optimizer=Soap(groups),
     )
     _finish(net, x[rows], nodes[rows], weights[rows], target[rows])
     return net.eval(), curve
 
 
-def feature_count(power: torch.Tensor, config: GainsConfig) -> int:
+def count_features(power: torch.Tensor, config: GainsConfig) -> int:
     """Return how many features a net needs for shapes whose principal components have a power, ascending."""
     needed = int((power.cumsum(0) > SPANNED**2 * power.sum()).sum())
     return max(config.features, min(needed, config.most_features))
@@ -149,10 +103,7 @@ def feature_count(power: torch.Tensor, config: GainsConfig) -> int:
 def _principal_components(weighted: torch.Tensor, rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Project (P, 3M) columns on their principal components in some rows, but the weakest.
 
-    Returns
-    -------
-    components : (P, K) tensor, scaled to a mean power of 1
-    power : (3M,) tensor of all components, ascending
+    Returns the (P, K) components, scaled to a mean power of 1, and the power of all (3M,), ascending.
     """
     if weighted.shape[1] == 0:
         return weighted, weighted.new_zeros(0)
@@ -167,7 +118,7 @@ def _finish(
 ) -> None:
     """Quantise the net as stored, then solve its output layer by least squares over all points."""
     for matrix in (net.grid.table, net.sines.weights[1]):
-        matrix.copy_(int8.round_to_codes(matrix))
+        matrix.copy_(round_to_codes(matrix))
     features = torch.cat(
         [net.features(points, net.grid.lookup(nodes, weights)), torch.ones(len(points), 1)], 1
     ).double()
@@ -177,5 +128,5 @@ def _finish(
     solution = torch.linalg.solve(gram, right)
     # The bias corrects the mean error of rounding.
     covariance = gram[:-1, :-1] - torch.outer(gram[:-1, -1], gram[-1, :-1]) / gram[-1, -1]
-    net.output.weight.copy_(int8.rounded_with(solution[:-1].T, covariance))
+    net.output.weight.copy_(round_with(solution[:-1].T, covariance))
     net.output.bias.copy_((target - features[:, :-1].float() @ net.output.weight.T).mean(0))

@@ -12,21 +12,16 @@ import torch
 from torch import nn
 
 from objectfolder.audio.spectrogram import SHAPE
-from objectfolder.nets.loading import UNFILLED, filled
-from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
+from objectfolder.nets.positional import PointwiseNetwork
+from objectfolder.nets.storage import UNFILLED, fill, halve_weights
 
 
 class SpectrogramNet(nn.Module):
     """Net from surface points to spectrograms of unit impulses along x, y and z; silent until trained.
 
-    Parameters
-    ----------
-    damped_frequency : (M,) tensor, rad/s
-        Modes of the training sounds, for information.
-    value_range : (2,) or (3, 2) tensor
-        Values represented by outputs 0 and 1, m kg^1/2 per N s: of all axes, or of each.
-    width, depth, point_octaves, bin_octaves
-        See `PointwiseNetwork`; the paper's branches have eight layers of 256 channels.
+    The damped frequencies (M,), rad/s, are for information. ``value_range``, (2,) or (3, 2): values
+    represented by outputs 0 and 1, m kg^1/2 per N s, of all axes or of each. For the sizes see
+    `PointwiseNetwork`; the paper's branches have eight layers of 256 channels.
     """
 
     damped_frequency: torch.Tensor
@@ -88,7 +83,7 @@ class SpectrogramNet(nn.Module):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return tensors, with weights but not biases as float16 (biases set silence), and configuration."""
-        return with_half_weights(self), dict(self.config)
+        return halve_weights(self), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SpectrogramNet":
@@ -96,7 +91,7 @@ class SpectrogramNet(nn.Module):
         state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
         with UNFILLED:
             net = cls(state["damped_frequency"], state["range"], **config)
-        return filled(net, state)
+        return fill(net, state)
 
 
 def _coordinates(device: torch.device) -> torch.Tensor:

@@ -1,9 +1,8 @@
-"""Parts shared by the paper's nets: positional encoding, ReLU network with a skip connection, storage."""
+"""Parts shared by the paper's nets: positional encoding, ReLU network with a skip connection."""
 
 import math
 from contextlib import nullcontext
 
-import numpy as np
 import torch
 from torch import nn
 
@@ -18,20 +17,14 @@ def octave_angles(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> tor
     return (x[:, :, None] * (lowest * powers)).flatten(1)
 
 
-def encoded(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> torch.Tensor:
+def append_octaves(x: torch.Tensor, octaves: int, lowest: float = math.pi) -> torch.Tensor:
     """Append the sines and cosines of `octave_angles` to coordinates; (N, D) to (N, D (1 + 2 octaves))."""
     angle = octave_angles(x, octaves, lowest)
     return torch.cat([x, angle.sin(), angle.cos()], 1)
 
 
 class SkipNetwork(nn.Module):
-    """ReLU layers; the input is concatenated again after the fifth.
-
-    Parameters
-    ----------
-    inputs, width, depth : int
-        The paper's networks have eight layers of 256 channels.
-    """
+    """ReLU layers, in the paper eight of 256 channels; the input is concatenated again after the fifth."""
 
     precision: torch.dtype = torch.float32  #: of the hidden layers in training (`train_in`), not in answers
 
@@ -82,13 +75,7 @@ def train_in(net: nn.Module, precision: Precision) -> None:
 class PointwiseNetwork(SkipNetwork):
     """ReLU network from a point and a place (frequency and time, or pixel), positionally encoded, to values.
 
-    Parameters
-    ----------
-    width, depth : int
-        Hidden layers.
-    point_octaves, place_octaves : int
-        Each input x is encoded as x and sin and cos of 2^k pi x, for k below this.
-    outputs : int
+    Each input x is encoded as x and sin and cos of 2^k pi x, for k below the number of octaves.
     """
 
     def __init__(self, width: int, depth: int, point_octaves: int, place_octaves: int, outputs: int):
@@ -100,11 +87,3 @@ class PointwiseNetwork(SkipNetwork):
         """Evaluate at (N, 5) points and places, -1 to 1; (N, outputs)."""
         angle = torch.cat([octave_angles(part, n) for part, n in zip(x.split([3, 2], 1), self.octaves)], 1)
         return self.output(super().forward(torch.cat([x, angle.sin(), angle.cos()], 1)))
-
-
-def with_half_weights(net: nn.Module) -> dict[str, np.ndarray]:
-    """Return a net's tensors for storing: weights as float16, others unchanged."""
-    return {
-        name: (value.half() if name.endswith("weight") else value).cpu().numpy()
-        for name, value in net.state_dict().items()
-    }

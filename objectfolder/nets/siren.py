@@ -12,12 +12,7 @@ from torch import nn
 class Siren(nn.Module):
     """Fully connected layers with sine activations.
 
-    Parameters
-    ----------
-    inputs : int
-    widths : sequence of int
-    frequency : float
-        Factor inside every sine; higher values resolve finer detail.
+    ``frequency`` is a factor inside every sine; higher values resolve finer detail.
     """
 
     def __init__(self, inputs: int, widths: Sequence[int], frequency: float):

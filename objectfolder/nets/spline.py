@@ -1,8 +1,9 @@
 """Features on a grid of quadratic B-splines, stored only near a surface."""
 
 import torch
-import torch.nn.functional as F
 from torch import nn
+
+from objectfolder.nets.hashgrid import WeightedRows
 
 _OFFSETS = torch.arange(3, device="cpu")
 
@@ -10,14 +11,8 @@ _OFFSETS = torch.arange(3, device="cpu")
 class SplineGrid(nn.Module):
     """Smooth features at points of the unit frame, each interpolated from 27 nodes.
 
-    Parameters
-    ----------
-    resolution : int
-        Cells along each axis of [-0.5, 0.5]^3; (resolution + 2)^3 nodes.
-    channels : int
-        Features per node.
-    used : ((resolution + 2)^3,) bool tensor
-        Mask of nodes with features; other nodes have zeros. See `touched`.
+    The grid has ``resolution`` cells along each axis of [-0.5, 0.5]^3, so (resolution + 2)^3 nodes. ``used``
+    marks those with features; others have zeros. See `mark_touched`.
     """
 
     used: torch.Tensor
@@ -42,14 +37,12 @@ class SplineGrid(nn.Module):
 
     def lookup(self, rows: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
         """Interpolate features, given the output of `nodes`; (N, channels)."""
-        return F.embedding_bag(rows, self.padded(), per_sample_weights=weights, mode="sum")
-
-    def padded(self) -> torch.Tensor:
-        """Return the table with a last row of zeros, for nodes without features."""
-        return torch.cat([self.table, torch.zeros_like(self.table[:1])])
+        # With a last row of zeros, for nodes without features.
+        padded = torch.cat([self.table, torch.zeros_like(self.table[:1])])
+        return WeightedRows.apply(padded, rows, weights)
 
 
-def touched(x: torch.Tensor, resolution: int) -> torch.Tensor:
+def mark_touched(x: torch.Tensor, resolution: int) -> torch.Tensor:
     """Return a mask of the nodes that affect (N, 3) points; ((resolution + 2)^3,) bool."""
     used = torch.zeros((resolution + 2) ** 3, dtype=torch.bool)
     used[_nodes(x, resolution)[0]] = True

@@ -1,9 +1,8 @@
-"""TouchNet ``geometric``: the stored surface is pressed into a stored sensor.
+"""TouchNet ``geometric``: no neural net, but the stored surface, pressed into a stored sensor.
 
-A net from position to image memorises the training contacts (29 dB in the paper, less elsewhere). The Object
-File already holds the geometry, so a touch is simulated from it. Only two parameters are fitted to images:
-an offset of the press depth, which compensates for the quantised surface, and, for TACTO, the smoothing of
-the normals.
+One number is fitted to images: an offset of the press depth, which compensates for the quantised surface; for
+TACTO also how much the normals are smoothed. Everything else is simulated from the geometry that the Object
+File holds. A net from position to image memorises the training contacts (29 dB in the paper, less elsewhere).
 """
 
 import threading
@@ -29,25 +28,12 @@ _BATCH = 16  # contacts simulated at once, to bound memory
 
 
 class GeometricTouch:
-    """Simulator of tactile images of a stored surface.
+    """Simulator of tactile images of a stored surface, of an object with a longest side of ``scale`` metres.
 
-    Parameters
-    ----------
-    surface : Isosurface
-    scale : float
-        Longest side, metres.
-    profile : SensorProfile
-    depth_offset : float
-        Added to every press depth, metres.
-    renderer : {"gel", "tacto"}
-        Renderer of the images; see `objectfolder.touch.dataset.render_contacts`.
-    background : (H, W, 3) uint8 array, optional
-        Image of the untouched sensor; default: that of the profile.
-    smoothing : int
-        Rounds of averaging the surface normals, for renderer tacto. TACTO interpolates the vertex normals of
-        a mesh, which smooths them across each triangle.
-    device : str or torch.device
-        Device of renderer gel. Ray casting and gel deformation stay on the CPU.
+    Fitted are the ``depth_offset`` (metres), which is added to every press depth, and, for renderer tacto
+    (`objectfolder.touch.dataset.render_contacts`), the rounds of averaging the normals (`smooth`). The
+    ``background`` (H, W, 3) uint8 is the image of the untouched sensor; default: that of the profile. The
+    device is that of renderer gel: ray casting and gel deformation stay on the CPU.
     """
 
     _rays: "TactoRays | None"
@@ -60,7 +46,6 @@ class GeometricTouch:
         depth_offset: float = 0.0,
         renderer: str = "gel",
         background: np.ndarray | None = None,
-        smoothing: int = 0,
         device: str | torch.device = "cpu",
     ):
         self.surface = surface
@@ -73,7 +58,7 @@ class GeometricTouch:
         if background is not None:
             self._optics.background = torch.from_numpy(np.array(background))
         require_renderer(profile, renderer)
-        self.smooth(smoothing)
+        self.smooth(0)
 
     @property
     def background(self) -> torch.Tensor:
@@ -81,18 +66,26 @@ class GeometricTouch:
         return self._optics.background
 
     def smooth(self, rounds: int) -> None:
-        """Set ``smoothing`` and recompute the normals."""
+        """Set the rounds of averaging the surface normals, for renderer tacto.
+
+        TACTO interpolates the vertex normals of a mesh, which smooths them across each triangle.
+        """
         self.smoothing = rounds
         self._rays = None
-        if self.renderer == "tacto":
+
+    def _tacto_rays(self) -> "TactoRays":
+        """Return the renderer, made when it is first needed."""
+        if self._rays is None:
             # Imported here, because they load scipy.sparse, which renderer gel does not need.
-            from objectfolder.mesh.normals import averaged
+            from objectfolder.mesh.normals import average_normals
             from objectfolder.touch.tacto_rays import TactoRays, smooth_normals
 
             vertices, faces = self.surface.vertices, self.surface.faces
-            normals = averaged(smooth_normals(vertices, faces), faces, rounds)
-            self._rays = TactoRays(vertices, faces, self.profile, self.scale, normals)
-            self._rays.background = self._optics.background.cpu().numpy()
+            normals = average_normals(smooth_normals(vertices, faces), faces, self.smoothing)
+            rays = TactoRays(vertices, faces, self.profile, self.scale, normals)
+            rays.background = self._optics.background.cpu().numpy()
+            self._rays = rays
+        return self._rays
 
     def with_sensor(self, profile: SensorProfile) -> "GeometricTouch":
         """Return the simulator of a sensor on the same surface; it always uses renderer gel.
@@ -125,10 +118,10 @@ class GeometricTouch:
             part = slice(start, start + _BATCH)
             contact = points[part], normals[part], angles[part], pressed[part]
             contacts = press(self.surface.caster, *contact, self.profile, self.scale)
-            if self._rays is None:
-                images = self.shown(contacts.displacement)
+            if self.renderer == "tacto":
+                images, _ = self._tacto_rays().render(*contact)
             else:
-                images, _ = self._rays.render(*contact)
+                images = self.shown(contacts.displacement)
             yield Touches(**vars(contacts), images=images, profile=self.profile)
 
     def shown(self, displacement: np.ndarray) -> np.ndarray:
@@ -174,5 +167,7 @@ class GeometricTouch:
             raise ValueError(
                 f"background of shape {background.shape}, expected {(profile.height, profile.width, 3)}"
             )
-        offset, smoothing = float(config["depth_offset"]), int(config["smoothing"])
-        return cls(surface, scale, profile, offset, config["renderer"], background, smoothing, device)
+        offset = float(config["depth_offset"])
+        net = cls(surface, scale, profile, offset, config["renderer"], background, device)
+        net.smooth(int(config["smoothing"]))
+        return net

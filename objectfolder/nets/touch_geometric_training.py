@@ -21,20 +21,10 @@ def fit_contacts(
 ) -> list[CurvePoint]:
     """Choose the depth offset that best reproduces the training images, by bisection of a bracket.
 
-    For renderer tacto the smoothing of normals is then chosen among the present one and `SMOOTHING`.
-
-    Parameters
-    ----------
-    net : GeometricTouch
-        Net to fit; its ``depth_offset`` and ``smoothing`` are set in place.
-    train, val : dict
-        Contacts as returned by `objectfolder.touch.dataset.render_contacts`.
-    span : float
-        Offsets from -span to span are searched, metres.
-    rounds : int
-        Bisection steps; each halves the bracket.
-    report : callable
-        Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
+    Offsets from -span to span (metres) are searched in so many rounds, each of which halves the bracket. For
+    renderer tacto the smoothing of normals is then chosen among the present one and `SMOOTHING`. Both are set
+    in place. Contacts are those of `objectfolder.touch.dataset.render_contacts`; losses of the curve are mean
+    squared errors of images in [0, 1].
     """
     train, val = (c | {"normals": net.normals(c["points"])} for c in (train, val))
     curve: list[CurvePoint] = []

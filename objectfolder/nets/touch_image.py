@@ -10,31 +10,23 @@ import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.nets.loading import UNFILLED, filled
-from objectfolder.nets.positional import PointwiseNetwork, with_half_weights
+from objectfolder.nets.positional import PointwiseNetwork
+from objectfolder.nets.storage import UNFILLED, fill, halve_weights
 
 
 class ImageTouch(nn.Module):
-    """Net from surface points to tactile images; mid-grey until trained.
+    """Net from surface points to tactile images (rows, columns); mid-grey until trained.
 
-    Parameters
-    ----------
-    sensor : str
-        Name of the sensor profile it was trained on, for information.
-    image_size : (int, int)
-        Rows and columns.
-    press_depth, angle : float
-        Press depth and angle of all training contacts, metres and radians.
-    width, depth, point_octaves, pixel_octaves
-        See `PointwiseNetwork`; the paper's net has eight layers of 256 channels.
+    The name of the sensor profile it was trained on is for information; ``contact`` holds press depth and
+    angle of all training contacts, metres and radians. For the sizes see `PointwiseNetwork`; the paper's net
+    has eight layers of 256 channels.
     """
 
     def __init__(
         self,
         sensor: str,
         image_size: tuple[int, int],
-        press_depth: float,
-        angle: float,
+        contact: tuple[float, float],
         width: int,
         depth: int,
         point_octaves: int,
@@ -44,15 +36,15 @@ class ImageTouch(nn.Module):
         self.config: dict[str, Any] = {
             "sensor": sensor,
             "image_size": list(image_size),
-            "press_depth": press_depth,
-            "angle": angle,
+            "press_depth": contact[0],
+            "angle": contact[1],
             "width": width,
             "depth": depth,
             "point_octaves": point_octaves,
             "pixel_octaves": pixel_octaves,
         }
         self.image_size = (int(image_size[0]), int(image_size[1]))
-        self.press_depth, self.angle = float(press_depth), float(angle)
+        self.press_depth, self.angle = map(float, contact)
         self.network = PointwiseNetwork(width, depth, point_octaves, pixel_octaves, outputs=3)
         nn.init.zeros_(self.network.output.weight)
         nn.init.zeros_(self.network.output.bias)
@@ -75,15 +67,16 @@ class ImageTouch(nn.Module):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return tensors (weights as float16) and configuration."""
-        return with_half_weights(self), dict(self.config)
+        return halve_weights(self), dict(self.config)
 
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ImageTouch":
         """Invert `to_tensors`."""
         state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
+        others = {name: value for name, value in config.items() if name not in ("press_depth", "angle")}
         with UNFILLED:
-            net = cls(**config)
-        return filled(net, state)
+            net = cls(contact=(config["press_depth"], config["angle"]), **others)
+        return fill(net, state)
 
 
 def _places(image_size: tuple[int, int], device: torch.device) -> torch.Tensor:

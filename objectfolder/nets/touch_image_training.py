@@ -6,11 +6,8 @@ import numpy as np
 import torch
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.adam import papers_adam
-from objectfolder.nets.checkpoint import Checkpoint
-from objectfolder.nets.fit import CurvePoint, fit, in_parts, part_size
-from objectfolder.nets.positional import train_in
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
+from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
 
 VAL_SAMPLES = 1 << 14
@@ -25,55 +22,24 @@ def train_image(
     scale: float,
     sensor: str,
     config: ImageConfig,
-    generator: torch.Generator,
-    report: Callable[[CurvePoint], None] = lambda point: None,
-    device: str | torch.device = "cpu",
-    checkpoint: Checkpoint | None = None,
+    session: Session,
 ) -> tuple[ImageTouch, list[CurvePoint]]:
-    """Fit an `ImageTouch` to contacts.
+    """Fit an `ImageTouch` to contacts, as returned by `objectfolder.touch.dataset.render_contacts`.
 
-    Parameters
-    ----------
-    train, val : dict
-        Contacts as returned by `objectfolder.touch.dataset.render_contacts`, all of one depth and angle.
-    scale : float
-        Longest side, metres.
-    sensor : str
-        Name of the sensor profile.
-    config : ImageConfig
-    generator : torch.Generator
-        On the CPU.
-    report : callable
-        Called with each `CurvePoint`; losses are mean squared errors of images in [0, 1].
-    device : str or torch.device
-        Training device; the net is returned on the CPU. The paper's size needs a GPU.
-    checkpoint : Checkpoint, optional
-        With the same generator.
-
-    Raises
-    ------
-    ObjectFolderError
-        If contacts differ in depth or angle.
+    ``scale`` is the longest side in metres, ``sensor`` the name of its profile. Losses of the curve are mean
+    squared errors of images in [0, 1]. Raises ObjectFolderError if contacts differ in depth or angle.
     """
-    press_depth, angle = (_one_value(name, train, val) for name in ("depths", "angles"))
+    device, generator = session.device, session.generator
+    depth, angle = (_one_value(name, train, val) for name in ("depths", "angles"))
     images = torch.from_numpy(train["images"])
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+    with session.initialisation():
         net = ImageTouch(
-            sensor,
-            (images.shape[1], images.shape[2]),
-            press_depth,
-            angle,
-            config.width,
-            config.depth,
-            config.point_octaves,
-            config.pixel_octaves,
+            *(sensor, (images.shape[1], images.shape[2]), (depth, angle)),
+            *(config.width, config.depth, config.point_octaves, config.pixel_octaves),
         )
         # Start from the mean colour, which is closer than grey.
         mean = train["images"].mean((0, 1, 2), dtype=np.float64) / 127.5 - 1
         net.network.output.bias.data = torch.from_numpy(mean).float()
-    net = net.to(device)
-    train_in(net, config.precision)
 
     def gather(contacts: dict[str, np.ndarray]) -> tuple[torch.Tensor, torch.Tensor]:
         points = torch.from_numpy((contacts["points"] / scale).astype(np.float32))
@@ -93,19 +59,15 @@ def train_image(
     known, held_out = gather(train), gather(val)
     loss, val_loss = loss_of(*known), loss_of(*held_out)
     checked = draw(held_out[1].shape, VAL_SAMPLES)
-    part = part_size(_PART, config.batch, device)
-    curve = fit(
+    part = choose_part_size(_PART, config.batch, device)
+    curve = fit_papers_net(
         net,
-        batch_loss=lambda: in_parts(loss, part, *draw(known[1].shape, config.batch)),
-        val_loss=lambda: val_loss(*checked).item(),
-        steps=config.steps,
-        learning_rate=config.learning_rate,
-        final_rate=config.final_rate,
-        optimizer=papers_adam(net),
-        report=report,
-        checkpoint=checkpoint,
+        lambda: sum_in_parts(loss, part, *draw(known[1].shape, config.batch)),
+        lambda: val_loss(*checked).item(),
+        config,
+        session,
     )
-    return net.cpu().eval(), curve
+    return net, curve
 
 
 def _one_value(name: str, *splits: dict[str, np.ndarray]) -> float:

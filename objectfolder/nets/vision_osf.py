@@ -13,11 +13,11 @@ from torch import nn
 
 from objectfolder.mesh.grid import ascent
 from objectfolder.mesh.gridcodec import BOUND
-from objectfolder.nets.loading import UNFILLED, filled
-from objectfolder.nets.positional import HiddenLinear, SkipNetwork, encoded, with_half_weights
+from objectfolder.nets.positional import HiddenLinear, SkipNetwork, append_octaves
+from objectfolder.nets.storage import UNFILLED, fill, halve_weights
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture
-from objectfolder.vision.volume import Rays, resampled, stratified, visibility
+from objectfolder.vision.volume import Rays, resample, sample_strata, visibility
 
 _CHUNK = 32  # rays rendered at once: their activations stay in the cache
 _NORMAL_STEP = 0.01  # unit frame; finite-difference step of the density gradient
@@ -27,14 +27,8 @@ _NEAREST = 0.01  # unit frame; lower limit of the distance to a light
 class ScatteringFunction(nn.Module):
     """Density of a point, and the fraction of incoming light it scatters in a direction.
 
-    Parameters
-    ----------
-    width, depth : int
-        Size of the density network; the paper's has eight layers of 256 channels.
-    branch_width, branch_depth : int
-        Size of the scattering network; the paper's has four layers of 128 channels.
-    point_octaves, direction_octaves : int
-        Each coordinate x is encoded as x and sin and cos of 2^k x, for k below this.
+    The paper's density network has eight layers of 256 channels, its scattering network (``branch``) four of
+    128. Each coordinate x is encoded as x and sin and cos of 2^k x, for k below the number of octaves.
     """
 
     def __init__(
@@ -58,7 +52,7 @@ class ScatteringFunction(nn.Module):
 
     def forward(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Evaluate the density (N,), and the hidden layer (N, width) for `scattered`, at (N, 3) points."""
-        hidden = self.trunk(encoded(points, self.octaves[0], 1.0))
+        hidden = self.trunk(append_octaves(points, self.octaves[0], 1.0))
         return torch.relu(self.density(hidden))[:, 0], hidden
 
     def scattered(self, hidden: torch.Tensor, incoming: torch.Tensor, outgoing: torch.Tensor) -> torch.Tensor:
@@ -66,7 +60,7 @@ class ScatteringFunction(nn.Module):
 
         The sigmoid is scaled so that it can reach black and white.
         """
-        directions = [encoded(d, self.octaves[1], 1.0) for d in (outgoing, incoming)]
+        directions = [append_octaves(d, self.octaves[1], 1.0) for d in (outgoing, incoming)]
         x = self.branch(torch.cat([self.bottleneck(hidden), *directions], 1))
         return 1.2 * torch.sigmoid(self.fraction(x)) - 0.1
 
@@ -74,22 +68,10 @@ class ScatteringFunction(nn.Module):
 class OsfNet(nn.Module):
     """Pictures of an object under a point light; a coarse net places the samples of the fine net.
 
-    Parameters
-    ----------
-    coarse_samples, fine_samples : int
-        Samples per ray, 64 and 128 in the paper; the fine net is evaluated at both.
-    hull_cells : int
-        Along each axis of ``hull``; 0: no hull, and all samples are computed.
-    **shape
-        See `ScatteringFunction`.
+    Samples per ray are 64 and 128 in the paper; the fine net is evaluated at both. ``hull``, with so many
+    cells along each axis, is None for none: the density is zero in its other cells, where nothing is
+    computed. For the shape see `ScatteringFunction`.
 
-    Attributes
-    ----------
-    hull : (hull_cells, hull_cells, hull_cells) bool tensor or None
-        The density is zero in the other cells of the cube, where nothing is computed.
-
-    Notes
-    -----
     Colours are linear until displayed, and light falls off with the squared distance, as in the views. The
     authors' published code fits encoded colours without falloff, and its sample intervals end at the next
     sample instead of midway.
@@ -115,19 +97,9 @@ class OsfNet(nn.Module):
     def forward(
         self, rays: Rays, light: torch.Tensor, generator: torch.Generator | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Render rays on white with the coarse and with the fine net.
+        """Render rays through the cube on white with the coarse and the fine net; (N, 3) each, linear.
 
-        Parameters
-        ----------
-        rays : Rays
-            Rays through the cube.
-        light : (N, 3) tensor, unit frame
-        generator : torch.Generator, optional
-            Jitters the samples, as in training.
-
-        Returns
-        -------
-        (N, 3) tensors, linear
+        The light is (N, 3), unit frame. A generator jitters the samples, as in training.
         """
         distance, coarse = self._sample(rays, generator, light)
         fine, alpha, _ = self._look(rays, distance, light)
@@ -137,13 +109,13 @@ class OsfNet(nn.Module):
         self, rays: Rays, generator: torch.Generator | None, light: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return distances for the fine net (N, S), ascending, and the coarse radiance if light is given."""
-        distance = stratified(rays.near, rays.far, self.samples[0], generator)
+        distance = sample_strata(rays.near, rays.far, self.samples[0], generator)
         weights, computed, hidden = self._visibility(self.coarse, rays, distance)
         seen = distance.new_zeros(0, 3)
         if light is not None:
             alpha = weights.sum(1, keepdim=True)
             seen = _radiance(self.coarse, rays, distance, weights, computed, hidden, light) + 1 - alpha
-        more = resampled(rays.intervals(distance), weights.detach(), self.samples[1], generator)
+        more = resample(rays.intervals(distance), weights.detach(), self.samples[1], generator)
         return torch.cat([distance, more], 1).sort(1).values, seen
 
     def _look(
@@ -183,19 +155,10 @@ class OsfNet(nn.Module):
 
     @torch.no_grad()
     def picture(self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
-        """Render one view, with one ray through the centre of each pixel.
+        """Render one view from a pose (4, 4) and a light (3,), with one ray through the centre of each pixel.
 
-        Parameters
-        ----------
-        camera_to_world : (4, 4) array
-        light : (3,) array, unit frame
-        intrinsics : Intrinsics
-
-        Returns
-        -------
-        Picture
-            Depth is the weighted mean along the ray. The normal is the direction of decreasing density there;
-            zero where the density is constant.
+        Depth is the weighted mean along the ray. The normal is the direction of decreasing density there;
+        zero where the density is constant.
         """
         device = self.fine.density.weight.device
         found = camera_rays(camera_to_world, intrinsics, pixel_centres(intrinsics))
@@ -220,7 +183,7 @@ class OsfNet(nn.Module):
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return tensors (weights as float16) and configuration."""
-        tensors = with_half_weights(self)
+        tensors = halve_weights(self)
         if self.hull is not None:
             tensors["hull"] = np.packbits(tensors["hull"])
         return tensors, dict(self.config)
@@ -237,7 +200,7 @@ class OsfNet(nn.Module):
                 raise ValueError(f"hull has shape {tensors['hull'].shape}, expected bits of {cells} cells")
             bits = np.unpackbits(tensors["hull"], count=cells).astype(bool)
             state["hull"] = torch.from_numpy(bits).view_as(net.hull)
-        return filled(net, state)
+        return fill(net, state)
 
 
 def _radiance(
@@ -249,19 +212,10 @@ def _radiance(
     hidden: torch.Tensor,
     light: torch.Tensor,
 ) -> torch.Tensor:
-    """Integrate radiance along rays, scattered from a point light with inverse-square falloff.
+    """Integrate radiance (N, 3) along rays, scattered from a point light with inverse-square falloff.
 
-    Parameters
-    ----------
-    distance, weights : (N, S) tensors
-    computed : (K,) tensor
-        Samples that have a hidden layer, counted through all rays; others have no weight.
-    hidden : (K, width) tensor
-    light : (N, 3) or (3,) tensor
-
-    Returns
-    -------
-    (N, 3) tensor
+    Distances and weights are (N, S). ``computed`` (K,) are the samples that have a hidden layer (K, width),
+    counted through all rays; others have no weight. The light is (N, 3) or (3,).
     """
     # Samples of zero weight affect neither the colour nor a gradient: skip them.
     chosen = weights.flatten()[computed].nonzero()[:, 0]

@@ -1,6 +1,5 @@
 """Training of VisionNet ``osf``."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,14 +7,11 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.gridcodec import BOUND
-from objectfolder.nets.adam import papers_adam
-from objectfolder.nets.checkpoint import Checkpoint
-from objectfolder.nets.fit import CurvePoint, fit, in_parts, part_size
-from objectfolder.nets.positional import train_in
-from objectfolder.nets.vision_config import OsfConfig
+from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
+from objectfolder.nets.settings import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres
 from objectfolder.vision.cameras import Intrinsics, camera_rays
-from objectfolder.vision.color import on_white, shown_error
+from objectfolder.vision.color import display_error, on_white
 from objectfolder.vision.visual_hull import visual_hull
 from objectfolder.vision.volume import Rays
 
@@ -41,48 +37,25 @@ class _Pixels:
         view = self.view[index]
         rays = Rays.through_cube(self.origins[view], self.directions[index], BOUND)
         seen = torch.stack(net(rays, self.lights[view], generator))
-        return shown_error(seen, self.target[index]).square().mean((1, 2))
+        return display_error(seen, self.target[index]).square().mean((1, 2))
 
 
 def train_osf(
     train: dict[str, np.ndarray],
     val: dict[str, np.ndarray],
     config: OsfConfig,
-    generator: torch.Generator,
-    report: Callable[[CurvePoint], None] = lambda point: None,
-    device: str | torch.device = "cpu",
-    checkpoint: Checkpoint | None = None,
+    session: Session,
 ) -> tuple[OsfNet, list[CurvePoint]]:
-    """Fit an `OsfNet` to views.
+    """Fit an `OsfNet` to whole views; rays of a batch are drawn with replacement.
 
-    Parameters
-    ----------
-    train, val : dict
-        Whole views: ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``,
-        ``center`` (N, 2).
-    config : OsfConfig
-    generator : torch.Generator
-        On the CPU.
-    report : callable
-        Called with each `CurvePoint`. Losses are mean squared errors in sRGB over rays that intersect the
-        cube: the sum for both nets in training; in validation the fine net's, on `VAL_RAYS` rays.
-    device : str or torch.device
-        Training device; the net is returned on the CPU. The paper's size needs a GPU.
-    checkpoint : Checkpoint, optional
-        With the same generator.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the images are tiles: what lies beside the object would stay unknown.
-
-    Notes
-    -----
-    Rays of a batch are drawn with replacement.
+    Views: ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``, ``center`` (N,
+    2). Losses of the curve are mean squared errors in sRGB over rays that intersect the cube: the sum for
+    both nets in training; in validation the fine net's, on `VAL_RAYS` rays. Raises ObjectFolderError if the
+    images are tiles: what lies beside the object would stay unknown.
     """
+    device, generator = session.device, session.generator
     pixels, held_out = _gather(train, device), _gather(val, device)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
+    with session.initialisation():
         net = OsfNet(
             config.coarse_samples,
             config.fine_samples,
@@ -96,32 +69,19 @@ def train_osf(
         )
     if net.hull is not None:
         net.hull = torch.from_numpy(visual_hull(train, config.hull_cells, BOUND))
-    net.to(device)
-    train_in(net, config.precision)
     checked = torch.randperm(len(held_out.target), generator=generator)[:VAL_RAYS]
 
-    part = part_size(_PART, config.batch, device)
+    part = choose_part_size(_PART, config.batch, device)
 
     def batch_loss() -> torch.Tensor:
         drawn = torch.randint(len(pixels.target), (config.batch,), generator=generator)
-        return in_parts(lambda rows: pixels.loss(net, rows, generator).sum(), part, drawn)
+        return sum_in_parts(lambda rows: pixels.loss(net, rows, generator).sum(), part, drawn)
 
     def val_loss() -> float:
         sums = [held_out.loss(net, rows)[1].item() * len(rows) for rows in checked.split(part)]
         return sum(sums) / len(checked)
 
-    curve = fit(
-        net,
-        batch_loss=batch_loss,
-        val_loss=val_loss,
-        steps=config.steps,
-        learning_rate=config.learning_rate,
-        final_rate=config.final_rate,
-        optimizer=papers_adam(net),
-        report=report,
-        checkpoint=checkpoint,
-    )
-    return net.cpu().eval(), curve
+    return net, fit_papers_net(net, batch_loss, val_loss, config, session)
 
 
 def _gather(views: dict[str, np.ndarray], device: str | torch.device) -> _Pixels:

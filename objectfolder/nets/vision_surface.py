@@ -20,52 +20,37 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.loading import UNFILLED, filled
+from objectfolder.nets.storage import UNFILLED, fill
 from objectfolder.vision.bsdf import fresnel, principled
 from objectfolder.vision.lighting import toward
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import SurfaceSamples
-from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
+from objectfolder.vision.vectors import column_major, concatenate, dot, normalize_rows, take_rows
 from objectfolder.vision.view import SQUARE, Shader
 
 #: Hash grid for indirect light.
 TRANSPORT = {"levels": 2, "features": 4, "table_bits": 13, "coarsest": 8, "finest": 14}
 GRIDS = ("grid", "transport")
+_APART = ("width", "roughness", "metallic")  # settings of a net beside those of its first grid
 NEAREST = 1e-3  # lower limit of the distance to a light, unit frame: avoids infinite radiance
 FAMILIAR = 0.1  # lower limit for indirect light, unit frame: training lights are farther away
 CHUNK = 50_000  # points shaded at once
 ALIKE = 0.97  # least cosine between the normals of samples that share the net's correction
 BAKED = 2**14  # vertices evaluated at once
-#: Of `light_terms`: light that the radiances lack, diffuse and glossy, and their factors; all by colour.
+#: Of `find_gains`: light that the radiances lack, diffuse and glossy, and their factors; all by colour.
 GAIN_BIAS, GAIN_SCALE = (-4.0, -5.0, 0.5, 0.0), (0.5, 0.1, 1.0, 1.0)
 
 
 class SurfaceNet(nn.Module):
     """Linear radiance of surface points under a point light.
 
-    Parameters
-    ----------
-    levels, features, table_bits, coarsest, finest
-        See `HashGrid`.
-    width : int
-        Hidden width of the MLPs.
-    roughness, metallic : float
-        Parameters of the principled BSDF.
+    The grid holds features of base colour and normal; ``width`` is that of the MLPs' hidden layers. Roughness
+    and metallic are parameters of the principled BSDF.
     """
 
-    def __init__(
-        self,
-        levels: int,
-        features: int,
-        table_bits: int,
-        coarsest: int,
-        finest: int,
-        width: int,
-        roughness: float,
-        metallic: float,
-    ):
+    def __init__(self, grid: HashGrid, width: int, roughness: float, metallic: float):
         super().__init__()
-        self.grid = HashGrid(levels, features, table_bits, coarsest, finest)
+        self.grid = grid
         self.appearance = _mlp(self.grid.width + 3, width, 6, depth=1)
         self.transport = HashGrid(**TRANSPORT)
         self.bounced = _mlp(self.transport.width + 52, width, 12, depth=2)
@@ -76,12 +61,8 @@ class SurfaceNet(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Evaluate base colours, sRGB and unclipped, and shading normals, not normalised; both (S, 3).
 
-        Parameters
-        ----------
-        points, normals : (S, 3) tensors
-            Points and normals of the stored surface, unit frame.
-        features : (S, F) tensor
-            Features of ``grid`` at the points.
+        Points and normals (S, 3) are those of the stored surface, unit frame; features (S, F) those of
+        ``grid``.
         """
         a = self.appearance(torch.cat([features, points], 1))
         return a[:, :3] + 0.5, normals + a[:, 3:]
@@ -101,7 +82,7 @@ class SurfaceNet(nn.Module):
         reflected = principled(
             take_rows(normals, lit),
             take_rows(samples.directions, lit),
-            normalized(to_light),
+            normalize_rows(to_light),
             take_rows(base_color, lit),
             self.config["roughness"],
             self.config["metallic"],
@@ -118,7 +99,7 @@ class SurfaceNet(nn.Module):
         normals: torch.Tensor,
     ) -> torch.Tensor:
         """Return the radiance ``mirrored`` of `BounceInputs`; parameters as there."""
-        index, shown = baked.radiosity.mirrored(samples, normals, light)
+        index, shown = baked.radiosity.mirror(samples, normals, light)
         color, mirror, view = (take_rows(v, index) for v in (base_color, normals, samples.directions))
         reflected = shown * fresnel(-dot(mirror, view), color, self.config["metallic"])
         return normals.new_zeros(normals.shape[::-1]).index_copy_(1, index, reflected.mT).mT
@@ -134,24 +115,18 @@ class SurfaceNet(nn.Module):
     ) -> "BounceInputs":
         """Compute the inputs of `indirect`.
 
-        Parameters
-        ----------
-        samples : SurfaceSamples
-        light : (3,) or (4,) tensor
-            A point light, unit frame, or a distant one, see `objectfolder.vision.lighting.toward`.
-        normals, direct : (S, 3) tensors
-            Unit shading normals, and the radiance that `direct` returns.
-        gathered, mirrored : (S, 3) tensors
-            See `BounceInputs`.
+        The light is a point light (3,), unit frame, or a distant one (4,), see
+        `objectfolder.vision.lighting.toward`. Unit shading normals and the radiance that `direct` returns are
+        (S, 3); for ``gathered`` and ``mirrored`` see `BounceInputs`.
         """
         p, n, view = samples.points, normals, samples.directions
         to_light = toward(light, p)
         # Training views have no closer lights.
         squared = dot(to_light, to_light).clamp(min=FAMILIAR**2)
-        l = normalized(to_light)
+        l = normalize_rows(to_light)
         nl, nv = dot(n, l), -dot(n, view)
         away = view + 2 * nv * n
-        nh = dot(n, normalized(l - view)).clamp(0, 1)
+        nh = dot(n, normalize_rows(l - view)).clamp(0, 1)
         nh8 = nh.square().square().square()
         sine, cosine = torch.sin(4 * p), torch.cos(4 * p)
         lit, received = samples.lit[:, None].float(), nl.clamp(min=0) / squared
@@ -186,13 +161,9 @@ class SurfaceNet(nn.Module):
     def indirect(self, inputs: "BounceInputs", transport: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Evaluate indirect light: diffuse, for a white surface, and glossy radiance; (S, 3) each.
 
-        Parameters
-        ----------
-        inputs : BounceInputs
-        transport : (S, T) tensor
-            Features of the grid ``transport``.
+        ``transport`` (S, T) are features of the grid of that name.
         """
-        return gained(light_terms(self.corrections(inputs, transport)), inputs.gathered, inputs.mirrored)
+        return apply_gains(find_gains(self.corrections(inputs, transport)), inputs.gathered, inputs.mirrored)
 
     def corrections(self, inputs: "BounceInputs", transport: torch.Tensor) -> torch.Tensor:
         """Evaluate the net of indirect light, (S, 12); parameters are those of `indirect`."""
@@ -204,15 +175,8 @@ class SurfaceNet(nn.Module):
         """Return a function that shades samples of one surface.
 
         Indirect light is smooth: samples of one pixel share it, and those of a square of pixels share the
-        net's correction, if they face nearly the same way and are all lit or all in shadow.
-
-        Parameters
-        ----------
-        surface : Isosurface
-        device : torch.device or str
-            Device for shading. Rays are cast and the surface is baked on the CPU.
-        baked : Baked, optional
-            What `bake` has returned, if it is there already.
+        net's correction, if they face nearly the same way and are all lit or all in shadow. Shading is on the
+        device; rays are cast and the surface is baked on the CPU, unless it is already ``baked``.
         """
         net = copy.deepcopy(self).cpu()
         baked = (net.bake(surface) if baked is None else baked).to(device)
@@ -234,18 +198,9 @@ class SurfaceNet(nn.Module):
     ) -> torch.Tensor:
         """Return the linear radiance of samples, (S, 3), on a device; see `shader`.
 
-        Gradients flow from points, weights, normals and directions of the samples, and from the light. What
-        mirrored rays see, and which patch is nearest, is constant.
-
-        Parameters
-        ----------
-        baked : Baked
-            Of the surface, on the device, as the net.
-        samples : SurfaceSamples
-        light : (3,) or (4,) tensor
-        pixel : (S,) int array
-            See `objectfolder.vision.view.Shader`.
-        device : torch.device or str
+        Gradients flow from points, weights, normals and directions of the samples, and from the light (3,) or
+        (4,). What mirrored rays see, and which patch is nearest, is constant. The baked surface is on the
+        device, as the net. For ``pixel`` (S,) see `objectfolder.vision.view.Shader`.
         """
         one, group, few, share = (
             torch.from_numpy(index).to(device)
@@ -258,16 +213,16 @@ class SurfaceNet(nn.Module):
         several = len(one) < len(pixel)  # samples in some pixels
         if several:
             each, looks = samples.select(one), [take_rows(v, one) for v in looks]
-        gathered = baked.radiosity.gathered(each, light)
+        gathered = baked.radiosity.gather(each, light)
         radiances = gathered, self.mirrored(baked, each, light, *looks[:2])
         corrections = []
         for part in few.split(CHUNK):
             some = each.select(part)
             values = (take_rows(v, part) for v in (*looks[1:], *radiances))
             inputs = self.bounce_inputs(some, light, *values)
-            corrections.append(self.corrections(inputs, column_major(some.interpolated(baked.transport))))
-        shared = take_rows(light_terms(concatenate(corrections)), share)
-        diffuse, glossy = (v if not several else take_rows(v, group) for v in gained(shared, *radiances))
+            corrections.append(self.corrections(inputs, column_major(some.interpolate(baked.transport))))
+        shared = take_rows(find_gains(concatenate(corrections)), share)
+        diffuse, glossy = (v if not several else take_rows(v, group) for v in apply_gains(shared, *radiances))
         return direct + base_color * diffuse + glossy
 
     @torch.no_grad()
@@ -297,14 +252,15 @@ class SurfaceNet(nn.Module):
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "SurfaceNet":
         """Invert `to_tensors`, up to quantisation."""
+        of_grid = {name: value for name, value in config.items() if name not in _APART}
         with UNFILLED:
-            net = cls(**config)
+            net = cls(HashGrid(**of_grid), **{name: config[name] for name in _APART})
         packed = {f"{grid}.{name}" for grid in GRIDS for name in ("table", "factors")}
         state = {k: torch.from_numpy(np.array(v)).float() for k, v in tensors.items() if k not in packed}
         for grid in GRIDS:
             stored = tensors[f"{grid}.table"], tensors[f"{grid}.factors"]
             state[f"{grid}.table"] = getattr(net, grid).unpacked(*stored)
-        return filled(net, state)
+        return fill(net, state)
 
 
 @dataclass(frozen=True)
@@ -321,8 +277,8 @@ class Baked:
 
     def look_of(self, samples: SurfaceSamples) -> tuple[torch.Tensor, torch.Tensor]:
         """Interpolate base colours (linear) and unit shading normals; (S, 3) each."""
-        values = column_major(samples.interpolated(self.look))
-        return values[:, :3], normalized(values[:, 3:])
+        values = column_major(samples.interpolate(self.look))
+        return values[:, :3], normalize_rows(values[:, 3:])
 
 
 @dataclass(frozen=True)
@@ -339,16 +295,16 @@ class BounceInputs:
         return BounceInputs(features.float(), *radiances)
 
 
-def light_terms(corrections: torch.Tensor) -> torch.Tensor:
-    """Return what `gained` applies to the radiances, (S, 12), from the net's output (S, 12)."""
+def find_gains(corrections: torch.Tensor) -> torch.Tensor:
+    """Return what `apply_gains` applies to the radiances, (S, 12), from the net's output (S, 12)."""
     bias, scale = (corrections.new_tensor(v).repeat_interleave(3) for v in (GAIN_BIAS, GAIN_SCALE))
     return F.softplus(corrections + bias) * scale
 
 
-def gained(
+def apply_gains(
     factors: torch.Tensor, gathered: torch.Tensor, mirrored: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return indirect light, as `SurfaceNet.indirect`, from `light_terms` (S, 12) and radiances (S, 3)."""
+    """Return indirect light, as `SurfaceNet.indirect`, from `find_gains` (S, 12) and radiances (S, 3)."""
     more_diffuse, more_glossy, diffuse, glossy = factors.split(3, 1)
     return gathered * diffuse + more_diffuse, mirrored * glossy + more_glossy
 
@@ -358,17 +314,10 @@ def _shared(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Choose the samples whose indirect light serves others.
 
-    Returns
-    -------
-    one : (O,) int array
-        First of the samples of each pixel that are all lit or all in shadow.
-    group : (S,) int array
-        Index into ``one`` of each sample.
-    few : (P,) int array
-        First of ``one`` in each square of pixels that are all lit or all in shadow, and those that face
-        another way than it.
-    share : (O,) int array
-        Index into ``few`` of each of ``one``.
+    Returns index arrays: ``one`` (O,), the first of the samples of each pixel that are all lit or all in
+    shadow; ``group`` (S,), the place in ``one`` of each sample; ``few`` (P,), the first of ``one`` in each
+    square of pixels that are all lit or all in shadow, and those that face another way than it; ``share``
+    (O,), the place in ``few`` of each of ``one``.
     """
     state, facing = lit.numpy(), normals.numpy().T
     one, group = _firsts(2 * pixel + state)

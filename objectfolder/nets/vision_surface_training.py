@@ -1,6 +1,5 @@
 """Training of VisionNet ``surface``: first on the mesh's appearance at surface points, then on views."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,13 +11,13 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.nets.fit import CurvePoint, fit, minibatches
+from objectfolder.nets.fit import CurvePoint, FitSettings, Session, fit, minibatches
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.vision_config import SurfaceConfig
+from objectfolder.nets.settings import SurfaceConfig
 from objectfolder.nets.vision_surface import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.cameras import camera_rays, image_intrinsics
-from objectfolder.vision.color import COVERED
+from objectfolder.vision.color import MIN_FOREGROUND_ALPHA
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
 from objectfolder.vision.vectors import take_rows
@@ -81,46 +80,27 @@ def train_surface(
     train: dict[str, np.ndarray],
     val: dict[str, np.ndarray],
     config: SurfaceConfig,
-    generator: torch.Generator,
-    report: Callable[[CurvePoint], None] = lambda point: None,
+    session: Session,
 ) -> tuple[SurfaceNet, list[CurvePoint]]:
-    """Fit a `SurfaceNet` to a mesh's appearance, then to views of it.
+    """Fit a `SurfaceNet` to a mesh's appearance, then to views of it, on the CPU.
 
-    Parameters
-    ----------
-    surface : Isosurface
-        Stored surface; training points lie on it because queries do.
-    scene : Scene
-        Mesh shown in the views.
-    train, val : dict
-        ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3), ``focal``, ``center`` (N, 2):
-        whole views or tiles; see `objectfolder.vision.dataset`.
-    config : SurfaceConfig
-    generator : torch.Generator
-    report : callable
-        Called with each `CurvePoint` of the training on views; losses are mean squared errors in sRGB over
-        pixels inside the object.
+    Training points lie on the stored surface because queries do. Views are whole or tiles, see
+    `objectfolder.vision.dataset`: ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``light`` (N, 3),
+    ``focal``, ``center`` (N, 2). The curve is that of the training on views; losses are mean squared errors
+    in sRGB over pixels inside the object.
     """
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(torch.randint(2**31, (1,), generator=generator)))
-        net = SurfaceNet(
-            config.levels,
-            config.features,
-            config.table_bits,
-            config.coarsest,
-            config.finest,
-            config.width,
-            scene.roughness,
-            scene.metallic,
-        )
+    generator = session.generator
+    with session.initialisation():
+        grid = HashGrid(config.levels, config.features, config.table_bits, config.coarsest, config.finest)
+        net = SurfaceNet(grid, config.width, scene.roughness, scene.metallic)
     rng = np.random.default_rng(int(torch.randint(2**31, (1,), generator=generator)))
 
-    def fitted(
+    def fit_to(
         learn: _Points | _Pixels,
         check: _Points | _Pixels,
         steps: int,
         batch: int,
-        shown: Callable[[CurvePoint], None] = lambda point: None,
+        session: Session,
     ) -> list[CurvePoint]:
         batches = iter(minibatches(len(learn), batch, generator))
         chunks = torch.arange(len(check)).split(CHUNK)
@@ -128,19 +108,18 @@ def train_surface(
             net,
             batch_loss=lambda: learn.loss(net, next(batches)),
             val_loss=lambda: sum(check.loss(net, c).item() * len(c) for c in chunks) / len(check),
-            steps=steps,
-            learning_rate=config.learning_rate,
-            report=shown,
+            settings=FitSettings(steps, config.learning_rate),
+            session=session,
         )
 
     known, unknown = (_look_up(surface, scene, net, n, rng) for n in (config.points, config.points // 20))
-    fitted(known, unknown, config.point_steps, config.point_batch)
+    fit_to(known, unknown, config.point_steps, config.point_batch, Session(generator))
     # Train indirect light on the quantised net, as queries use it.
     net = SurfaceNet.from_tensors(*net.to_tensors())
     baked = net.bake(surface)
     pixels = _gather(surface, net, baked, train, config.pixels, DARK_SHARE, rng)
     held_out = _gather(surface, net, baked, val, config.pixels, 1, rng)
-    curve = fitted(pixels, held_out, config.steps, config.batch, report)
+    curve = fit_to(pixels, held_out, config.steps, config.batch, session)
     return net.eval(), curve
 
 
@@ -179,7 +158,7 @@ def _gather(
     for rgba, pose, light, intrinsics in zip(
         views["rgba"], views["camera_to_world"], views["light"], image_intrinsics(views)
     ):
-        rows, columns = np.nonzero(rgba[..., 3] >= COVERED)
+        rows, columns = np.nonzero(rgba[..., 3] >= MIN_FOREGROUND_ALPHA)
         samples = trace(surface, *camera_rays(pose, intrinsics, np.stack([columns, rows], 1) + 0.5), light)
         ray = samples.ray.numpy()  # NumPy takes a tensor of one element for a number
         row, column = rows[ray], columns[ray]
@@ -194,13 +173,13 @@ def _gather(
         direct = net.direct(samples, l, base_color, normals)
         # Bright pixels are more informative. They are told by what is known of them: to choose by the
         # rendered pixel would prefer those with bright noise.
-        expected = direct + base_color * baked.radiosity.gathered(samples, l)
+        expected = direct + base_color * baked.radiosity.gather(samples, l)
         chance = np.where(expected.amax(1).numpy() > DARK, 1, dark_share)
         picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
         kept = torch.from_numpy(picked)
         samples = samples.select(kept)
         base_color, normals, direct = (take_rows(v, kept) for v in (base_color, normals, direct))
-        gathered = baked.radiosity.gathered(samples, l)
+        gathered = baked.radiosity.gather(samples, l)
         mirrored = net.mirrored(baked, samples, l, base_color, normals)
         inputs = net.bounce_inputs(samples, l, normals, direct, gathered, mirrored)
         bounced = inputs.features.half(), inputs.gathered, inputs.mirrored

@@ -1,386 +1,352 @@
-"""Hearing of an Object File: strikes in, sounds out."""
+"""Sound of an Object File: strikes in, sounds out."""
 
-import logging
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import fields
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 import torch
 
 from objectfolder import materials
-from objectfolder.audio.bank import Bank
-from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
-from objectfolder.audio.contact import STRIKERS, Striker, contact_time
-from objectfolder.audio.synthesis import (
-    gains,
-    half_sine,
-    pressing,
-    response_at,
-)
-from objectfolder.audio.tuning import Tuning, retune, stored_modes
-from objectfolder.errors import ObjectFolderError
+from objectfolder.audio.contact import Striker, load_striker
+from objectfolder.audio.synthesis import RESPONSES, checked_contact_time, count_samples
+from objectfolder.audio.tuning import Tuning
+from objectfolder.checks import finite_number, one_of, real_array, require_memory
+from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.materials import Material
-from objectfolder.objectfile.radiation import Listening, Radiation
-from objectfolder.objectfile.reading import StoredNet, damaged_net, report_damage
-from objectfolder.objectfile.sound_settings import SoundSettings, finite_sounds
-from objectfolder.recent import Recent
+from objectfolder.objectfile.arguments import (
+    Answer,
+    Rows,
+    broadcast_rows,
+    finite_rows,
+    like_first,
+    true_or_false,
+    usual_modes,
+)
+from objectfolder.objectfile.radiation import Radiation
+from objectfolder.objectfile.reading import StoredObject
+from objectfolder.objectfile.surface import TOLERANCE
 
-_PIECE = 512  # samples of a contact computed at once
-_BATCH = 1024  # strikes whose mode shapes are in memory at once
-_ALIKE = 0.01  # relative change of a mode's wavenumber times the size at which its stored radiation holds
-_BANKS = 4  # sounds whose mode responses are kept
-log = logging.getLogger(__name__)
+_BYTES_PER_SAMPLE = 8  # of an answer, while it is made
 
 
-class AudioSense(Protocol):
+@dataclass(frozen=True)
+class Strikes:
+    """Impulses on an object, one for each sound, and where they are heard."""
+
+    points: np.ndarray  #: (N, 3) object frame, metres
+    impulses: np.ndarray  #: (N, 3) N s, object frame
+    tolerance: float  #: greatest distance of a point from the surface, fraction of the size
+    listeners: np.ndarray | None = None  #: (N, 3) metres; None for sounds without a listener
+    delay: bool = False  #: whether sounds start when they arrive, rather than with the strikes
+
+    @classmethod
+    def checked(
+        cls, points: Rows, forces: Rows, listener: Rows | None, delay: bool, tolerance: float
+    ) -> "Strikes":
+        """Check the arguments of a query; a single row of one serves all rows of the others.
+
+        Raises ObjectFolderError if shapes do not fit, values are not finite, or there is a delay without a
+        listener.
+        """
+        places = finite_rows("points", points, 3)
+        longer = "points" if len(places) > 1 else "forces"
+        places, impulses = broadcast_rows("points", places, "forces", finite_rows("forces", forces, 3))
+        late = true_or_false("delay", delay)
+        if listener is None:
+            if late:
+                raise ObjectFolderError("delay=True needs a listener; give listener, or leave delay out")
+            return cls(places, impulses, tolerance)
+        places, ears = broadcast_rows(longer, places, "listener", finite_rows("listener", listener, 3))
+        places, impulses = broadcast_rows("points", places, "forces", impulses)
+        return cls(places, impulses, tolerance, ears, late)
+
+
+@dataclass(frozen=True)
+class SoundSettings:
+    """How strikes are played and sampled, and the material and size of the struck object."""
+
+    sample_rate: float  #: Hz
+    duration: float  #: seconds
+    response: str  #: displacement, velocity or acceleration
+    contact_time: float | None  #: seconds; 0 is an ideal impulse, None the striker's
+    material: str | Material | None  #: None for the object's own
+    scale: float | None  #: longest side, metres; None for the object's own
+    striker: Striker | None = None  #: None for steel, or an ideal impulse where contact times are not known
+    heard: bool = False  #: whether a listener hears the strikes
+
+    @classmethod
+    def checked(
+        cls,
+        sample_rate: float,
+        duration: float,
+        response: str,
+        contact_time: float | None,
+        material: str | Material | None,
+        scale: float | None,
+        striker: str | Striker | None,
+        strikes: int,
+        heard: bool = False,
+    ) -> "SoundSettings":
+        """Check the arguments of a query for the sounds of so many strikes.
+
+        Raises ObjectFolderError if one is not of its type, a striker and a contact time are both given, the
+        material is undamped, or the sounds do not fit into memory.
+        """
+        stuff, size = struck_object(material, scale)
+        if isinstance(stuff, Material):
+            stuff.require_damping()
+        if striker is not None and contact_time is not None:
+            raise ObjectFolderError(
+                f"striker is {quoted(striker)}, but contact_time says how long it touches; leave one of them "
+                "out"
+            )
+        response = one_of("response", response, RESPONSES)
+        if heard and response != "displacement":
+            raise ObjectFolderError(
+                f"response is {response!r}, but a listener hears pressure; leave response out"
+            )
+        samples = count_samples(sample_rate, duration)
+        rate, seconds = float(sample_rate), float(duration)
+        require_memory(
+            f"{strikes} sounds of {samples:,} samples ({seconds:g} s at {rate:g} Hz)",
+            _BYTES_PER_SAMPLE * strikes * samples,
+            "ask for a shorter duration, a lower rate or fewer strikes",
+        )
+        return cls(
+            rate,
+            seconds,
+            response,
+            None if contact_time is None else checked_contact_time(contact_time),
+            stuff,
+            size,
+            None if striker is None else load_striker(striker),
+            heard,
+        )
+
+
+def struck_object(
+    material: str | Material | None, scale: float | None
+) -> tuple[str | Material | None, float | None]:
+    """Return material and longest side (m) of a struck object, checked; None is the object's own.
+
+    Raises ObjectFolderError if the material is not known, or the size is not a number.
+    """
+    if not isinstance(material, Material | None):
+        materials.material(material)
+    return material, None if scale is None else finite_number("scale", scale)
+
+
+class SoundSense(ABC):
     """What an Object File asks an audio net of any kind. Points are in the object frame, metres."""
 
     has_modes: bool  #: whether the net knows mode shapes
 
     @property
+    @abstractmethod
     def damped_frequency(self) -> torch.Tensor:
         """Angular frequencies of the modes, rad/s; (M,), empty if they are not known."""
 
+    @abstractmethod
     def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
         """Return the modes of this shape in another material or size."""
 
+    @abstractmethod
     def contact_time(
         self, striker: Striker, material: str | Material | None, scale: float | None
     ) -> float | None:
         """Return how long a striker touches an object of this shape, seconds; None if it is not known."""
 
+    @abstractmethod
     def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
         """Return mass-normalised mode shapes, kg^-1/2; (N, 3, M) float32."""
 
+    @abstractmethod
     def impact(
-        self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
+        self, strikes: Strikes, settings: SoundSettings, read_radiation: Callable[[], Radiation]
     ) -> np.ndarray:
-        """Return sounds of impulses (N, 3), N s, at points (N, 3); (N, samples) float32."""
+        """Return sounds of strikes, or their pressures at listeners, Pa; (N, samples) float32.
 
-    def heard(
-        self,
-        points: np.ndarray,
-        impulses: np.ndarray,
-        settings: SoundSettings,
-        tolerance: float,
-        read_radiation: Callable[[], Radiation],
-        listening: Listening,
-    ) -> np.ndarray:
-        """Return sound pressures of impulses at listeners, Pa; (N, samples) float32."""
+        Raises ObjectFolderError if a setting is not valid, a point is off the surface, a sound exceeds single
+        precision, a listener is inside the object's ball, or the struck object's sound has other wavelengths,
+        relative to its size, than the stored one's.
+        """
 
 
-class ModalNet(Protocol):
-    """Net from a point to mode shapes."""
-
-    damped_frequency: torch.Tensor
-    damping: torch.Tensor
-
-    def shapes(self, points: torch.Tensor) -> torch.Tensor:
-        """Mode shapes (N, 3, M), kg^-1/2, at (N, 3) points of the unit frame."""
-
-
-def audio_sense(stored: StoredNet) -> AudioSense:
-    """Load an audio net. The code of a kind is imported when a file holds it."""
-    if stored.kind == "gains":
-        from objectfolder.nets.audio_gains import GainsNet
-
-        return ModalSense(stored.load(GainsNet), stored)
-    from objectfolder.objectfile.spectrograms import SpectrogramSense
-
-    if stored.kind == "spectrogram":
-        from objectfolder.nets.audio_spectrogram import SpectrogramNet
-
-        return SpectrogramSense(stored.load(SpectrogramNet), stored)
-    from objectfolder.nets.released.registry import released_net
-
-    net = stored.load(released_net(stored.kind))
-    return ModalSense(net, stored) if stored.kind == "released_gains" else SpectrogramSense(net, stored)
-
-
-class ModalSense:
-    """Sounds synthesised from modes."""
-
-    has_modes = True
-
-    def __init__(self, net: ModalNet, stored: StoredNet):
-        self.net = net
-        self._stored, self._surface = stored, stored.surface
-        self._banks: Recent[tuple[Tuning, Bank]] = Recent(_BANKS)
-        self._said: set[str] = set()
+class SoundQueries(StoredObject):
+    """How an object sounds: part of `objectfolder.objectfile.file.ObjectFile`."""
 
     @property
-    def damped_frequency(self) -> torch.Tensor:
-        """Angular frequencies of the modes, rad/s; (M,)."""
-        return self.net.damped_frequency.cpu()
-
-    def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
-        """Return the modes of this shape in another material or size."""
-        modes = self.net.damped_frequency.cpu().clone(), self.net.damping.cpu().clone()
-        if material is None and scale is None:
-            return stored_modes(*modes, self._band())
-        own, band = self._solved()
-        return retune(*modes, band, (own, self._surface.scale), self._struck(own, material, scale))
-
-    def contact_time(
-        self, striker: Striker, material: str | Material | None, scale: float | None
-    ) -> float | None:
-        """Return how long a striker touches an object of this shape, seconds.
-
-        An object whose volume is not stored, as before format 1.1, counts as heavy. None for imported files,
-        which do not say what their modes are of.
-        """
-        header = self._stored.header
-        if not self._described and material is None and scale is None:
-            return None
-        self.tuning(material, scale)  # refuses impossible ones
-        stuff, size = self._struck(self._solved()[0], material, scale)
-        solid = header.get("solid")
-        return contact_time(striker, stuff, stuff.density * solid["volume"] * size**3 if solid else math.inf)
-
-    def _struck(
-        self, own: Material, material: str | Material | None, scale: float | None
-    ) -> tuple[Material, float]:
-        """Return material and longest side of the struck object."""
-        if material is not None and not isinstance(material, Material):
-            material = materials.material(material, own.law)
-        return material or own, self._surface.scale if scale is None else scale
-
-    def struck(self, material: str | Material | None, scale: float | None) -> tuple[Material, float]:
-        """Return material and longest side (m) of this shape in another material or size.
-
-        Raises
-        ------
-        ObjectFolderError
-            If the file does not say what its modes are of.
-        """
-        return self._struck(self._solved()[0], material, scale)
+    @usual_modes()
+    def has_modes(self) -> bool:
+        """Whether the audio net knows mode shapes, which `mode_shapes`, `tuning` and other sizes need."""
+        return bool(self._parts.audio.has_modes)
 
     @property
-    def own_material(self) -> Material:
-        """Material for which the stored modes were solved.
+    @usual_modes()
+    def frequencies(self) -> np.ndarray:
+        """Frequencies of the modes, Hz; (M,), empty if the file does not know them."""
+        damped: torch.Tensor = self._parts.audio.damped_frequency
+        return damped.numpy() / (2 * math.pi)
 
-        Raises
-        ------
-        ObjectFolderError
-            If the file does not say.
+    @usual_modes()
+    def tuning(self, material: str | Material | None = None, scale: float | None = None) -> Tuning:
+        """Return the modes of this shape in another material or size; see `objectfolder.audio.tuning.retune`.
+
+        Parameters
+        ----------
+        material : str or Material, optional
+            Default: the object's own.
+        scale : float, optional
+            Longest side, metres. Default: the object's own.
         """
-        return self._solved()[0]
+        sense: SoundSense = self._parts.audio
+        return sense.tuning(material, scale)
 
-    @property
-    def _described(self) -> bool:
-        """Whether the file says what its modes are of."""
-        header = self._stored.header
-        return "band_hz" in header["audio"] and "material_properties" in header
-
-    def _solved(self) -> tuple[Material, tuple[float, float]]:
-        """Material and band of natural frequencies (Hz) for which the stored modes were solved."""
-        header, key = self._stored.header, self._stored.key
-        if not self._described:
-            raise ObjectFolderError(
-                f"{key}: the file stores no material properties (imported files do not); it "
-                "answers in its own material and size only"
-            )
-        with report_damage(key, "description of the sound"):
-            stored = header["material_properties"]
-            known = {field.name: stored[field.name] for field in fields(Material) if field.name in stored}
-            return Material(header["material"], **known), self._band()
-
-    def _band(self) -> tuple[float, float]:
-        """Band of natural frequencies (Hz) in which every mode is stored; all of them if it is not known."""
-        with report_damage(self._stored.key, "description of the sound"):
-            low, high = self._stored.header["audio"].get("band_hz", (0.0, math.inf))
-            return float(low), float(high)
-
-    def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
-        """Return mass-normalised mode shapes, kg^-1/2; (N, 3, M) float32."""
-        snapped = self._surface.to_unit(self._surface.snap(points, tolerance))
-        shapes = self.net.shapes(torch.from_numpy(snapped)).cpu().numpy()
-        if not np.isfinite(shapes).all():
-            raise damaged_net(self._stored.key, "audio")
-        return shapes
-
+    @usual_modes()
     def impact(
-        self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
-    ) -> np.ndarray:
-        """Return sounds of impulses (N, 3), N s, at points (N, 3); (N, samples) float32.
-
-        Raises
-        ------
-        ObjectFolderError
-            If a setting is not valid, a point is off the surface, or a sound exceeds single precision.
-        """
-        tuning, bank = self._bank(settings)
-        _report_inaudible(len(bank.heard), len(tuning.modes), bank.sample_rate / 2)
-        sounds = np.empty((len(points), bank.samples), np.float32)
-        for part, strengths in self._strengths(points, impulses, settings, tolerance):
-            sounds[part] = bank.mix(strengths)
-        return finite_sounds(sounds, impulses)
-
-    def heard(
         self,
-        points: np.ndarray,
-        impulses: np.ndarray,
-        settings: SoundSettings,
-        tolerance: float,
-        read_radiation: Callable[[], Radiation],
-        listening: Listening,
-    ) -> np.ndarray:
-        """Return sound pressures of impulses at listeners, Pa; (N, samples) float32.
+        points: Answer | Sequence[Any],
+        forces: Rows,
+        sample_rate: float = 16000,
+        duration: float = 2.0,
+        response: str = "displacement",
+        tolerance: float = TOLERANCE,
+        contact_time: float | None = None,
+        material: str | Material | None = None,
+        scale: float | None = None,
+        striker: str | Striker | None = None,
+        listener: Rows | None = None,
+        delay: bool = False,
+    ) -> Answer:
+        """Strike the object, or one of its shape, with impulses; see docs/sound.md.
+
+        Parameters
+        ----------
+        points : (N, 3) array
+            Object frame, metres; snapped to the surface.
+        forces : (N, 3) array
+            Impulse vectors, N s, object frame; the sound is linear in them.
+        sample_rate : float
+            Hz. Modes at or above half of it are left out.
+        duration : float
+            Seconds.
+        response : {"displacement", "velocity", "acceleration"}
+            Of the modes, summed: m kg^1/2 and its time derivatives.
+        tolerance : float
+            Greatest distance of a point from the surface, fraction of the size.
+        contact_time : float, optional
+            Duration of the strike, seconds: half a sine of force whose integral is the impulse. 0 is an
+            ideal impulse. Default: that of the striker, see `contact_time`. Give one of both.
+        material : str or Material, optional
+            Material of the struck object. Another Poisson ratio makes the answer approximate: a warning
+            gives the error bounds.
+        scale : float, optional
+            Longest side of the struck object, metres; ``points`` are metres of that object. A warning names
+            the band where modes are missing.
+        striker : str or Striker, optional
+            What strikes the object: a name of `objectfolder.audio.contact.striker_names`, or a file.
+            Default: steel, or an ideal impulse where the contact time is not known.
+        listener : (N, 3) array, optional
+            Where the strikes are heard, object frame, metres; outside the ball about the origin that holds
+            the object. The answer is then the sound pressure there, in pascals, of the modes and of the
+            recoil of the object as a whole.
+        delay : bool
+            Whether sounds reach a listener after the time that they need, rather than with the strikes.
+
+        Returns
+        -------
+        (N, samples) float32, absolute amplitude
 
         Raises
         ------
         ObjectFolderError
-            As `impact`; if a listener is inside the object's ball, or the struck object's sound has other
-            wavelengths, relative to its size, than the stored one's.
+            If shapes do not fit, values are not finite or too large, a point is off the surface, the sounds
+            do not fit into memory, the file does not say how the struck object sounds at a listener, or it
+            does not say how long a given striker touches. If the material is undamped, both a striker and a
+            contact time are given, or a delay without a listener.
         """
-        tuning, bank = self._bank(settings)
-        stuff, size = self._struck(self._solved()[0], settings.material, settings.scale)
-        radiation = read_radiation()
-        radiation.check_outside(listening.places, size)
-        outcome = "only the recoil is heard"
-        _report_inaudible(len(bank.heard), len(tuning.modes), bank.sample_rate / 2, outcome)
-        self._check_wavelengths(radiation, tuning, size)
-        s = torch.complex(-tuning.damping, tuning.damped_frequency)[bank.heard].to(torch.complex128)
-        lag = radiation.lag(listening.places, size, SOUND_SPEED) * listening.delay
-        late = np.ceil(lag * bank.sample_rate).astype(np.int64)
-        rest = torch.from_numpy(late / bank.sample_rate - lag)[:, None]
-        radiation, wavenumbers = radiation.of(tuning.modes[bank.heard].numpy()), s.imag.numpy() / SOUND_SPEED
-        contact_time = self._contact(settings)
-        sounds = np.empty((len(points), bank.samples), np.float32)
-        for part, strengths in self._strengths(points, impulses, settings, tolerance):
-            pressure = radiation.pressure(wavenumbers, listening.places[part], size)
-            phasors = strengths.cpu() * torch.from_numpy(tuning.shape_factor * pressure.conj()) * s**2
-            sounds[part] = bank.mix((phasors * torch.exp(s * rest[part])).to(torch.complex64))
-            if contact_time:
-                _press(sounds[part], bank.sample_rate, s, phasors, rest[part], contact_time)
-        for sound, samples in zip(sounds, late):
-            if samples:
-                sound[samples:] = sound[:-samples].copy() if samples < len(sound) else 0
-                sound[:samples] = 0
-        sounds += recoil_pressure(
-            radiation.recoil(stuff.density, size),
-            impulses,
-            listening.places,
-            bank.sample_rate,
-            bank.samples,
-            contact_time,
-            listening.delay,
+        strikes = Strikes.checked(points, forces, listener, delay, tolerance)
+        settings = SoundSettings.checked(
+            *(sample_rate, duration, response, contact_time, material, scale, striker, len(strikes.points)),
+            heard=listener is not None,
         )
-        return finite_sounds(sounds, impulses)
+        sense: SoundSense = self._parts.audio
+        return like_first(sense.impact(strikes, settings, lambda: self._parts.radiation), points)
 
-    def striking_time(
-        self, striker: Striker | None, material: str | Material | None, scale: float | None
-    ) -> float:
-        """Return how long a strike lasts, seconds: an ideal impulse, 0, if it is not known.
+    def listen(
+        self,
+        points: Rows,
+        forces: Rows,
+        sample_rate: float | None = None,
+        duration: float = 2.0,
+        response: str | None = None,
+        **strike: Any,
+    ) -> list[Any]:
+        """Strike the object in a notebook, and return a player of each sound.
 
-        Raises
-        ------
-        ObjectFolderError
-            If it is not known and a striker is given.
+        Parameters
+        ----------
+        points, forces, sample_rate, duration, response
+            As of `impact`. By default those of the viewer: acceleration at 44.1 kHz, or the pressure at a
+            listener; of a file that stores spectrograms, what they hold: displacement at 16 kHz.
+        **strike
+            Others of `impact`.
+
+        Returns
+        -------
+        list of IPython.display.Audio
+            The loudest sound has 0.9 of full scale.
         """
-        lasting = self.contact_time(striker or STRIKERS["steel"], material, scale)
-        if lasting is None and striker is not None:
-            raise ObjectFolderError(
-                f"{self._stored.key}: the file does not say what its modes are of, so how long a striker "
-                "touches is not known; leave striker out, which gives an ideal impulse, or give contact_time "
-                "instead"
-            )
-        return lasting or 0.0
+        pressure = strike.get("listener") is not None
+        rate = sample_rate if sample_rate is not None else 44100 if self.has_modes else 16000
+        if response is None:
+            response = "acceleration" if self.has_modes and not pressure else "displacement"
+        sounds = self.impact(real_array("points", points), forces, rate, duration, response, **strike)
+        # Not an import statement: no stage asks for players, so none depends on them.
+        players: list[Any] = import_module("objectfolder.audio.notebook").players(sounds, rate)
+        return players
 
-    def _check_wavelengths(self, radiation: Radiation, tuning: Tuning, size: float) -> None:
-        key, own = self._stored.key, self.damped_frequency
-        if radiation.modes != len(own):
-            raise ObjectFolderError(
-                f"{key}: the file holds the radiation of {radiation.modes} modes of {len(own)}; rebuild it"
-            )
-        ratio = tuning.damped_frequency / own[tuning.modes] * (size / self._surface.scale)
-        low, high = tuning.frequency_bounds  # of another Poisson ratio
-        if len(ratio) and max(float(ratio.max()) * high - 1, 1 - float(ratio.min()) * low) > _ALIKE:
-            raise ObjectFolderError(
-                f"{key}: the stored radiation does not apply to this material, which has "
-                f"{float(1 / ratio.max()) / high:.2f} to "
-                f"{float(1 / ratio.min()) / low:.2f} times the wavelength; "
-                "build the object in this material to use a listener"
-            )
+    @usual_modes()
+    def contact_time(
+        self,
+        striker: str | Striker = "steel",
+        material: str | Material | None = None,
+        scale: float | None = None,
+    ) -> float:
+        """Return how long a striker touches the object, or one of its shape, seconds.
 
-    def _strengths(
-        self, points: np.ndarray, impulses: np.ndarray, settings: SoundSettings, tolerance: float
-    ) -> Iterator[tuple[slice, torch.Tensor]]:
-        """Yield parts of the strikes, and their gains of the bank's modes; (rows, H) float32."""
-        tuning, bank = self._bank(settings)
-        for note in tuning.notes:
-            if note not in self._said:  # once, not at every strike
-                self._said.add(note)
-                log.warning("%s: %s", self._stored.key, note)
-        surface = self._surface.resized(settings.scale)
-        places = torch.from_numpy(surface.to_unit(surface.snap(points, tolerance)))
-        for start in range(0, len(places), _BATCH):
-            part = slice(start, start + _BATCH)
-            shapes = self.net.shapes(places[part])[..., tuning.modes[bank.heard]]
-            force = torch.from_numpy(impulses[part] * tuning.shape_factor).float().to(shapes.device)
-            yield part, gains(shapes, force)
+        0, an ideal impulse, if the file does not say what its modes are of, as imported ones do not, or
+        stores spectrograms.
 
-    def _bank(self, settings: SoundSettings) -> tuple[Tuning, Bank]:
-        return self._banks.of(settings, lambda: self._new_bank(settings))
+        Parameters
+        ----------
+        striker : str or Striker
+            One of `objectfolder.audio.contact.striker_names`, or a file with a striker.
+        material, scale
+            As in `impact`.
+        """
+        tip, struck = load_striker(striker), struck_object(material, scale)
+        sense: SoundSense = self._parts.audio
+        return sense.contact_time(tip, *struck) or 0.0
 
-    def _new_bank(self, settings: SoundSettings) -> tuple[Tuning, Bank]:
-        tuning = self.tuning(settings.material, settings.scale)
-        played = settings.sample_rate, settings.duration, settings.response, self._contact(settings)
-        return tuning, Bank(tuning, *played, self._stored.device, settings.heard)
+    @usual_modes()
+    def mode_shapes(self, points: Rows, tolerance: float = TOLERANCE) -> np.ndarray:
+        """Return mass-normalised mode shapes: the modal gains of unit impulses along x, y and z.
 
-    def _contact(self, settings: SoundSettings) -> float:
-        if settings.contact_time is not None:
-            return settings.contact_time
-        return self.striking_time(settings.striker, settings.material, settings.scale)
+        Parameters
+        ----------
+        points : (N, 3) array
+            Object frame, metres; snapped to the surface.
+        tolerance : float
+            Greatest distance of a point from the surface, fraction of the size.
 
-
-def _press(
-    sounds: np.ndarray,
-    rate: float,
-    s: torch.Tensor,
-    phasors: torch.Tensor,
-    rest: torch.Tensor,
-    contact_time: float,
-) -> None:
-    """Add to sounds at listeners how the force itself is heard.
-
-    Parameters
-    ----------
-    sounds : (N, samples) float32 array
-        Changed in place.
-    rate : float
-        Samples per second.
-    s : (H,) complex tensor
-        Poles of the modes.
-    phasors : (N, H) complex tensor
-        What the modes' responses are multiplied by.
-    rest : (N, 1) tensor
-        Time since the start of contact at the first sample, seconds.
-    contact_time : float
-        Seconds, positive.
-    """
-    time = torch.arange(min(sounds.shape[1], math.ceil(contact_time * rate)), dtype=torch.float64) / rate
-    by_force, by_change = (
-        (phasors * turn / s.imag).imag.sum(1, keepdim=True) for turn in pressing(s, contact_time)
-    )
-    time, first = time[time < contact_time], 0
-    for piece in time.split(_PIECE):
-        since, part = piece + rest, sounds[:, first : first + len(piece)]
-        if rest.any():  # the bank's responses are those of whole samples
-            for sound, row, turned in zip(part, since, phasors):
-                sound[:] = response_at(s[:, None], row, contact_time, weight=turned[:, None]).sum(0).numpy()
-        force, change = half_sine(since, contact_time)
-        part += (by_force * force + by_change * change).numpy()
-        first += len(piece)
-
-
-def _report_inaudible(heard: int, modes: int, nyquist: float, outcome: str = "silent") -> None:
-    if modes == 0:
-        log.warning("%s: the object has no mode that rings between 20 Hz and 20 kHz", outcome)
-    elif heard == 0:
-        beyond = "none of the object's %d modes lies below the Nyquist frequency of %g Hz"
-        log.warning(f"%s: {beyond}", outcome, modes, nyquist)
-    elif heard < modes:
-        log.info("%d of %d modes lie above the Nyquist frequency", modes - heard, modes)
+        Returns
+        -------
+        (N, 3, M) float32, kg^-1/2
+        """
+        sense: SoundSense = self._parts.audio
+        return sense.mode_shapes(finite_rows("points", points, 3), tolerance)

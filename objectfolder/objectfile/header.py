@@ -14,7 +14,7 @@ from objectfolder.errors import ObjectFolderError, quoted, shortened
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
 
-FORMAT = (1, 4)  #: major, minor; a reader accepts every file of its major version
+FORMAT = (1, 5)  #: major, minor; a reader accepts every file of its major version
 MODALITIES = ("vision", "audio", "touch")
 PARTS = ("geometry", *MODALITIES)
 RADIATION = "radiation"  #: part that only sound at a listener needs
@@ -51,24 +51,18 @@ def known_net(part: str, described: dict[str, Any]) -> dict[str, Any]:
 def checked_header(header: Any, path: object) -> dict[str, Any]:
     """Validate a header.
 
+    Returns dict: Copy of the header, converted to JSON types.
+
+    Raises ObjectFolderError if it is not the header of an Object File, is of another major version, or
+    violates the schema. An unknown kind is rejected here, unless the file has a newer version: then it is
+    rejected when its part is queried.
+
     Parameters
     ----------
     header : anything
         Header as decoded from JSON, or to be encoded.
     path : path
         Path of the file, for error messages.
-
-    Returns
-    -------
-    dict
-        Copy of the header, converted to JSON types.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is not the header of an Object File, is of another major version, or violates the schema. An
-        unknown kind is rejected here, unless the file has a newer version: then it is rejected when its part
-        is queried.
     """
     try:
         header = json.loads(json.dumps(header, allow_nan=False))
@@ -111,10 +105,7 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
 def checked_name(name: str, value: str, place: str) -> str:
     """Return one of the `NAMES` in a header.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is not as the schema's pattern says; ``place`` begins the message.
+    Raises ObjectFolderError if it is not as the schema's pattern says; ``place`` begins the message.
     """
     if not re.fullmatch(schema()["properties"][name]["pattern"], value):
         raise ObjectFolderError(f"{place} is {quoted(value)}, expected {NAMES[name]}")

@@ -22,27 +22,12 @@ def pack_object_file(
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the header and the tensors of an Object File.
 
-    Parameters
-    ----------
-    key : str
-    modal : dict
-        ``modal.json``: material and scale of the solid whose modes the audio net holds, and how accurate
-        their frequencies are.
-    normalize : dict
-        ``normalize.json``: mass properties and the transform to the source mesh.
-    sdf : dict
-        ``values`` int8 and ``band``, and the arrays of `Features`, if the surface has any.
-    nets : dict
-        Per modality its tensors and header, as the training stages wrote them.
-    provenance : dict
-        SHA-256 of each input, by name.
-    radiation : tuple of dict, optional
-        Tensors and header, as the stage ``radiation`` wrote them. Left out with an audio net without modes.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the header breaks the schema.
+    ``modal`` is ``modal.json``: material and scale of the solid whose modes the audio net holds, and how
+    accurate their frequencies are; ``normalize`` is ``normalize.json``: mass properties and the transform to
+    the source mesh. ``sdf`` holds ``values`` int8, ``band``, and the arrays of `Features`, if the surface has
+    any; ``nets`` per modality its tensors and header, as the training stages wrote them; ``provenance`` the
+    SHA-256 of each input, by name; ``radiation`` what its stage wrote, which is left out with an audio net
+    without modes. Raises ObjectFolderError if the header breaks the schema.
     """
     stream, predictor = pack_grid(sdf["values"])
     tensors = {"geometry.distances": stream}

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,134 +15,51 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import unpack_grid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.released.registry import trained_box
-from objectfolder.objectfile.audio import AudioSense, audio_sense
-from objectfolder.objectfile.header import PARTS, RADIATION, known_kinds
+from objectfolder.objectfile.audio import SoundSense
+from objectfolder.objectfile.audio_senses import sound_sense
+from objectfolder.objectfile.header import RADIATION
 from objectfolder.objectfile.radiation import Radiation
-from objectfolder.objectfile.reading import StoredNet, once, report_damage
+from objectfolder.objectfile.reading import (
+    StoredNet,
+    checked_tensor,
+    described_part,
+    held_parts,
+    once,
+    read_once,
+    report_damage,
+)
 from objectfolder.objectfile.surface import TOLERANCE, ObjectSurface
-from objectfolder.objectfile.touch import TouchSense, touch_sense
-from objectfolder.objectfile.vision import VisionSense, vision_sense
+from objectfolder.objectfile.touch import TouchSense
+from objectfolder.objectfile.touch_senses import touch_sense
+from objectfolder.objectfile.vision import VisionSense
+from objectfolder.objectfile.vision_senses import vision_sense
 
 TAPS = 2000  #: points of the surface whose mode shapes are kept for rough answers
 
 
-class StoredGeometry:
-    """Header and tensors of an Object File, and the surface that they hold.
-
-    `StoredParts` and `ObjectSurface` share it, so that neither has to hold the other.
-
-    Parameters
-    ----------
-    header : dict
-    tensors : mapping of arrays
-    """
-
-    def __init__(self, header: dict[str, Any], tensors: Mapping[str, np.ndarray]):
-        self.header, self.tensors, self.key = header, tensors, str(header["key"])
-        self._lock = threading.RLock()
-
-    @once
-    def surface(self) -> Isosurface:
-        """The stored surface, unit frame."""
-        config = self.described("geometry")
-        packed = self.tensor("geometry.distances")
-        with report_damage(self.key, "distance grid"):
-            values = unpack_grid(packed, int(config["resolution"]), config["predictor"])
-            surface = Isosurface(DistanceGrid(values, config["band"], self._features(config)))
-            if not len(surface.faces):
-                raise ValueError("no surface")
-            return surface
-
-    def _features(self, config: dict[str, Any]) -> Features | None:
-        counts = {name: config.get(name, 0) for name in COUNTED}
-        if not any(counts.values()):
-            return None
-        return unpack_features(self.tensor("geometry.features"), counts, int(config["resolution"]))
-
-    def held(self) -> list[str]:
-        """Return the names of the parts that the file holds."""
-        return [part for part in (*PARTS, RADIATION) if part in self.header]
-
-    def described(self, part: str) -> dict[str, Any]:
-        """Return the header of a part.
-
-        Raises
-        ------
-        ObjectFolderError
-            If the file lacks it, or a newer version made it.
-        """
-        if part not in self.header:
-            raise ObjectFolderError(
-                f"{self.key}: the file holds no {part}; it holds {', '.join(self.held()) or 'nothing'}"
-            )
-        found = self.header[part]
-        if found["kind"] not in known_kinds(part):
-            raise ObjectFolderError(
-                f"{self.key}: {part} is of kind {found['kind']!r}, which this version does not know; "
-                "update objectfolder"
-            )
-        return found
-
-    def tensor(self, name: str) -> np.ndarray:
-        """Return a tensor, checked."""
-        if name not in self.tensors:
-            raise ObjectFolderError(f"{self.key}: the Object File lacks tensor {name}")
-        value = self.tensors[name]
-        if not isinstance(value, np.ndarray) or isinstance(value, np.ma.MaskedArray):
-            raise ObjectFolderError(
-                f"{self.key}: tensor {name} is a {type(value).__name__}, expected an array"
-            )
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
-            raise ObjectFolderError(f"{self.key}: tensor {name} holds values that are not finite; rebuild it")
-        return value
-
-
 class StoredParts:
-    """Surface and senses of an Object File.
-
-    Parameters
-    ----------
-    header : dict
-        Checked; see `objectfolder.objectfile.header.checked_header`.
-    tensors : mapping of arrays
-    device : torch.device
-        Where nets are evaluated.
-    """
+    """Surface and senses of an Object File, whose header is checked; nets are evaluated on the device."""
 
     def __init__(self, header: dict[str, Any], tensors: Mapping[str, np.ndarray], device: torch.device):
         self.header, self.tensors, self.device = header, tensors, device
         self.key = str(header["key"])
-        self._stored = stored = StoredGeometry(header, tensors)
-        self.surface = ObjectSurface(lambda: stored.surface, float(header["scale"]), "geometry" in header)
+        # The surface, which the senses hold, does not hold the parts: these go when nobody needs them.
+        read = read_once(partial(_read_geometry, header, tensors))
+        self.surface = ObjectSurface(read, float(header["scale"]), "geometry" in header)
         self._lock = threading.RLock()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.header, self.tensors, self.device)  # parts are read again
 
     def check(self) -> None:
-        """Read all parts that the file holds.
-
-        Raises
-        ------
-        ObjectFolderError
-            If one is damaged.
-        """
-        for part in self.held():
+        """Read all parts that the file holds, or raise ObjectFolderError if one is damaged."""
+        for part in held_parts(self.header):
             getattr(self, part)
-
-    def held(self) -> list[str]:
-        """Return the names of the parts that the file holds."""
-        return self._stored.held()
-
-    def described(self, part: str) -> dict[str, Any]:
-        """Return the header of a part; see `StoredGeometry.described`."""
-        return self._stored.described(part)
 
     @property
     def geometry(self) -> Isosurface:
         """The stored surface, unit frame."""
-        surface: Isosurface = self._stored.surface
-        return surface
+        return self.surface.read()
 
     @once
     def vision(self) -> VisionSense:
@@ -149,9 +67,9 @@ class StoredParts:
         return vision_sense(self._net("vision"))
 
     @once
-    def audio(self) -> AudioSense:
+    def audio(self) -> SoundSense:
         """How the object sounds."""
-        return audio_sense(self._net("audio"))
+        return sound_sense(self._net("audio"))
 
     @once
     def taps(self) -> tuple[np.ndarray, np.ndarray]:
@@ -175,10 +93,31 @@ class StoredParts:
         return Radiation(self._net(RADIATION))
 
     def _net(self, part: str) -> StoredNet:
-        self.described(part)
+        described_part(self.header, part)
         start = f"{part}."
         tensors = {
-            name[len(start) :]: self._stored.tensor(name) for name in self.tensors if name.startswith(start)
+            name[len(start) :]: checked_tensor(self.key, self.tensors, name)
+            for name in self.tensors
+            if name.startswith(start)
         }
         surface = replace(self.surface, box=trained_box(self.header[part]))
         return StoredNet(part, self.header, tensors, surface, self.device)
+
+
+def _read_geometry(header: dict[str, Any], tensors: Mapping[str, np.ndarray]) -> Isosurface:
+    config, key = described_part(header, "geometry"), str(header["key"])
+    packed = checked_tensor(key, tensors, "geometry.distances")
+    with report_damage(key, "distance grid"):
+        values = unpack_grid(packed, int(config["resolution"]), config["predictor"])
+        surface = Isosurface(DistanceGrid(values, config["band"], _read_features(config, key, tensors)))
+        if not len(surface.faces):
+            raise ValueError("no surface")
+        return surface
+
+
+def _read_features(config: dict[str, Any], key: str, tensors: Mapping[str, np.ndarray]) -> Features | None:
+    counts = {name: config.get(name, 0) for name in COUNTED}
+    if not any(counts.values()):
+        return None
+    packed = checked_tensor(key, tensors, "geometry.features")
+    return unpack_features(packed, counts, int(config["resolution"]))

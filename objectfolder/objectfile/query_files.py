@@ -9,7 +9,7 @@ from objectfolder.checks import finite_number, one_of, require_memory, whole_num
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.vision.cameras import CAMERA_RADIUS, FARTHEST, LIGHT_RADIUS, sphere_points
+from objectfolder.vision.cameras import CAMERA_RADIUS, LIGHT_RADIUS, MAX_COORDINATE, sphere_points
 
 MAX_TILT = math.radians(15)  #: largest tilt of the published touches, radians
 
@@ -46,7 +46,7 @@ def sample_views(
     """
     count, rng = whole_number("count", count), np.random.default_rng(whole_number("seed", seed))
     require_memory(f"{count} views", 100 * count, "draw fewer at a time")
-    places = NEAREST, FARTHEST, "in the unit frame (longest side 1)"
+    places = NEAREST, MAX_COORDINATE, "in the unit frame (longest side 1)"
     radii = _within("radius", radius, *places), _within("light_radius", light_radius, *places)
     return np.hstack([sphere_points(count, one, rng) for one in radii])
 

@@ -1,7 +1,6 @@
 """What of an object's sound reaches a listener: far fields of its modes, and its recoil."""
 
 import copy
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,27 +12,8 @@ from objectfolder.objectfile.reading import StoredNet, report_damage
 _FARTHEST = 1e5  # metres at which a listener may be
 
 
-@dataclass(frozen=True)
-class Listening:
-    """Where strikes are heard."""
-
-    places: np.ndarray  #: (N, 3) metres, one for each strike
-    delay: bool  #: whether sounds start when they arrive, rather than with the strikes
-
-
 class Radiation:
-    """Stored radiation of an object of its own size.
-
-    Parameters
-    ----------
-    stored : StoredNet
-        The part ``radiation``.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is damaged.
-    """
+    """Stored radiation of an object of its own size; ObjectFolderError if the part is damaged."""
 
     def __init__(self, stored: StoredNet):
         self.key, self._scale = stored.key, stored.surface.scale
@@ -60,10 +40,7 @@ class Radiation:
     def check_outside(self, places: np.ndarray, scale: float) -> None:
         """Refuse listeners inside the ball about the origin that holds the object, or out of earshot.
 
-        Raises
-        ------
-        ObjectFolderError
-            If one is.
+        Raises ObjectFolderError if one is.
         """
         radius, distance = self.field.radius * scale / self._scale, np.linalg.norm(places, axis=1)
         inside = np.flatnonzero((distance < radius) | (distance > _FARTHEST))

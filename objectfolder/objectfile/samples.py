@@ -15,10 +15,7 @@ def available_samples() -> list[str]:
 def sample_path(name: str) -> Path:
     """Return the file of a sample.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is none of this name.
+    Raises ObjectFolderError if there is none of this name.
     """
     if name not in (names := available_samples()):
         raise ObjectFolderError(f"no sample {quoted(name)}: expected one of {', '.join(names)}")

@@ -9,4 +9,4 @@ from objectfolder.settings import Count
 class EvaluateConfig:
     """Section ``evaluate`` of ``params.yaml``."""
 
-    impacts: Count  #: random impacts whose spectrograms are scored
+    impacts: Count = 200  #: random impacts whose spectrograms are scored

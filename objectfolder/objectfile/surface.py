@@ -12,6 +12,8 @@ from objectfolder.mesh.sampling import sample_surface
 
 FARTHEST = 1e6  #: object sizes; further points have no nearest one in double precision
 TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
+#: Voxels. The stored surface is no more accurate than this: contact points nearer to it stay where they are.
+UNMOVED = 0.25
 
 
 @dataclass(frozen=True)
@@ -54,23 +56,14 @@ class ObjectSurface:
     def snap(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
         """Move points (N, 3) to the surface; without a stored one they stay, and have to be in the box.
 
-        Parameters
-        ----------
-        points : (N, 3) array
-        tolerance : float
-            Greatest distance from the surface or the box, fraction of the size.
-        slack : float
-            Points nearer to the surface than this stay where they are; voxels of the stored grid.
-
-        Raises
-        ------
-        ObjectFolderError
-            If a point is further away than the tolerance.
+        The tolerance is the greatest distance from the surface or the box, fraction of the size; points
+        nearer to the surface than ``slack`` voxels stay where they are. Raises ObjectFolderError if a point
+        is further away than the tolerance.
         """
-        feet = self.unit_feet(points, tolerance, slack)
-        return feet * self.scale if self.stored else points
+        closest = self.closest_unit_points(points, tolerance, slack)
+        return closest * self.scale if self.stored else points
 
-    def unit_feet(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
+    def closest_unit_points(self, points: np.ndarray, tolerance: float, slack: float = 0.0) -> np.ndarray:
         """Return what `snap` does, but in the unit frame; (N, 3)."""
         places = self._places(points)
         if (most := finite_number("tolerance", tolerance)) < 0:

@@ -9,14 +9,13 @@ import torch
 
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.audio.contact import effective_modulus
-from objectfolder.audio.synthesis import audible, gains
+from objectfolder.audio.synthesis import gains, is_audible
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
-from objectfolder.objectfile.audio import ModalSense
+from objectfolder.objectfile.audio_senses import ModalSense, no_modes
 from objectfolder.objectfile.header import RADIATION
 from objectfolder.objectfile.parts import TAPS, StoredParts
-from objectfolder.objectfile.reading import damaged_net
 
 _ALIKE = 0.01  # relative change of wavelengths, over the size, that is not worth a warning
 log = logging.getLogger(__name__)
@@ -66,14 +65,12 @@ class Voice:
         self._arguments = parts, sample_rate, material, scale
         sense, self.key = parts.audio, parts.key
         if not isinstance(sense, ModalSense):
-            raise ObjectFolderError(
-                f"{self.key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
-            )
+            raise no_modes(self.key)
         self._sense, self._surface = sense, parts.surface
         self.material, self.scale = sense.struck(material, scale)
         self._resized = self.scale / self._surface.scale
         tuning = sense.tuning(material, scale)
-        heard = audible(tuning.damped_frequency, sample_rate)
+        heard = is_audible(tuning.damped_frequency, sample_rate)
         self._rows, self._factor = tuning.modes[heard].numpy(), tuning.shape_factor
         modal = torch.complex(-tuning.damping.double(), tuning.damped_frequency.double())[heard].numpy()
         if len(tuning.modes) and not len(modal):
@@ -129,7 +126,9 @@ class Voice:
         places, pushes = finite_rows("points", points, 3), finite_rows("impulses", impulses, 3)
         places, pushes = broadcast_rows("points", places, "impulses", pushes)
         nearest = self._surface.nearest(places / self._resized)[0]
-        return self._gains(self._shapes(nearest), pushes)
+        force = torch.from_numpy(np.asarray(pushes, np.float64) * self._factor).float()
+        modal = gains(torch.from_numpy(self._sense.shapes(nearest)[..., self._rows]), force).double().numpy()
+        return np.concatenate([modal, pushes @ self.recoil.axes.T], 1)
 
     def rough_gains(self, point: np.ndarray, impulse: np.ndarray) -> np.ndarray:
         """Return gains (M + 3,) of an impulse (3,), with the shapes of the nearest of `TAPS` points."""
@@ -163,18 +162,6 @@ class Voice:
     def modulus(self, other: Material) -> float:
         """Return the modulus of contacts with a material, Pa."""
         return effective_modulus(*((m.youngs_modulus, m.poisson_ratio) for m in (self.material, other)))
-
-    def _shapes(self, points: np.ndarray) -> np.ndarray:
-        """Return mode shapes (N, 3, M) at points of the surface, metres of the stored object."""
-        shapes = self._sense.net.shapes(torch.from_numpy(self._surface.to_unit(points))).cpu().numpy()
-        if not np.isfinite(shapes).all():
-            raise damaged_net(self.key, "audio")
-        return shapes[..., self._rows]
-
-    def _gains(self, shapes: np.ndarray, impulses: np.ndarray) -> np.ndarray:
-        force = torch.from_numpy(np.asarray(impulses, np.float64) * self._factor).float()
-        modal = gains(torch.from_numpy(shapes), force).double().numpy()
-        return np.concatenate([modal, np.asarray(impulses) @ self.recoil.axes.T], 1)
 
     def _plane_waves(self) -> np.ndarray:
         """Return pressure at distance 1 m per modal velocity, as if the surface sent out plane waves; (M,).

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from objectfolder.objectfile.dataset import COLUMNS, INDEX, OBJECTS, IndexEntry
-from objectfolder.release.words import Words
+from objectfolder.release.pages import Words
 
 CONFORMS_TO = ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"]
 _TERMS = (
@@ -54,13 +54,7 @@ _MEANINGS = {
 def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) -> dict[str, Any]:
     """Return the metadata as JSON-LD.
 
-    Parameters
-    ----------
-    entries : sequence of IndexEntry
-    words : Words
-        What people read.
-    index_digest : str
-        SHA-256 of the index.
+    ``words``: what people read; ``index_digest``: SHA-256 of the index.
     """
     return {
         "@context": _CONTEXT,

@@ -12,15 +12,7 @@ from objectfolder.text import in_markdown, visible
 
 SOURCE = "SOURCE.txt"  #: that ``objectfolder fetch`` writes beside a mesh
 # Identifiers of SPDX. In lower case they are those of the Hugging Face Hub.
-_LICENCES = (
-    "Apache-2.0",
-    "CC-BY-4.0",
-    "CC-BY-NC-4.0",
-    "CC-BY-NC-SA-4.0",
-    "CC-BY-SA-4.0",
-    "CC0-1.0",
-    "MIT",
-)
+_LICENCES = ("Apache-2.0", "CC-BY-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "CC-BY-SA-4.0", "CC0-1.0", "MIT")
 MAX_NOTICE = 2**16  #: bytes
 
 
@@ -38,11 +30,8 @@ class Notice:
 def read_notice(mesh: Path) -> Notice | None:
     """Read the notice beside a mesh; None if there is none.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is too long for a notice, or a link to another place than the folder of the mesh or a DVC cache:
-        a release copies it, and the file may be private.
+    Raises ObjectFolderError if it is too long for a notice, or a link to another place than the folder of the
+    mesh or a DVC cache: a release copies it, and the file may be private.
     """
     path = mesh.parent / SOURCE
     if not path.is_file():

@@ -1,23 +1,100 @@
-"""README.md, a dataset card of the Hugging Face Hub, and DATASHEET.md of a release."""
+"""README.md, a dataset card of the Hugging Face Hub, and DATASHEET.md of a release, and their words."""
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
 
 from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
 from objectfolder.release.notices import Notice, attributions, hub_licence
-from objectfolder.release.words import Words, counted, spread
 from objectfolder.text import in_markdown
 from objectfolder.yamlfile import yaml_text
 
+_PAPER = (
+    "R. Gao, Y.-Y. Chang, S. Mall, L. Fei-Fei, J. Wu. ObjectFolder: A Dataset of Objects with Implicit "
+    "Visual, Auditory, and Tactile Representations. CoRL, 2021."
+)
 LICENCES = "licences"  #: folder of the notices
-_NAMED = "Name these with what you make from the objects; the Object Files were made from their meshes."
+_ATTRIBUTION = "Name these with what you make from the objects; the Object Files were made from their meshes."
 _SITE = "\n\n[site/index.html](site/index.html) shows every object: see, strike and touch it in a browser."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Words:
+    """Texts about a release; those with defaults hold for every release."""
+
+    name: str
+    summary: str
+    creator: str
+    version: str
+    date: str  #: YYYY-MM-DD
+    url: str
+    citation: str = _PAPER
+    keywords: Sequence[str] = field(
+        default=("multisensory", "3D objects", "impact sound", "touch", "implicit representation", "robotics")
+    )
+    making: str = (
+        "Simulated from textured meshes by objectfolder: views by path tracing, vibration modes by finite "
+        "elements, tactile images by contact with an elastic gel. Nets and a distance grid were fitted to "
+        "that and stored."
+    )
+    limits: str = (
+        "Views, sounds and touches are simulated, none is of a real object; textures of scanned meshes are "
+        "photographs. Each object is one uniform, linear, elastic solid without joints, liquids or coatings. "
+        "Damping is a law of its material, not a measurement of the object. Tactile images are those of the "
+        "sensor that each file names."
+    )
+    biases: str = (
+        "Objects were chosen because a mesh was at hand or could be generated: they are no sample of any "
+        "household. Sizes, materials and categories are distributed as the card says."
+    )
+    uses: str = (
+        "Research on perception and manipulation with sight, sound and touch: recognition, retrieval, "
+        "reconstruction, grasping, simulation. Not meant: certifying what a real object sounds or feels like."
+    )
+    impact: str = (
+        "Models that are trained on simulated objects alone may fail on real ones; test them on real data."
+    )
+    personal: str = "None: objects only, no people."
+    maintenance: str = (
+        "A new version is a new release with its own version number; files are never changed in place."
+    )
+
+
+def describe_release(
+    entries: Sequence[IndexEntry], *, name: str, creator: str, version: str, date: str, url: str
+) -> Words:
+    """Describe a release."""
+    sizes = sorted(entry.size for entry in entries)
+    summary = (
+        f"{len(entries)} Object Files: implicit representations that answer how an object looks from any "
+        "camera under any light, how it sounds when struck anywhere, and what a tactile sensor feels "
+        f"anywhere on it. Materials: {count_values(entry.material for entry in entries)}. "
+        f"Sizes: {sizes[0]:.2g} to {sizes[-1]:.2g} m."
+    )
+    return Words(name=name, summary=summary, creator=creator, version=version, date=date, url=url)
+
+
+def count_values(values: Iterable[str]) -> str:
+    """List values with how often each occurs, the most frequent first."""
+    ordered = sorted(Counter(values).items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{value or 'other'} {count}" for value, count in ordered)
+
+
+def summarize(values: Sequence[float | None]) -> str:
+    """Return median and extremes of those that are known."""
+    known = sorted(value for value in values if value is not None)
+    if not known:
+        return "unknown"
+    middle, least, most = (f"{float(f'{value:.3g}'):,g}" for value in (median(known), known[0], known[-1]))
+    return f"{middle} ({least} to {most})"
 
 
 def card(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice], site: bool) -> str:
     """Return README.md: what the release is and how to load it, with the Hub's metadata."""
     named = attributions(notices)
-    attribution = f"## Attribution\n\n{_NAMED}\n\n{named}\n\n" if named else ""
+    attribution = f"## Attribution\n\n{_ATTRIBUTION}\n\n{named}\n\n" if named else ""
     copies = f"| `{LICENCES}/` | where each mesh is from: licence, authors, changes |\n" if notices else ""
     metadata = {
         "pretty_name": words.name,
@@ -34,7 +111,7 @@ def card(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Noti
 {words.summary}{_SITE if site else ""}
 
 Version {words.version}, {words.date}, by {in_markdown(words.creator)}.
-Licences: {_counted(entry.licence for entry in entries)}; {INDEX} gives that of each object.
+Licences: {_count(entry.licence for entry in entries)}; {INDEX} gives that of each object.
 
 ## Load it
 
@@ -63,16 +140,16 @@ touch = item.touch(item.sample_surface(1), depth=0.001)
 
 | objects | median (least to most) |
 |---|---|
-| longest side, m | {spread([entry.size for entry in entries])} |
-| modes | {spread([entry.modes for entry in entries])} |
-| lowest mode, Hz | {spread([entry.lowest_hz for entry in entries])} |
-| PSNR of held-out views, dB | {spread([entry.vision_psnr for entry in entries])} |
-| error of gains at held-out points | {spread([entry.gain_error for entry in entries])} |
-| PSNR of held-out touches, dB | {spread([entry.touch_psnr for entry in entries])} |
+| longest side, m | {summarize([entry.size for entry in entries])} |
+| modes | {summarize([entry.modes for entry in entries])} |
+| lowest mode, Hz | {summarize([entry.lowest_hz for entry in entries])} |
+| PSNR of held-out views, dB | {summarize([entry.vision_psnr for entry in entries])} |
+| error of gains at held-out points | {summarize([entry.gain_error for entry in entries])} |
+| PSNR of held-out touches, dB | {summarize([entry.touch_psnr for entry in entries])} |
 
-Categories: {_counted(entry.category for entry in entries)}.
-Materials: {_counted(entry.material for entry in entries)}.
-Split by object, for tests on unseen objects: {counted(entry.split for entry in entries)}.
+Categories: {_count(entry.category for entry in entries)}.
+Materials: {_count(entry.material for entry in entries)}.
+Split by object, for tests on unseen objects: {count_values(entry.split for entry in entries)}.
 
 {attribution}## Cite
 
@@ -83,7 +160,7 @@ Split by object, for tests on unseen objects: {counted(entry.split for entry in 
 def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice]) -> str:
     """Return DATASHEET.md, after Gebru et al., Datasheets for Datasets, 2021."""
     named = attributions(notices)
-    sources = _counted(entry.source or "not stated" for entry in entries)
+    sources = _count(entry.source or "not stated" for entry in entries)
     answers = (
         ("Motivation", words.uses),
         (
@@ -97,7 +174,7 @@ def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str,
         ),
         (
             "Splits",
-            f"By object: {counted(entry.split for entry in entries)}. Scores are of held-out data.",
+            f"By object: {count_values(entry.split for entry in entries)}. Scores are of held-out data.",
         ),
         ("Limits", words.limits),
         ("Biases", words.biases),
@@ -105,8 +182,8 @@ def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str,
         ("Social impact", words.impact),
         (
             "Distribution",
-            f"Licences: {_counted(entry.licence for entry in entries)}. Each object has that of its mesh."
-            + (f" {_NAMED}\n\n{named}" if named else ""),
+            f"Licences: {_count(entry.licence for entry in entries)}. Each object has that of its mesh."
+            + (f" {_ATTRIBUTION}\n\n{named}" if named else ""),
         ),
         ("Maintenance", f"{words.maintenance} By {in_markdown(words.creator)}."),
     )
@@ -114,8 +191,8 @@ def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str,
     return f"# Datasheet of {in_markdown(words.name)}, version {words.version}\n\n{sections}"
 
 
-def _counted(values: Iterable[str]) -> str:
-    return counted(map(in_markdown, values))
+def _count(values: Iterable[str]) -> str:
+    return count_values(map(in_markdown, values))
 
 
 def _size_category(count: int) -> str:

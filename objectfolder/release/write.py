@@ -11,8 +11,7 @@ from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
 from objectfolder.release.croissant import croissant
 from objectfolder.release.entries import index_text
 from objectfolder.release.notices import Notice
-from objectfolder.release.pages import LICENCES, card, datasheet
-from objectfolder.release.words import Words
+from objectfolder.release.pages import LICENCES, Words, card, datasheet
 from objectfolder.report.site import write_site
 from objectfolder.workspace.layout import Build
 
@@ -30,26 +29,10 @@ def write_release(
 ) -> None:
     """Write a release: complete, or not at all. The same objects and words give the same bytes.
 
-    Parameters
-    ----------
-    out : Path
-        Folder to create.
-    entries : sequence of IndexEntry
-        Of built objects.
-    words : Words
-    notices : mapping
-        Those of the meshes that have one, by key; they are passed on.
-    site : bool
-        Whether to add the report on its objects.
-    root : Path
-        Workspace.
-    on_object : callable
-        Called with the key of each object that is done.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the folder exists, the disk is full, or an object was built anew since it was described.
+    ``out``: folder to create; ``entries``: of built objects; ``notices``: those of the meshes that have one,
+    by key; they are passed on; ``site``: whether to add the report on its objects; ``on_object``: called with
+    the key of each object that is done. Raises ObjectFolderError if the folder exists, the disk is full, or
+    an object was built anew since it was described.
     """
     size = sum(entry.bytes for entry in entries)
     with new_folder("a release", out, (3 if site else 1) * size, ", or release fewer objects") as folder:

@@ -3,7 +3,7 @@
 import math
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,27 +12,82 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import torch_problem
-from objectfolder.released.arrays import STAND_INS, StoredArray
 
+_KINDS = ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8")
+_ORDERS = ("<", ">", "=", "|")
 #: Largest file, bytes; a released file with a grid of small networks has a few hundred million.
 MAX_BYTES = 4 << 30
 #: Largest pickle in a zip archive, bytes; it contains the NumPy arrays, tensors are separate entries.
 MAX_PICKLE = 256 << 20
 MAX_ENTRIES = 100_000
-
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+
+
+class StoredDtype:
+    """Numeric type as pickled: a type code, then a state, of which only the byte order is used."""
+
+    def __init__(self, code: Any, align: Any = False, copy: Any = True):
+        code = _text(code)
+        if code not in _KINDS:
+            raise ValueError(f"an array of NumPy type {code!r}; expected numbers")
+        self.dtype = np.dtype(code)
+
+    def __setstate__(self, state: Any) -> None:
+        order = _text(state[1])
+        if order not in _ORDERS or any(part is not None for part in state[2:5]):
+            raise ValueError(f"a NumPy type with state {state!r}; expected plain numbers")
+        self.dtype = self.dtype.newbyteorder("=" if order == "|" else order)
+
+
+class StoredArray:
+    """Array as pickled: constructed empty, then filled from its state."""
+
+    value: np.ndarray
+
+    def __init__(self) -> None:
+        self.value = np.empty(0)
+
+    def __setstate__(self, state: Any) -> None:
+        _, shape, stored, columns_first, data = state
+        if not isinstance(stored, StoredDtype) or not isinstance(data, bytes | bytearray):
+            raise ValueError("an array that is not numeric")
+        shape = tuple(shape)
+        if not all(isinstance(n, int) and n >= 0 for n in shape):
+            raise ValueError(f"an array of shape {shape!r}")
+        if math.prod(shape) * stored.dtype.itemsize != len(data):
+            raise ValueError(f"an array of shape {shape} in {len(data)} bytes")
+        flat = np.frombuffer(bytes(data), stored.dtype)
+        self.value = flat.reshape(shape, order="F" if columns_first else "C")
+
+
+def _reconstruct(kind: Any, shape: Any, code: Any) -> StoredArray:
+    return StoredArray()
+
+
+def _scalar(stored: Any, data: Any) -> int | float | bool:
+    if not isinstance(stored, StoredDtype) or not isinstance(data, bytes):
+        raise ValueError("a NumPy scalar that is not a number")
+    return np.frombuffer(data, stored.dtype, 1)[0].item()
+
+
+def _text(value: Any) -> str:
+    return value.decode("latin1") if isinstance(value, bytes) else str(value)
+
+
+#: Names allowed in a released file in addition to torch's: those of NumPy before and since version 2.
+STAND_INS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
+    (StoredArray, "numpy.ndarray"),
+    (StoredDtype, "numpy.dtype"),
+    *((_reconstruct, f"numpy.{core}.multiarray._reconstruct") for core in ("core", "_core")),
+    *((_scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core")),
+]
 
 
 class ReleasedDict:
     """Dictionary of a released file, with methods that return validated entries.
 
-    Parameters
-    ----------
-    path : path
-        Path of the file, for error messages.
-    name : str
-        Keys that lead to the dictionary, joined by dots; empty for the outermost dictionary.
-    values : dict
+    ``path``: path of the file, for error messages; ``name``: keys that lead to the dictionary, joined by
+    dots; empty for the outermost dictionary.
     """
 
     def __init__(self, path: str | Path, name: str, values: Mapping[Any, Any]):
@@ -46,14 +101,11 @@ class ReleasedDict:
     def part(self, key: str) -> "ReleasedDict":
         """Return a nested dictionary.
 
-        Raises
-        ------
-        ObjectFolderError
-            If the entry is missing or not as expected; all methods raise it.
+        Raises ObjectFolderError if the entry is missing or not as expected; all methods raise it.
         """
         value = self._get(key, "a dictionary")
         if not isinstance(value, Mapping):
-            raise self.wrong(key, _described(value), "a dictionary")
+            raise self.wrong(key, _describe(value), "a dictionary")
         return ReleasedDict(self.path, self._full(key), value)
 
     def state(self, key: str) -> "ReleasedDict":
@@ -70,20 +122,17 @@ class ReleasedDict:
     def tensor(self, key: str, *shape: int | None) -> torch.Tensor:
         """Return a float32 tensor of finite numbers.
 
-        Parameters
-        ----------
-        *shape : int or None
-            Expected shape; None allows any size.
+        ``*shape``: expected shape; None allows any size.
         """
         expected = f"a float tensor of shape {_shape_text(shape)}"
         value = self._get(key, expected)
         if not isinstance(value, torch.Tensor) or value.layout != torch.strided:
-            raise self.wrong(key, _described(value), expected)
+            raise self.wrong(key, _describe(value), expected)
         if value.dtype not in _FLOATS or value.device.type != "cpu" or not _fits(value.shape, shape):
-            raise self.wrong(key, _described(value), expected)
+            raise self.wrong(key, _describe(value), expected)
         # With strides of zero, a few bytes stand for a tensor of any size.
         if value.numel() * value.element_size() > Path(self.path).stat().st_size:
-            raise self.wrong(key, f"{_described(value)}, more than the file holds", expected)
+            raise self.wrong(key, f"{_describe(value)}, more than the file holds", expected)
         # Copied, because the file is memory-mapped and may be replaced.
         value = value.detach().contiguous().to(torch.float32, copy=True)
         if not torch.isfinite(value).all():
@@ -94,7 +143,7 @@ class ReleasedDict:
         """Return an array, tensor or list of finite numbers as float64; without a shape, a single number."""
         expected = f"numbers of shape {_shape_text(shape)}" if shape else "a number"
         value = self._get(key, expected)
-        found = _described(value)
+        found = _describe(value)
         if isinstance(value, StoredArray):
             array = value.value
         elif isinstance(value, torch.Tensor):
@@ -122,7 +171,7 @@ class ReleasedDict:
         if shape is None:
             shape = (len(value),) if isinstance(value, list | tuple) else ()
         if math.prod(shape) not in (1, count):
-            raise self.wrong(key, _described(value), f"{count} numbers or one")
+            raise self.wrong(key, _describe(value), f"{count} numbers or one")
         numbers = self.numbers(key, *shape).reshape(-1)
         return np.broadcast_to(numbers, (count,)).copy()
 
@@ -141,7 +190,7 @@ class ReleasedDict:
         """Return a number, Boolean or string; the string ``"None"`` becomes None."""
         value = self.values.get(key, default)
         if value is not None and not isinstance(value, bool | int | float | str):
-            raise self.wrong(key, _described(value), "a number, Boolean or string")
+            raise self.wrong(key, _describe(value), "a number, Boolean or string")
         return None if value == "None" else value
 
     def mask(self, key: str, size: int) -> np.ndarray:
@@ -151,11 +200,11 @@ class ReleasedDict:
         if isinstance(value, torch.Tensor) and value.dtype in (torch.bool, torch.uint8):
             if value.layout == torch.strided and value.device.type == "cpu" and value.numel() == size:
                 if size > Path(self.path).stat().st_size:
-                    raise self.wrong(key, f"{_described(value)}, more than the file holds", expected)
+                    raise self.wrong(key, f"{_describe(value)}, more than the file holds", expected)
                 return value.flatten().bool().clone().numpy()
         elif isinstance(value, StoredArray) and value.value.dtype.kind in "bu" and value.value.size == size:
             return value.value.reshape(-1).astype(bool)
-        raise self.wrong(key, _described(value), expected)
+        raise self.wrong(key, _describe(value), expected)
 
     def wrong(self, key: str, found: str, expected: str) -> ObjectFolderError:
         """Return an error that names an entry, its value and the expected value."""
@@ -180,15 +229,8 @@ def read_released(path: str | Path) -> ReleasedDict:
     No code in it is executed: torch's restricted reader rebuilds tensors and plain containers, `STAND_INS`
     rebuild NumPy arrays, and any other name is an error.
 
-    Returns
-    -------
-    ReleasedDict
-        Outermost dictionary.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, too large, damaged, or contains more than numbers.
+    Returns the outermost dictionary. Raises ObjectFolderError if the file is missing, too large, damaged, or
+    contains more than numbers.
     """
     path = Path(path)
     if path.is_dir():
@@ -213,7 +255,7 @@ def read_released(path: str | Path) -> ReleasedDict:
             "ObjectFile.pth"
         ) from error
     if not isinstance(values, Mapping):
-        raise ObjectFolderError(f"{path} holds {_described(values)}; expected a dictionary")
+        raise ObjectFolderError(f"{path} holds {_describe(values)}; expected a dictionary")
     return ReleasedDict(path, "", values)
 
 
@@ -259,7 +301,7 @@ def _shape_text(shape: tuple[int | None, ...]) -> str:
     return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
 
 
-def _described(value: Any) -> str:
+def _describe(value: Any) -> str:
     if isinstance(value, torch.Tensor):
         return f"a tensor of {str(value.dtype).removeprefix('torch.')}, shape {tuple(value.shape)}"
     if isinstance(value, StoredArray):

@@ -21,10 +21,16 @@ from objectfolder.nets.released.touch import DEPTH_SIZE, ReleasedDepth, Released
 from objectfolder.nets.released.vision import ReleasedNerf
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import checked_name, format_name
-from objectfolder.released.audio import box, gains_net, spectrogram_net
 from objectfolder.released.checkpoint import ReleasedDict, read_released
-from objectfolder.released.touch import depth_net, image_net
-from objectfolder.released.vision import configured_net, nerf_net
+from objectfolder.released.nets import (
+    box,
+    configured_net,
+    depth_net,
+    gains_net,
+    image_net,
+    nerf_net,
+    spectrogram_net,
+)
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.workspace.layout import MODALITIES
 
@@ -94,8 +100,10 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
         low, high = bounds
         frame = Frame(tuple(((low + high) / 2).tolist()), float((high - low).max()))
     readers: dict[str, Callable[[ReleasedDict], Any]] = {
-        "vision": lambda part: _vision(part, options),
-        "audio": lambda part: _audio(part, frame),
+        "vision": lambda part: (nerf_net if "network_fn_state_dict" in part else configured_net)(
+            part, options.crop
+        ),
+        "audio": lambda part: (spectrogram_net if "voxel_vertex" in part else gains_net)(part, frame),
         "touch": lambda part: _touch(part, frame, bounds, sensor, gel),
     }
     header: dict[str, Any] = {
@@ -105,7 +113,7 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
         "scale": scale,
         "provenance": {"released": file_digest(path)},
     }
-    if options.material in materials.MATERIALS:
+    if options.material in materials.material_names():
         header["material_properties"] = dataclasses.asdict(materials.material(options.material))
         del header["material_properties"]["name"]
     tensors: dict[str, np.ndarray] = {}
@@ -141,22 +149,8 @@ def _check_names(options: ImportOptions) -> None:
     checked_name("material", options.material, "material")
 
 
-def _vision(part: ReleasedDict, options: ImportOptions) -> ReleasedNerf | ReleasedKilo:
-    if "network_fn_state_dict" in part:
-        return nerf_net(part, options.crop)
-    return configured_net(part, options.crop)
-
-
-def _audio(part: ReleasedDict, frame: Frame) -> ReleasedSpectrogram | ReleasedGains:
-    return spectrogram_net(part, frame) if "voxel_vertex" in part else gains_net(part, frame)
-
-
 def _touch(
-    part: ReleasedDict,
-    frame: Frame,
-    bounds: np.ndarray | None,
-    sensor: SensorProfile,
-    gel: np.ndarray | None,
+    part: ReleasedDict, frame: Frame, bounds: np.ndarray | None, sensor: SensorProfile, gel: np.ndarray | None
 ) -> ReleasedImage | ReleasedDepth:
     if "xyz_min" in part or "xyz_max" in part:
         return depth_net(part, frame, sensor, gel)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.fem.modal import CERTAIN, MAX_RESIDUAL, rigid_limit
+from objectfolder.fem.certainty import MAX_RESIDUAL, MAX_UNWARNED_ERROR, rigid_limit
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.report.pictures import playing_rate
@@ -120,9 +120,9 @@ def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
         return []
     checks = []
     if (error := file.header["audio"].get("frequency_uncertainty")) is not None:
-        checks.append(_most("Estimated error of frequencies", error * 100, CERTAIN * 100, " %"))
+        checks.append(_most("Estimated error of frequencies", error * 100, MAX_UNWARNED_ERROR * 100, " %"))
     elif file.header["audio"].get("frequency_uncertainty_unknown"):
-        limit = f"at most {CERTAIN * 100:.3g} %"
+        limit = f"at most {MAX_UNWARNED_ERROR * 100:.3g} %"
         checks.append(PhysicalCheck("Estimated error of frequencies", "not known", limit, False))
     points, rate = file.sample_surface(STRIKES, seed=0), playing_rate(file)
     rng = np.random.default_rng(0)

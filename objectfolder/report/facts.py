@@ -8,16 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.engine.costs import recall_costs
+from objectfolder.engine.records import recall_costs
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.modal import uncertainty_warning
+from objectfolder.fem.certainty import uncertainty_warning
 from objectfolder.io import file_digest, read_json, read_npz
 from objectfolder.metrics import psnr
-from objectfolder.objectfile.evaluation import Strikes, shown_views, strike_sounds, view_answers
+from objectfolder.objectfile.evaluate_sound import UnitStrikes, compare_sounds
+from objectfolder.objectfile.evaluate_vision import choose_views, compare_views
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.report.certificate import build_checks, file_checks
-from objectfolder.report.pictures import beside, picture_uri, playing_rate, sound_uri, spectrograms
+from objectfolder.report.comparison import join_images, join_spectrograms
+from objectfolder.report.pictures import picture_uri, playing_rate, sound_uri
 from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import OBJECT_STAGES
@@ -75,7 +77,7 @@ def failed_object(key: str, error: Exception) -> dict[str, Any]:
     }
 
 
-def key_of(path: Path) -> str | None:
+def read_key(path: Path) -> str | None:
     """Return the key in an Object File; None if it cannot be read."""
     try:
         return ObjectFile.load(path).key
@@ -84,14 +86,9 @@ def key_of(path: Path) -> str | None:
 
 
 def object_report(path: Path, costs: bool = True) -> ObjectReport:
-    """Report on an Object File.
+    """Report on an Object File, and on what its build cost if asked.
 
-    Parameters
-    ----------
-    path : Path
-        If it is ``build/KEY/ObjectFile.safetensors`` of a workspace, truth and scores are read from there.
-    costs : bool
-        Whether to report what the build cost.
+    If it is ``build/KEY/ObjectFile.safetensors`` of a workspace, truth and scores are read from there.
     """
     file = ObjectFile.load(path)
     build = _build_of(file, path)
@@ -197,13 +194,13 @@ def _views(file: ObjectFile, build: Build | None, metrics: dict[str, Any] | None
     if build is None or metrics is None or not build.views("test").is_file():
         return shown
     data = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "center")
-    titles = shown_views(metrics["vision"], VIEWS)
-    pairs = zip(*view_answers(file, data, list(titles)))
+    titles = choose_views(metrics["vision"], VIEWS)
+    pairs = zip(*compare_views(file, data, list(titles)))
     return shown + [
         {
             "title": f"{title}, one point light",
             "score": _rounded(psnr(np.square(answer - truth).mean())),
-            "source": picture_uri(beside(truth, answer)),
+            "source": picture_uri(join_images(truth, answer)),
         }
         for title, (truth, answer) in zip(titles.values(), pairs)
     ]
@@ -218,9 +215,9 @@ def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
         modes = read_npz(build.modes, "points", "split", "shapes", "damped_frequency", "damping")
         modes = modes if _holds(file, modes["damped_frequency"]) else None
     if modes is not None and (modes["split"] == 2).any():
-        strikes = Strikes.random(np.flatnonzero(modes["split"] == 2), STRIKES, rng)
-        truths, answers = strike_sounds(file, modes, strikes, rate)
-        titles = strikes.titles(modes["points"] * file.scale)
+        strikes = UnitStrikes.random(np.flatnonzero(modes["split"] == 2), STRIKES, rng)
+        truths, answers = compare_sounds(file, modes, strikes, rate)
+        titles = strikes.describe(modes["points"] * file.scale)
     else:
         points = file.sample_surface(STRIKES, seed=0)
         truths, answers = None, file.impact(points, rng.normal(size=(STRIKES, 3)), rate)
@@ -229,7 +226,7 @@ def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     for n, (title, answer) in enumerate(zip(titles, answers)):
         truth = None if truths is None else truths[n]
         peak = float(np.abs(answer if truth is None else truth).max())
-        image, seconds = spectrograms(truth, answer, rate)
+        image, seconds = join_spectrograms(truth, answer, rate)
         sounds.append(
             {
                 "title": title.replace("\n", " "),
@@ -265,7 +262,7 @@ def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
         {
             "title": _contact(depth, obstructed),
             "score": _rounded(psnr(np.square(answer - truth).mean())),
-            "source": picture_uri(beside(truth, answer)),
+            "source": picture_uri(join_images(truth, answer)),
         }
         for answer, truth, depth, obstructed in zip(
             answers, truths, data["depths"][rows], data["obstructed"][rows]
@@ -280,10 +277,7 @@ def _touches_alone(file: ObjectFile) -> list[dict[str, Any]]:
     depth = float(np.clip(DEPTH, *file.press_range()))
     pressed = file.press(file.sample_surface(3 * TOUCHES, seed=0), depth)
     return [
-        {
-            "title": _contact(depth, pressed.obstructed[row]),
-            "source": picture_uri(pressed.images[row]),
-        }
+        {"title": _contact(depth, pressed.obstructed[row]), "source": picture_uri(pressed.images[row])}
         for row in _free_first(pressed.obstructed, TOUCHES)
     ]
 

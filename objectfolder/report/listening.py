@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from objectfolder.audio.recordings import at_rate, loudest_channel, opened_sound, read_channels
+from objectfolder.audio.recordings import loudest_channel, open_sound, read_channels, resample_sound
 from objectfolder.checks import whole_number
 from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.text import from_csv, in_script
-from objectfolder.viewer.page import filled_page, static_text
+from objectfolder.viewer.page import fill_page, static_text
 
 PAIRS = 16  #: of the paper's study
 SUFFIXES = (".wav", ".flac", ".ogg")
@@ -67,23 +67,13 @@ class Scores:
 def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> str:
     """Return the page of a study, which works from disk.
 
-    Sounds of the same name in both folders are a pair; of each, the first 10 s of the loudest channel are
-    played. Both are brought to the same level: the root mean square of their loudest 0.4 s. If there are more
-    pairs than asked for, materials are drawn evenly.
+    Sounds of the same name in both folders are a pair: WAV, FLAC or OGG files, named MATERIAL_anything; the
+    folders' names are the methods'. Of each, the first 10 s of the loudest channel are played. Both are
+    brought to the same level: the root mean square of their loudest 0.4 s. If there are more pairs than asked
+    for, materials are drawn evenly, with the seed, which also orders the pairs for listeners.
 
-    Parameters
-    ----------
-    ours, other : Path
-        Folders of WAV, FLAC or OGG files, named MATERIAL_anything; the folders' names are the methods'.
-    pairs : int
-    seed : int
-        Of the draw, and of the orders in which listeners hear the pairs.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a number is wrong, the folders hold too few pairs, or a file cannot be read, is silent or is not
-        finite.
+    Raises ObjectFolderError if a number is wrong, the folders hold too few pairs, or a file cannot be read,
+    is silent or is not finite.
     """
     pairs, seed = whole_number("pairs", pairs, 1), whole_number("seed", seed)
     if ours.resolve().name == other.resolve().name:
@@ -111,7 +101,7 @@ def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> st
         ],
     }
     study["id"] = hashlib.sha256(json.dumps(study).encode()).hexdigest()[:12]
-    return filled_page(
+    return fill_page(
         "listening.html",
         {
             "title": "Which sounds more real?",
@@ -127,20 +117,11 @@ def material_of(name: str) -> str:
 
 
 def preferences(paths: list[Path], page: Path | None = None) -> Scores:
-    """Count answers that listeners saved.
+    """Count answers that listeners saved in CSV files of one study; one that is in several counts once.
 
-    Parameters
-    ----------
-    paths : list of Path
-        CSV files of one study; an answer that is in several counts once.
-    page : Path, optional
-        Of the study, as `study_page` made it: answers must be of its pairs and methods.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a file or page is none, an answer contradicts itself, another answer or the page, the files are of
-        different studies, or there are no answers.
+    If the page of the study is given, answers must be of its pairs and methods. Raises ObjectFolderError if a
+    file or page is none, an answer contradicts itself, another answer or the page, the files are of different
+    studies, or there are no answers.
     """
     study = None if page is None else _study_of(page)
     rows: dict[tuple[str, str], dict[str, str]] = {}
@@ -270,7 +251,7 @@ def _drawn(names: list[str], count: int, seed: int) -> list[str]:
 
 def _levelled(path: Path) -> tuple[np.ndarray, int]:
     """Read a sound, (samples,), whose loudest part has a root mean square of 1, and its sample rate."""
-    with opened_sound(path) as file:
+    with open_sound(path) as file:
         rate = file.samplerate
         if rate > MOST:
             raise ObjectFolderError(f"{path} has {rate} Hz, expected at most {MOST} Hz; resample it")
@@ -281,7 +262,7 @@ def _levelled(path: Path) -> tuple[np.ndarray, int]:
             f"{path} is silent in its first {LONGEST:g} s, expected a sound; remove the silence before it"
         )
     played = min(rate, PLAYED)
-    sound = at_rate(sound / peak, rate, played)
+    sound = resample_sound(sound / peak, rate, played)
     power = np.concatenate([[0.0], np.square(sound).cumsum()])
     window = max(min(int(WINDOW * played), len(sound)), 1)
     loudest = (power[window:] - power[:-window]).max() / window

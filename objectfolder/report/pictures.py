@@ -7,14 +7,11 @@ import numpy as np
 import soundfile
 from PIL import Image
 
-from objectfolder.audio.figures import DYNAMIC_RANGE, magnitudes
-from objectfolder.audio.spectrogram import HOP, SAMPLE_RATE
-from objectfolder.figures import ENLARGED
+from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.objectfile.file import ObjectFile
 
 QUALITY = 80  # of WebP
 FULL_RATE = 48000  # Hz, of sounds with modes above 8 kHz
-SHOWN_SECONDS = (0.1, 0.2, 0.5, 1.0)  # of a spectrogram: the shortest in which the sound decays
 
 
 def playing_rate(file: ObjectFile) -> int:
@@ -38,37 +35,6 @@ def sound_uri(sound: np.ndarray, peak: float, rate: int) -> str:
     scaled = 0.9 * sound / peak if peak > 0 else sound
     soundfile.write(buffer, scaled.clip(-1, 1), rate, format="FLAC", subtype="PCM_16")
     return _uri("audio/flac", buffer)
-
-
-def beside(truth: np.ndarray | None, answer: np.ndarray) -> np.ndarray:
-    """Join truth, answer and their difference, dark on white, in a row; (H, W, 3) in [0, 1] each."""
-    if truth is None:
-        return answer
-    return np.concatenate([truth, answer, 1 - (ENLARGED * np.abs(answer - truth)).clip(0, 1)], 1)
-
-
-def spectrograms(truth: np.ndarray | None, answer: np.ndarray, rate: int) -> tuple[np.ndarray, float]:
-    """Draw spectrograms of truth, answer and difference in a row: (H, W, 3) in [0, 1], and their seconds.
-
-    Decibels are relative to the peak of the truth.
-    """
-    from matplotlib import colormaps
-
-    sounds = [answer] if truth is None else [truth, answer, answer - truth]
-    levels = [magnitudes(sound)[::-1] for sound in sounds]
-    top = levels[0].max()
-    floor = 10 ** (-DYNAMIC_RANGE / 20)
-    ringing = np.flatnonzero(levels[0].max(0) > floor * top)
-    lasts = ringing.max(initial=0) * HOP / rate
-    seconds = next((shown for shown in SHOWN_SECONDS if shown > lasts), SHOWN_SECONDS[-1])
-    levels = [level[:, : round(seconds * rate / HOP)] for level in levels]
-    shown = [
-        20 * np.log10(np.maximum(level / (top if top > 0 else 1), floor)) / DYNAMIC_RANGE + 1
-        for level in levels
-    ]
-    gap = np.ones((len(shown[0]), 2))
-    panels = [part for level in shown for part in (gap, level)][1:]
-    return np.asarray(colormaps["magma"](np.concatenate(panels, 1)))[..., :3], seconds
 
 
 def _uri(kind: str, buffer: io.BytesIO) -> str:

@@ -12,12 +12,12 @@ from objectfolder.report.facts import (
     SCORES,
     ObjectReport,
     failed_object,
-    key_of,
     missing_object,
     object_report,
+    read_key,
 )
 from objectfolder.text import in_html, in_script
-from objectfolder.viewer.page import filled_page, page_parts, static_text
+from objectfolder.viewer.page import fill_page, page_parts, static_text
 
 
 def write_site(
@@ -30,41 +30,19 @@ def write_site(
     costs: bool = True,
     title: str = "Objects",
 ) -> Path:
-    """Write a report: complete, or not at all.
+    """Write a report, complete or not at all, and return the page to open.
 
-    Parameters
-    ----------
-    files : iterable of Path
-        Object Files; truth and scores of those in a workspace are read from there.
-    out : Path
-        Folder for ``index.html``, ``viewer.js`` and ``objects/KEY.js``; with ``single_file`` the page. Other
-        files in the folder are left alone.
-    missing : mapping, optional
-        Objects that are not built: entries of params.yaml by key.
-    single_file : bool
-        Write one page that holds everything, to be mailed.
-    on_object : callable
-        Called with the key of each object that is done.
-    on_failure : callable, optional
-        Called with key and error of each object that cannot be reported; the overview then says so. Default:
-        raise the error.
-    costs : bool
-        Whether to report what builds cost, which differs from one to the next.
-    title : str
-        Name of the dataset.
+    Truth and scores of Object Files in a workspace are read from there; ``missing`` are entries of
+    params.yaml, by key, of objects that are not built. ``out`` is a folder for ``index.html``, ``viewer.js``
+    and ``objects/KEY.js``, whose other files are left alone; with ``single_file`` it is one page that holds
+    everything, to be mailed. ``on_object`` is called with the key of each object that is done, ``on_failure``
+    with key and error of each that cannot be reported, which the overview then says; by default the error is
+    raised. ``costs`` says whether to report what builds cost, which differs from one to the next.
 
-    Returns
-    -------
-    Path
-        The page to open.
-
-    Raises
-    ------
-    ObjectFolderError
-        If two files hold objects of one key.
+    Raises ObjectFolderError if two files hold objects of one key.
     """
     paths = list(files)
-    found = [key_of(path) for path in paths]
+    found = [read_key(path) for path in paths]
     taken = set(missing or {})
     for path, known in zip(paths, found):
         if known in taken:
@@ -121,7 +99,7 @@ def write_site(
 
 def _page(title: str, rows: list[dict[str, Any]], held: list[str], single_file: bool) -> str:
     # What the live viewer is made of; the page puts an object into it.
-    frame = filled_page(
+    frame = fill_page(
         "page.html", page_parts({}, "{{title}}") | {"objects": "{{objects}}", "script": "{{script}}"}
     )
     content = {
@@ -131,7 +109,7 @@ def _page(title: str, rows: list[dict[str, Any]], held: list[str], single_file: 
         "viewer": in_script(static_text("viewer.js")) if single_file else "null",
         "script": static_text("report.js"),
     }
-    return filled_page("report.html", content)
+    return fill_page("report.html", content)
 
 
 def _script(report: ObjectReport) -> str:

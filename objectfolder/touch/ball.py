@@ -13,26 +13,21 @@ from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import Vectors
 
-_KEPT = 256  # displacements: a fit asks for those of all pictures, and changes one pose at a time
+# Displacements: a fit asks for those of all pictures, and changes one pose at a time
+_CACHED_DISPLACEMENTS = 256
 
 
 class BallModel:
-    """Changes of a sensor's picture by a ball, under lights of any strength.
+    """Changes of a sensor's picture by a ball of some radius, metres, under lights of any strength.
 
     A pose is an array of row and column of the ball's centre, in pixels, and its press depth, in metres.
-
-    Parameters
-    ----------
-    profile : SensorProfile
-    radius : float
-        Radius of the ball, metres.
     """
 
     def __init__(self, profile: SensorProfile, radius: float):
         self.profile, self.radius = profile, radius
         self.colors = sorted({light.color for light in profile.lights}, reverse=True)
         self._rays, self._gel = ray_directions(profile), gel_depth(profile)
-        self._optics, self._displacements = Recent[Optics](1), Recent[torch.Tensor](_KEPT)
+        self._optics, self._displacements = Recent[Optics](1), Recent[torch.Tensor](_CACHED_DISPLACEMENTS)
 
     @cached_property
     def optics(self) -> Optics:

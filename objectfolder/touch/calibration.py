@@ -18,17 +18,17 @@ from objectfolder.touch.imprint import (
     Imprint,
     check_background_seen,
     check_circles,
+    estimate_untouched,
     find_imprint,
-    overflowed,
-    untouched_estimate,
+    find_overflow,
 )
 from objectfolder.touch.lightfit import (
     Photograph,
-    disc_of,
-    exposed,
+    circle_mask,
     fit_lights,
     fit_pose,
     fit_residual,
+    limit_radiance,
     squared_error,
     starting_lights,
 )
@@ -45,7 +45,7 @@ _MAX_ROUNDS = 30
 
 _ALTERNATIONS = 4  # of lights and poses
 
-LARGEST_BALL = 0.05  #: m, radius: more is given in millimetres
+MAX_BALL_RADIUS = 0.05  #: m, radius: more is given in millimetres
 
 _MIN_PIXELS = 50  # of an imprint whose lights are fitted; as of the smallest that `find_imprint` accepts
 
@@ -117,7 +117,7 @@ def fit_sensor(
     if circles is None:
         circles = [
             find_imprint(picture - background, name)
-            for picture, background, name in zip(observed, untouched_estimate(observed, untouched), names)
+            for picture, background, name in zip(observed, estimate_untouched(observed, untouched), names)
         ]
     check_circles(circles, observed.shape[1:3], names)
     if untouched is None:
@@ -169,7 +169,7 @@ def fit_sensor_lights(
     if circles is None:
         circles = [find_imprint(picture - rest, name) for picture, name in zip(observed, names)]
     check_circles(circles, rest.shape, names)
-    discs = [disc_of(circle, rest.shape) & ~overflowed(of) for of, circle in zip(observed, circles)]
+    discs = [circle_mask(circle, rest.shape) & ~find_overflow(of) for of, circle in zip(observed, circles)]
     for disc, name in zip(discs, names):
         if disc.sum() < _MIN_PIXELS:
             raise ObjectFolderError(
@@ -185,7 +185,7 @@ def fit_sensor_lights(
     for _ in range(_ALTERNATIONS):
         fitted = fit_lights(model, rest, photographs, fitted)
         photographs = [fit_pose(model, fitted, rest, photograph) for photograph in photographs]
-    fitted = exposed(fitted, photographs, model)
+    fitted = limit_radiance(fitted, photographs, model)
     if residual:
         fitted = fit_residual(model, fitted, rest, photographs)
     before, after = (
@@ -198,10 +198,10 @@ def fit_sensor_lights(
 
 
 def _check_radius(radius: float) -> None:
-    if not (np.isfinite(radius) and 0 < radius <= LARGEST_BALL):
-        hint = f"; did you mean {radius / 1000:g}, in metres?" if LARGEST_BALL < radius < 1000 else ""
+    if not (np.isfinite(radius) and 0 < radius <= MAX_BALL_RADIUS):
+        hint = f"; did you mean {radius / 1000:g}, in metres?" if MAX_BALL_RADIUS < radius < 1000 else ""
         raise ObjectFolderError(
-            f"the ball's radius is {radius:g} m, expected a positive length up to {LARGEST_BALL:g} m{hint}"
+            f"the ball's radius is {radius:g} m, expected a positive length up to {MAX_BALL_RADIUS:g} m{hint}"
         )
 
 
@@ -279,18 +279,7 @@ def _solve(
 def save_fit(fit: SensorFit, path: str | Path, name: str, source: str) -> list[Path]:
     """Write a fitted profile, its background (``_background.png``) and a report (``_report.json``).
 
-    Parameters
-    ----------
-    fit : SensorFit
-    path : str or Path
-        ``.yaml`` file of the profile.
-    name, source : str
-        Name of the new profile and source of its numbers.
-
-    Returns
-    -------
-    list of Path
-        The files written.
+    ``path`` is the ``.yaml`` file of the profile, ``source`` that of its numbers. Returns the files written.
     """
     from ruamel.yaml import YAML
 

@@ -44,11 +44,7 @@ def gel_depth(profile: SensorProfile, directions: np.ndarray | None = None) -> n
 def gel_normals(displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
     """Return unit normals of the deformed gel, towards the camera; (N, H, W, 3) float32, camera frame.
 
-    Parameters
-    ----------
-    displacement : (N, H, W) array
-        Metres towards the camera along the pixel rays.
-    profile : SensorProfile
+    Displacements (N, H, W) are metres towards the camera along the pixel rays.
     """
     _, y, z = np.moveaxis(ray_directions(profile).astype(np.float32), -1, 0)
     depth = gel_depth(profile).astype(np.float32) - np.asarray(displacement, np.float32)

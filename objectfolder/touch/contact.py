@@ -21,26 +21,21 @@ NORMAL_RADIUS = 0.01
 
 # A contact is free if material past the base reaches less far than this, as a fraction of the thickness; a
 # retreat along the normal turns perspective rays a little.
-_FREED = 0.05
+_FREE_OVERLAP = 0.05
 
 # Directions along which no usual mesh has an edge; three, because one ray can still graze an edge.
 _PROBES = np.array([[0.7561, 0.3217, -0.5700], [-0.4129, 0.8836, 0.2205], [-0.2917, -0.6353, 0.7150]])
 
 
-_PROBED = 256  # points whose surroundings are looked at together, to bound memory
+_POINT_BATCH = 256  # points whose surroundings are looked at together, to bound memory
 
 
 @cache
 def probe_directions(count: int = 64) -> np.ndarray:
-    """Return quasi-uniform unit directions; (count, 3), symmetric under u -> -u, with Σ u uᵀ = count/3 · I.
+    """Return an even number of quasi-uniform unit directions; (count, 3), with Σ u uᵀ = count/3 · I.
 
-    A Fibonacci half sphere and its mirror image, balanced to a tight frame. The symmetry cancels even
-    functions; the tight frame makes linear functions exact.
-
-    Parameters
-    ----------
-    count : int
-        Even.
+    A Fibonacci half sphere and its mirror image, balanced to a tight frame. The symmetry under u -> -u
+    cancels even functions; the tight frame makes linear functions exact.
     """
     k = np.arange(count // 2)
     height = (k + 0.5) / len(k)
@@ -55,31 +50,17 @@ def probe_directions(count: int = 64) -> np.ndarray:
 
 
 def contact_normals(distance: Callable[[Array], Array], points: Array, radius: float) -> Array:
-    """Return the outward contact normal from the signed distance around each point.
+    """Return outward contact normals from the signed distance around points; (N, 3) float64 unit vectors.
 
     n ∝ Σ_k d(p + r u_k) u_k over the fixed directions of `probe_directions`: the gradient of the distance,
-    averaged over a sphere. This *defines* the contact normal. Unlike face and vertex normals, it does
-    not depend on the triangulation at edges and corners. It is the same for an exact distance and for one
-    sampled on a grid, so that ground truth and query agree. It is exact on planes; on curved surfaces and
-    edges the 64 directions limit its accuracy to about a degree.
+    averaged over a sphere. This *defines* the contact normal. Unlike face and vertex normals, it does not
+    depend on the triangulation at edges and corners. It is the same for an exact distance and for one sampled
+    on a grid, so that ground truth and query agree. It is exact on planes; on curved surfaces and edges the
+    64 directions limit its accuracy to about a degree.
 
-    Parameters
-    ----------
-    distance : callable
-        (M, 3) points -> (M,) signed distance, negative inside.
-    points : (N, 3) array or float64 tensor
-        On the surface, in the frame and units of ``distance``. Gradients flow through tensors.
-    radius : float
-        Radius of the sphere, in the same units: the smallest feature that affects the normal.
-
-    Returns
-    -------
-    (N, 3) float64 array or tensor of unit vectors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the distance has no gradient around a point.
+    The distance (M, 3) -> (M,) is negative inside; points (N, 3) and the radius of the sphere, the smallest
+    feature that affects the normal, are in its units. Points may be a float64 tensor, through which gradients
+    flow. Raises ObjectFolderError if the distance has no gradient around a point.
     """
     u: Array = probe_directions()
     if isinstance(points, torch.Tensor):
@@ -88,8 +69,8 @@ def contact_normals(distance: Callable[[Array], Array], points: Array, radius: f
         points = np.asarray(points, np.float64)
     points = points.reshape(-1, 3)
     gradients = []
-    for start in range(0, max(len(points), 1), _PROBED):
-        samples = points[start : start + _PROBED, None] + radius * u
+    for start in range(0, max(len(points), 1), _POINT_BATCH):
+        samples = points[start : start + _POINT_BATCH, None] + radius * u
         d = distance(samples.reshape(-1, 3)).reshape(len(samples), len(u))
         # Sum in a fixed order; that of a matrix product depends on the number of points.
         gradients.append((d[..., None] * u).sum(axis=1))
@@ -106,21 +87,12 @@ def contact_normals(distance: Callable[[Array], Array], points: Array, radius: f
 
 
 def sensor_frames(normals: Array, angles: Array) -> Array:
-    """Return the axes of the sensor in the object frame.
+    """Return the axes x, y, z of the sensor in the object frame, in columns; (N, 3, 3) float64.
 
     x = -n points into the object; z, up in the image, is the fixed direction `UP` projected onto the tangent
     plane, then turned by the angle about the outward normal (right-hand rule: anticlockwise, seen from
-    outside). Continuous in the normal except at n = ±`UP`.
-
-    Parameters
-    ----------
-    normals : (N, 3) array or tensor of unit outward normals, object frame
-    angles : (N,) array or tensor, radians
-        Tensors if the normals are; gradients flow through them.
-
-    Returns
-    -------
-    (N, 3, 3) float64 array or tensor whose columns are x, y, z.
+    outside). Continuous in the normal except at n = ±`UP`. Unit normals (N, 3) and angles (N,), radians, are
+    both arrays or both tensors, through which gradients flow.
     """
     library = array_library(normals)
     as_array = torch.as_tensor if library is torch else np.asarray
@@ -140,18 +112,11 @@ def sensor_frames(normals: Array, angles: Array) -> Array:
     return library.stack([-n, cos * y - sin * z, cos * z + sin * y], 2)
 
 
-def leaned_normals(normals: Array, angles: Array, tilt: Array, azimuth: Array) -> Array:
+def lean_normals(normals: Array, angles: Array, tilt: Array, azimuth: Array) -> Array:
     """Return the outward axes of sensors that lean from the contact normals; (N, 3).
 
-    Parameters
-    ----------
-    normals : (N, 3) float64 array or tensor of unit outward normals, object frame
-    angles : (N,) array or tensor
-        Radians; see `sensor_frames`.
-    tilt : (N,) array or tensor
-        Lean from the normal, radians.
-    azimuth : (N,) array or tensor
-        Direction of the lean, from image up towards image right, radians.
+    Unit normals (N, 3) and angles (N,) are those of `sensor_frames`; the lean is by `tilt` (N,), in a
+    direction `azimuth` (N,) from image up towards image right; radians, arrays or tensors.
     """
     library, frames = array_library(normals), sensor_frames(normals, angles)
     direction = (
@@ -172,8 +137,8 @@ def heightmaps(
     depths: np.ndarray,
     profile: SensorProfile,
     scale: float = 1.0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """How far the object is past the undeformed gel surface, along the camera's rays.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how far an object is past the undeformed gel along the camera's rays, and what it obstructs.
 
     The gel's apex is pressed ``depth`` beyond the contact point, along -n. Heights are those of the first
     surface beyond the elastomer's rigid base, `elastomer_thickness` behind the gel's surface. A real sensor
@@ -182,49 +147,13 @@ def heightmaps(
     the base meets the sensor's body before the gel is pressed in: the sensor stops short, by as much as it
     reaches past the base. Where no retreat along n frees the sensor, the gel is not touched at all.
 
-    Parameters
-    ----------
-    caster : RayCaster
-        A closed surface, its triangles anticlockwise from outside, in the object frame.
-    points, normals : (N, 3) arrays
-        Contact points (metres) and unit outward normals, object frame.
-    angles : (N,) array
-        Radians; see `sensor_frames`.
-    depths : (N,) array
-        Press depths, metres, from 0 to `max_indentation`.
-    profile : SensorProfile
-    scale : float
-        Metres per unit of the caster.
-
-    Returns
-    -------
-    height : (N, H, W) float32, metres
-        From -`objectfolder.touch.gel.GAP` times `elastomer_thickness`, also for any wider gap, to
-        `max_indentation`.
-    obstructed : (N,) float64
-        Fraction of the pixels with material nearer to the camera than the base, in the pose asked for; 0 for
-        a contact that is not obstructed.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a value is not finite, or a depth is negative or exceeds the profile's maximal indentation.
-    """
-    return seated_heightmaps(caster, points, normals, angles, depths, profile, scale)[:2]
-
-
-def seated_heightmaps(
-    caster: RayCaster,
-    points: np.ndarray,
-    normals: np.ndarray,
-    angles: np.ndarray,
-    depths: np.ndarray,
-    profile: SensorProfile,
-    scale: float = 1.0,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return `heightmaps`, and how far each sensor stops short of the pose asked for; (N,) float64, metres.
-
-    Parameters and errors are those of `heightmaps`.
+    Points (N, 3), metres, unit outward normals (N, 3), angles (N,), radians, see `sensor_frames`, and press
+    depths (N,), metres from 0 to `max_indentation`, are of the object frame; ``scale`` is metres per unit of
+    the caster, a closed surface with triangles anticlockwise from outside. Heights (N, H, W) float32, metres,
+    go from -`objectfolder.touch.gel.GAP` times `elastomer_thickness`, also for any wider gap, to
+    `max_indentation`. Obstructed (N,) is the fraction of the pixels with material nearer to the camera than
+    the base, in the pose asked for. The last, (N,), is how far each sensor stops short of that pose, metres.
+    Raises ObjectFolderError if a value is not finite, or a depth out of its range.
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     normals = np.asarray(normals, np.float64).reshape(-1, 3)
@@ -251,7 +180,7 @@ def seated_heightmaps(
             camera = camera + (normals[i] * (overlap / scale)).astype(np.float32)
             inside = bool(_enclosed(caster, camera[None])[0])
             distance, _, overlap = _first_surface(caster, camera, directions, base, limit, inside)
-        if overlap > _FREED * profile.elastomer_thickness:
+        if overlap > _FREE_OVERLAP * profile.elastomer_thickness:
             distance = limit
         (gel - distance).clip(-gap, profile.max_indentation, out=height[i].reshape(-1))
     return height, obstructed, retreat

@@ -20,23 +20,13 @@ _BATCH = 16
 _MEASURED = ("obstructed", "max_penetration", "area", "force")
 
 
-def contact_places(
+def draw_contacts(
     vertices: np.ndarray, faces: np.ndarray, config: RenderTouchConfig, rng: np.random.Generator
 ) -> list[tuple[np.ndarray, np.ndarray | None]]:
-    """Choose the contact points of the three splits, and their normals if those are the mesh's.
+    """Draw the contact points of the three splits, and their normals if those are the mesh's.
 
-    Vertices are split 80/10/10.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    config : RenderTouchConfig
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    list of (N, 3) arrays, unit frame, each with (N, 3) unit vectors or None
+    Takes vertices (V, 3), unit frame, and faces (F, 3), and returns points (N, 3) and unit vectors (N, 3), or
+    None, of each split. Vertices are split 80/10/10.
     """
     counts = (config.train, config.val, config.test)
     if config.locations == "vertices":
@@ -67,36 +57,18 @@ def render_contacts(
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
     normals: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
-    """Press the sensor at points of a closed surface.
+    """Press the sensor at points (N, 3) of a closed surface, unit frame; the arrays of ``touch/SPLIT.npz``.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-    scale : float
-        Longest side, metres.
-    points : (N, 3) array, unit frame
-        On the surface.
-    profile : SensorProfile
-    rng : numpy.random.Generator
-    renderer : {"gel", "tacto"}
-        Render the deformed gel, or as TACTO does (`TactoRays`) the object in front of the gel.
-    depth, angle : float, optional
-        Of all contacts, metres and radians; default: uniformly random, in the sensor's range of press depths
-        and over the full circle.
-    progress : callable
-        Wraps the iteration over batches.
-    normals : (N, 3) array, optional
-        Unit vectors along which the sensor comes; default:
-        `objectfolder.touch.contact.contact_normals`.
+    Rendered is the deformed gel ("gel"), or as TACTO does (`TactoRays`) the object in front of the gel
+    ("tacto"). The longest side, ``scale``, and the depth of all contacts are in metres, the angle in radians;
+    by default they are uniformly random, in the sensor's range of press depths and over the full circle. The
+    sensor comes along unit normals (N, 3), by default those of `objectfolder.touch.contact.contact_normals`.
+    ``progress`` wraps the iteration over batches.
 
-    Returns
-    -------
-    dict
-        ``images`` (N, H, W, 3) uint8; ``masks`` (N, H, W) bool, where gel and object touch; ``points`` (N, 3)
-        and ``depths`` (N,) in metres, ``normals`` (N, 3) and ``angles`` (N,) in radians, object frame;
-        ``obstructed`` (N,) fraction of the image, ``max_penetration`` (N,) in metres, ``area`` (N,) in m² and
-        ``force`` (N,) in newtons, NaN for a rigid gel; see `objectfolder.touch.simulate.Contacts`.
+    ``images`` (N, H, W, 3) uint8; ``masks`` (N, H, W) bool, where gel and object touch; ``points`` (N, 3) and
+    ``depths`` (N,) in metres, ``normals`` (N, 3) and ``angles`` (N,) in radians, object frame; ``obstructed``
+    (N,) fraction of the image, ``max_penetration`` (N,) in metres, ``area`` (N,) in m² and ``force`` (N,) in
+    newtons, NaN for a rigid gel; see `objectfolder.touch.simulate.Contacts`.
     """
     vertices, faces = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
 

@@ -8,7 +8,7 @@ import torch
 from objectfolder.touch.camera import gel_depth
 from objectfolder.touch.gel import GAP, deform, double, halve, within_reach
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.tangential import FINEST
+from objectfolder.touch.tangential import MAX_GRID_SIDE
 
 _ROUNDS = 4  # of the fixed point below; friction stretches the surface by a few tenths at most
 
@@ -30,29 +30,11 @@ def dragged_contacts(
     Motions are on a grid of the apex's pixel pitch, as in `gel.deform`: without perspective. What the object
     has beyond the image is unknown; the height at the border goes on there.
 
-    Parameters
-    ----------
-    height : (N, H, W) array
-        Of the object before it moves, metres; see `heightmaps`.
-    pressure : (N, H, W) array
-        Before the object moves, Pa.
-    dragged : (N, H, W, 2) array
-        Displacement of the gel's points by friction, along image right and image up, metres.
-    shear : (N, 2) array
-        Motion of the object, along image right and image up, metres.
-    twist : (N,) array
-        Turn of the object about the optical axis, anticlockwise in the image, radians.
-    profile : SensorProfile
-        With a soft gel.
-
-    Returns
-    -------
-    height : (N, H, W) float32
-        Of the object, metres, up to the sensor's ``max_indentation``.
-    displacement : (N, H, W) float32
-        Of the gel, metres towards the camera along the pixel rays.
-    pressure : (N, H, W) float32
-        Pa. Bits of a row do not depend on others.
+    Heights (N, H, W), metres, see `heightmaps`, and pressures (N, H, W), Pa, are from before the object moves
+    by ``shear`` (N, 2), right and up in the image, metres, and ``twist`` (N,), anticlockwise in the image,
+    radians; friction displaces the points of the soft gel by ``dragged`` (N, H, W, 2), metres. Returns the
+    object's heights, up to ``max_indentation``, the gel's displacements towards the camera along the pixel
+    rays, metres, and pressures, Pa; (N, H, W) float32. Bits of a row do not depend on others.
     """
     (sag, axes), deepest = _rest(profile), np.float32(profile.max_indentation)
     thickness = profile.elastomer_thickness
@@ -72,18 +54,10 @@ def dragged_contacts(
 def _met(
     height: np.ndarray, sag: np.ndarray, places: np.ndarray, deepest: np.float32, thickness: float
 ) -> np.ndarray:
-    """Return the object's height over the gel's points when they meet what was at other places.
+    """Return the object's height over the gel's points when they meet what was at places (2, H, W), pixels.
 
-    Parameters
-    ----------
-    height, sag : (H, W) arrays, metres
-        Of the object at the pixels; of the undeformed gel.
-    places : (2, H, W) array
-        Pixel coordinates.
-    deepest : float
-        Height to which deeper ones are clipped, metres; nearer to a dome's apex, the object reaches further.
-    thickness : float
-        Of the elastomer, metres.
+    Heights and sag of the undeformed gel are (H, W), metres. Heights are clipped to the deepest: nearer to a
+    dome's apex, the object reaches further.
     """
     met = np.minimum(_at(height - sag, places) + sag, deepest)
     # The lowest height stands for any wider gap; see `gel.indent`.
@@ -98,7 +72,7 @@ def _carried(shift: np.ndarray) -> np.ndarray:
     Solved on a coarse grid, as the friction is, for a point's place before from that after: a fixed point.
     """
     shapes, coarse = [], shift
-    while min(coarse[0].shape) >= FINEST:
+    while min(coarse[0].shape) >= MAX_GRID_SIDE:
         shapes.append(coarse[0].shape)
         coarse = np.stack([halve(part) for part in coarse])
     step = np.float32(2 ** len(shapes))

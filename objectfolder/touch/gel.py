@@ -21,12 +21,12 @@ SPACING = 2.5
 _TOLERANCE = 8e-3
 
 _MAX_STEPS = 300  # typically tens suffice
-_COARSEST = 40  # pixels along the shorter side of the coarsest grid
+_MIN_GRID_SIDE = 40  # pixels along the shorter side of the coarsest grid
 
-DENSE = 512  #: pixels of a grid up to which a matrix is faster than transforms
+MAX_DENSE_PIXELS = 512  #: pixels of a grid up to which a matrix is faster than transforms
 
 # Least stiffness in the preconditioner, relative to that of the stiffest wave of the grid.
-_SOFTEST = 0.06
+_MIN_STIFFNESS = 0.06
 
 # First step size and bounds of the others; 1 is optimal for a perfect preconditioner.
 _STEP, _STEPS = 0.7, (0.2, 3.0)
@@ -43,14 +43,9 @@ class Layer:
     def compliance(self, wavenumber: np.ndarray) -> np.ndarray:
         """Return the normal displacement of the surface per unit of a sinusoidal pressure, m/Pa.
 
-        Linear elasticity without friction (Nogi and Kato 1997, with a rigid base). For waves much shorter
-        than the thickness it is that of a half space, 2 (1 - ν²) / (E q); for long ones, that of a laterally
-        confined slab.
-
-        Parameters
-        ----------
-        wavenumber : array
-            q, rad/m, zero or positive.
+        Linear elasticity without friction (Nogi and Kato 1997, with a rigid base), for wavenumbers q >= 0,
+        rad/m. For waves much shorter than the thickness it is that of a half space, 2 (1 - ν²) / (E q); for
+        long ones, that of a laterally confined slab.
         """
         nu, thickness = self.poisson_ratio, self.thickness
         phase = np.where(wavenumber > 0, wavenumber * thickness, 1.0)
@@ -71,39 +66,24 @@ def layer_of(profile: SensorProfile) -> Layer:
 def deform(
     height: np.ndarray, profile: SensorProfile, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Press a rigid object into the gel.
+    """Press a rigid object into the gel: displacement towards the camera, metres, and pressure, Pa.
 
     A rigid gel takes the exact imprint. A soft one is an elastic layer on a rigid base in unilateral contact
     without friction: pressure >= 0, gap >= 0, and pressure * gap = 0. It is solved by preconditioned
     projected gradients with the steps of Barzilai and Borwein (1988), on grids from coarse to fine, with the
     layer's response by Fourier transforms. Where they touch, the gel follows the object exactly; elsewhere
-    its surface is free: it sinks beside the contact and bulges further away, since the gel is
-    nearly incompressible.
+    its surface is free: it sinks beside the contact and bulges further away, since the gel is nearly
+    incompressible.
 
     Limits: linear elasticity, valid up to strains of about a third; no friction, no adhesion; the layer is
     flat and of even thickness, on a grid of the apex's pixel pitch (a dome's curvature enters through
     ``height`` only); it continues past the image, where only periodic copies of the contact press, 2.5
     thicknesses from the image's border.
 
-    Parameters
-    ----------
-    height : (N, H, W) array
-        Height of the object past the undeformed surface, metres; negative is a gap. See `heightmaps`.
-    profile : SensorProfile
-    start : (N, H, W) array, optional
-        Pressure of a similar contact, Pa, from which the solution is sought. Default: that of a coarser grid.
-
-    Returns
-    -------
-    displacement : (N, H, W) float32
-        Displacement of the surface towards the camera, metres; negative where it bulges.
-    pressure : (N, H, W) float32
-        Pa. NaN for a rigid gel, which has none.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a contact does not converge.
+    Heights (N, H, W) of the object past the undeformed surface, metres, are negative at a gap; see
+    `heightmaps`. The solution is sought from the pressures ``start`` (N, H, W) of similar contacts, or else
+    from a coarser grid. Returns (N, H, W) float32; displacements are negative where the gel bulges, pressures
+    NaN for a rigid gel. Raises ObjectFolderError if a contact does not converge.
     """
     height = np.asarray(height, np.float32)
     if profile.gel == "rigid":
@@ -120,22 +100,10 @@ def deform(
 def indent(
     height: np.ndarray, pitch: float, layer: Layer, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve one contact with an elastic layer; see `deform`.
+    """Solve one contact with an elastic layer; displacement and pressure, (H, W) float32. See `deform`.
 
-    Parameters
-    ----------
-    height : (H, W) float32 array, metres
-        A gap of `GAP` thicknesses stands for any wider one, and is never closed.
-    pitch : float
-        Metres between pixels.
-    layer : Layer
-    start : (H, W) array, optional
-        Pressure of a similar contact, Pa.
-
-    Returns
-    -------
-    displacement : (H, W) float32, metres
-    pressure : (H, W) float32, Pa
+    A gap of `GAP` thicknesses in ``height`` (H, W) float32 stands for any wider one, and is never closed;
+    ``pitch`` is metres between pixels.
     """
     reachable = within_reach(height, layer.thickness)
     pressure, displacement = _solve(height, reachable, pitch, layer, start)
@@ -145,14 +113,7 @@ def indent(
 
 
 def within_reach(height: np.ndarray, thickness: float) -> np.ndarray:
-    """Return where the object is within `GAP` of the gel; (H, W) bool.
-
-    Parameters
-    ----------
-    height : (H, W) array, metres
-    thickness : float
-        Of the layer, metres.
-    """
+    """Return where heights (H, W) are within `GAP` of a gel of some thickness, metres; (H, W) bool."""
     return height > -GAP * thickness * (1 - 1e-6)  # a float32 may be rounded
 
 
@@ -163,7 +124,7 @@ def _solve(
     if start is not None:
         pressure = start * reachable
         displacement = respond(pressure, pitch, layer)
-    elif min(height.shape) >= 2 * _COARSEST:
+    elif min(height.shape) >= 2 * _MIN_GRID_SIDE:
         pressure, _ = _solve(halve(height), halve(reachable) > 0, 2 * pitch, layer)
         pressure = double(pressure, height.shape) * reachable
         displacement = respond(pressure, pitch, layer)
@@ -195,16 +156,9 @@ def _solve(
 def respond(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
     """Return the displacement of the surface, metres, under a pressure (H, W), Pa; float32 or float64.
 
-    The response is symmetric and positive definite.
-
-    Parameters
-    ----------
-    pressure : (H, W) array, Pa
-    pitch : float
-        Metres between pixels.
-    layer : Layer
+    The response is symmetric and positive definite; ``pitch`` is metres between pixels.
     """
-    if pressure.size <= DENSE:
+    if pressure.size <= MAX_DENSE_PIXELS:
         # Unlike BLAS, einsum sums in an order independent of the number of threads.
         found: np.ndarray = np.einsum("ij,j->i", _matrix(pressure.shape, pitch, layer), pressure.ravel())
         return found.reshape(pressure.shape)
@@ -278,7 +232,7 @@ def _stencil(pitch: float, layer: Layer) -> tuple[np.float32, np.float32, np.flo
     """
     axis, diagonal = 1 / layer.compliance(np.pi / pitch * np.array([1, np.sqrt(2)]))
     waves = np.geomspace(0.01 / layer.thickness, np.pi / pitch, 200)
-    long = max(1 / layer.compliance(waves).max(), _SOFTEST * diagonal)
+    long = max(1 / layer.compliance(waves).max(), _MIN_STIFFNESS * diagonal)
     # Of centre + 2 side (cos x + cos y) + 4 corner cos x cos y, at (0, 0), (π, 0) and (π, π).
     centre = (long + 2 * axis + diagonal) / 4
     return np.float32(centre), np.float32((long - diagonal) / 8), np.float32((centre - axis) / 4)

@@ -17,7 +17,7 @@ _MIN_FILL = 0.5  # area of an imprint over that of its convex hull
 _MAX_ELONGATION = 1.6  # length over width
 
 # A channel that overflowed is dark inside an area where it is as bright as this, by at least this much.
-_BRIGHT, _DIP = 240.0, 16.0  # grey levels
+_SATURATED_LEVEL, _MIN_HOLE_DEPTH = 240.0, 16.0  # grey levels
 
 # Without a picture of the untouched sensor, this part of each imprint must be free in another picture.
 _MIN_FREE = 0.5
@@ -35,17 +35,9 @@ class Imprint:
 def find_imprint(change: np.ndarray, name: str = "picture") -> tuple[float, float, float]:
     """Return row, column and radius, in pixels, of the round spot where a picture changes.
 
-    Parameters
-    ----------
-    change : (H, W, 3) float array
-        Difference to the untouched sensor.
-    name : str
-        Name of the picture in error messages.
-
-    Raises
-    ------
-    ObjectFolderError
-        If nothing stands out from the noise, or the spot is not round, too small or cut off by the border.
+    ``change`` (H, W, 3) is the difference to the untouched sensor, ``name`` that of the picture in errors.
+    Raises ObjectFolderError if nothing stands out from the noise, or the spot is not round, too small or cut
+    off by the border.
     """
     strength = np.linalg.norm(gaussian_filter(change, (1.5, 1.5, 0)), axis=2)
     noise = np.median(strength)
@@ -94,7 +86,7 @@ def check_circles(
             )
 
 
-def overflowed(picture: np.ndarray) -> np.ndarray:
+def find_overflow(picture: np.ndarray) -> np.ndarray:
     """Return where a channel of a picture (H, W, 3) overflowed; (H, W) bool.
 
     Some cameras, or programs behind them, go on from 255 to 0. What is left of that in a picture that was
@@ -106,15 +98,14 @@ def overflowed(picture: np.ndarray) -> np.ndarray:
         for border in np.s_[[0, -1], :], np.s_[:, [0, -1]]:
             seed[border] = channel[border]
         filled = reconstruction(seed, channel, method="erosion")  # without its holes
-        found |= (filled >= _BRIGHT) & (filled - channel >= _DIP)
+        found |= (filled >= _SATURATED_LEVEL) & (filled - channel >= _MIN_HOLE_DEPTH)
     return found
 
 
-def untouched_estimate(observed: np.ndarray, untouched: np.ndarray | None) -> np.ndarray:
+def estimate_untouched(observed: np.ndarray, untouched: np.ndarray | None) -> np.ndarray:
     """Return the untouched sensor for each picture, (K, H, W, 3): the median of all, if it is not given."""
-    if untouched is not None:
-        return np.broadcast_to(np.asarray(untouched, np.float32), observed.shape)
-    return np.broadcast_to(np.median(observed, axis=0), observed.shape)
+    given = np.median(observed, axis=0) if untouched is None else np.asarray(untouched, np.float32)
+    return np.broadcast_to(given, observed.shape)
 
 
 def check_background_seen(

@@ -11,26 +11,26 @@ from objectfolder.touch.profiles import Light, SensorProfile, Vector
 from objectfolder.touch.residual import places, residual_levels, residual_terms
 from objectfolder.touch.shading import Vectors, radiance
 
-_PEAK = 255.0  # grey levels
+_MAX_LEVEL = 255.0  # grey levels
 
 # Bounds: distance of a light from the gel and off the axis, m; logarithms of intensity, ambient light and
 # gamma; roughness. Intensities are in units of candelas per grey level where radiance 1 is white.
-_CLEARANCE, _ASIDE = 1e-3, 0.06
+_GEL_CLEARANCE, _MAX_OFFSET = 1e-3, 0.06
 _INTENSITY = np.log(1e-7), np.log(0.05)
 _AMBIENT = np.log(1e-4), 0.0
 _GAMMA = np.log(0.7), np.log(3.0)
 _ROUGHNESS = 0.05, 1.0
 
 # Start: lights this far before the gel, and that far off the axis.
-_BEFORE, _OFF = 0.01, 0.016
+_START_HEIGHT, _START_OFFSET = 0.01, 0.016
 _START_INTENSITY, _START_AMBIENT, _START_GAMMA, _START_ROUGHNESS = 5e-4, 0.05, 1.5, 0.8
 
-_SHIFT = 1e-4  # m, step of a light's finite differences
+_POSITION_STEP = 1e-4  # m, step of a light's finite differences
 _STEPS = np.array([0.2, 0.2, 0.02])  # of a ball's: pixels, pixels, part of its depth
-_REACH = 6.0  # pixels that a ball may move
+_MAX_POSE_SHIFT = 6.0  # pixels that a ball may move
 _LIGHT_ROUNDS, _POSE_ROUNDS = 40, 8
 
-_BRIGHTEST = 0.9  # radiance
+_MAX_RADIANCE = 0.9  # radiance
 
 _RESIDUAL_ROUNDS = 30
 _RIDGE = 0.01  # of the residual, relative to the mean square of its scaled terms
@@ -45,7 +45,7 @@ class Photograph:
     pose: np.ndarray  #: (3,) row and column of the ball's centre, pixels; press depth, m
 
 
-def disc_of(circle: tuple[float, float, float], shape: tuple[int, ...]) -> np.ndarray:
+def circle_mask(circle: tuple[float, float, float], shape: tuple[int, ...]) -> np.ndarray:
     """Return the pixels within a circle of row, column and radius in pixels; (H, W) bool."""
     row, column, radius = circle
     rows, columns = np.ogrid[: shape[0], : shape[1]]
@@ -61,7 +61,8 @@ class _Surface:
         for photograph in photographs:
             disc = photograph.disc
             moved = model.optics.surface(model.displacement(photograph.pose))
-            columns = [_inside(axis, disc) for vectors in (*moved[:2], *rest) for axis in vectors]
+            axes = [np.asarray(axis) for vectors in (*moved[:2], *rest) for axis in vectors]
+            columns = [axis.reshape(disc.shape)[disc] for axis in axes]
             columns += [moved[2][i][0][disc] for i in (0, 1)] + [axis[disc] for axis in place]
             parts.append(np.stack(columns).astype(np.float32))
         values = np.concatenate(parts, axis=1)
@@ -75,14 +76,14 @@ class _Surface:
         """Return what a profile shows, grey levels before saturation; (3, M)."""
         change = _display(radiance(*self.moved, profile), profile.gamma)
         change -= _display(radiance(*self.still, profile), profile.gamma)
-        levels = self.untouched + _PEAK * profile.gain * change
+        levels = self.untouched + _MAX_LEVEL * profile.gain * change
         if profile.residual:
             levels += residual_levels(self.tilt, self.place, profile.residual)
         return levels
 
     def error(self, profile: SensorProfile) -> np.ndarray:
         """Return the difference of image and photograph, grey levels; (3, M)."""
-        return self.levels(profile).clip(0, _PEAK) - self.picture
+        return self.levels(profile).clip(0, _MAX_LEVEL) - self.picture
 
 
 def squared_error(
@@ -90,16 +91,8 @@ def squared_error(
 ) -> float:
     """Return the mean squared error of a profile's images inside the discs, squared grey levels.
 
-    Gel and optics are those of the profile, without its optical blur.
-
-    Parameters
-    ----------
-    profile : SensorProfile
-    radius : float
-        Of the ball, metres.
-    untouched : (H, W, 3) array
-        Picture of the sensor at rest.
-    photographs : list of Photograph
+    Gel and optics are those of the profile, without its optical blur; the radius of the ball is in metres,
+    ``untouched`` (H, W, 3) the picture of the sensor at rest.
     """
     surface = _Surface(BallModel(profile, radius), untouched, photographs)
     return float(np.mean(surface.error(profile) ** 2))
@@ -110,28 +103,18 @@ def fit_lights(
 ) -> SensorProfile:
     """Fit places and colours of the lights, ambient light, roughness and gamma, for balls in known poses.
 
-    Least squares over the pixels of the discs, with pixel values cut off at 0 and 255 as a camera does.
-
-    Parameters
-    ----------
-    model : BallModel
-        Of the ball and the gel.
-    untouched : (H, W, 3) array
-    photographs : list of Photograph
-    start : SensorProfile
-        Its lights, ambient light, roughness and gamma are the start.
-
-    Returns
-    -------
-    SensorProfile
-        The start with what was fitted.
+    Least squares over the pixels of the discs, with pixel values cut off at 0 and 255 as a camera does, from
+    the values of ``start``, which is returned with what was fitted.
     """
     surface = _Surface(model, untouched, photographs)
     count = len(start.lights)
-    place = (0.0, -_ASIDE, -_ASIDE), (model.profile.camera_to_gel - _CLEARANCE, _ASIDE, _ASIDE)
+    place = (
+        (0.0, -_MAX_OFFSET, -_MAX_OFFSET),
+        (model.profile.camera_to_gel - _GEL_CLEARANCE, _MAX_OFFSET, _MAX_OFFSET),
+    )
     bounds = [
-        np.concatenate([np.tile(np.r_[place[i], [_INTENSITY[i]] * 3], count), _coating_bounds()[i]])
-        for i in (0, 1)
+        np.concatenate([np.tile(np.r_[at, [strength] * 3], count), coating])
+        for at, strength, coating in zip(place, _INTENSITY, zip(_AMBIENT, _GAMMA, _ROUGHNESS))
     ]
     scale = np.concatenate([np.tile(np.r_[[1e-3] * 3, [0.1] * 3], count), [0.1, 0.1, 0.05]])
 
@@ -164,7 +147,7 @@ def fit_pose(
         return np.stack(moved, axis=1) / (2 * _STEPS)
 
     first = photograph.pose / scale
-    reach = np.array([_REACH, _REACH, 0.95])
+    reach = np.array([_MAX_POSE_SHIFT, _MAX_POSE_SHIFT, 0.95])
     low, high = first - reach, first + reach
     high[2] = max(model.profile.max_indentation / scale[2], 1.001)
     found = least_squares(
@@ -173,18 +156,18 @@ def fit_pose(
     return replace(photograph, pose=found.x * scale)
 
 
-def exposed(profile: SensorProfile, photographs: list[Photograph], model: BallModel) -> SensorProfile:
+def limit_radiance(profile: SensorProfile, photographs: list[Photograph], model: BallModel) -> SensorProfile:
     """Return the same change of colours by dimmer lights and a larger gain.
 
     Optics cut radiance off at 1, the fit does not. Here no pixel of the gel, at rest or under the ball, is
-    brighter than ``_BRIGHTEST``.
+    brighter than ``_MAX_RADIANCE``.
     """
     gels = torch.cat(
         [torch.zeros_like(model.displacement(photographs[0].pose))]
         + [model.displacement(photograph.pose) for photograph in photographs]
     )
     points, normals, _ = model.optics.surface(gels)
-    factor = _BRIGHTEST / float(radiance(points, normals, profile).max())
+    factor = _MAX_RADIANCE / float(radiance(points, normals, profile).max())
     lights = tuple(replace(light, intensity=light.intensity * factor) for light in profile.lights)
     gain = profile.gain * factor ** (-1 / profile.gamma)
     return replace(profile, lights=lights, ambient=profile.ambient * factor, gain=gain)
@@ -208,11 +191,11 @@ def fit_residual(
     for level, seen in zip(levels, surface.picture):
 
         def errors(row: np.ndarray, level: np.ndarray = level, seen: np.ndarray = seen) -> np.ndarray:
-            return np.concatenate([(level + terms @ row).clip(0, _PEAK) - seen, ridge @ row])
+            return np.concatenate([(level + terms @ row).clip(0, _MAX_LEVEL) - seen, ridge @ row])
 
         def jacobian(row: np.ndarray, level: np.ndarray = level) -> np.ndarray:
             shown = level + terms @ row
-            return np.concatenate([terms * ((shown > 0) & (shown < _PEAK))[:, None], ridge])
+            return np.concatenate([terms * ((shown > 0) & (shown < _MAX_LEVEL))[:, None], ridge])
 
         found = least_squares(errors, np.zeros(terms.shape[1]), jacobian, max_nfev=_RESIDUAL_ROUNDS)
         rows.append(found.x / scale)
@@ -225,9 +208,13 @@ def starting_lights(profile: SensorProfile, count: int) -> SensorProfile:
     Nothing blurs the image: the lights are fitted to single pixels.
     """
     azimuth = 2 * np.pi * (np.arange(count) + 0.4) / count
-    depth = profile.camera_to_gel - min(_BEFORE, profile.camera_to_gel / 2)
+    depth = profile.camera_to_gel - min(_START_HEIGHT, profile.camera_to_gel / 2)
     lights = tuple(
-        Light((depth, _OFF * float(np.cos(a)), _OFF * float(np.sin(a))), (1.0, 1.0, 1.0), _START_INTENSITY)
+        Light(
+            (depth, _START_OFFSET * float(np.cos(a)), _START_OFFSET * float(np.sin(a))),
+            (1.0, 1.0, 1.0),
+            _START_INTENSITY,
+        )
         for a in azimuth
     )
     return replace(
@@ -242,10 +229,6 @@ def starting_lights(profile: SensorProfile, count: int) -> SensorProfile:
     )
 
 
-def _inside(values: np.ndarray, disc: np.ndarray) -> np.ndarray:
-    return np.asarray(values).reshape(disc.shape)[disc]
-
-
 def _vector(values: np.ndarray) -> Vector:
     x, y, z = map(float, values)
     return x, y, z
@@ -253,10 +236,6 @@ def _vector(values: np.ndarray) -> Vector:
 
 def _display(light: np.ndarray, gamma: float) -> np.ndarray:
     return light.astype(float).clip(1e-30) ** (1 / gamma)
-
-
-def _coating_bounds() -> np.ndarray:
-    return np.array([_AMBIENT, _GAMMA, _ROUGHNESS]).T
 
 
 def _parameters(profile: SensorProfile) -> np.ndarray:
@@ -294,8 +273,8 @@ def _light_jacobian(surface: _Surface, start: SensorProfile, x: np.ndarray) -> n
         for k, (field, color) in enumerate(zip(fields, colors)):
             for axis in range(3):
                 position = np.array(profile.lights[k].position)
-                position[axis] -= _SHIFT
-                change = (field - _field(at, profile, _vector(position))) / _SHIFT
+                position[axis] -= _POSITION_STEP
+                change = (field - _field(at, profile, _vector(position))) / _POSITION_STEP
                 columns[6 * k + axis] += sign * slope * change * color[:, None]
             for channel in range(3):
                 columns[6 * k + 3 + channel, channel] += sign * slope[channel] * field * color[channel]
@@ -305,7 +284,7 @@ def _light_jacobian(surface: _Surface, start: SensorProfile, x: np.ndarray) -> n
         rougher = replace(profile, roughness=profile.roughness - 0.01)
         columns[-1] += sign * slope * (light - radiance(*at, rougher)) / 0.01
     levels = surface.levels(profile)
-    columns *= _PEAK * profile.gain * ((levels > 0) & (levels < _PEAK))
+    columns *= _MAX_LEVEL * profile.gain * ((levels > 0) & (levels < _MAX_LEVEL))
     return columns.reshape(len(x), -1).T
 
 

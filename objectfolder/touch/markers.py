@@ -44,17 +44,9 @@ def marker_flow(
 ) -> np.ndarray:
     """Return how markers move in the images; (N, M, 2) float32, pixels along columns and rows.
 
-    A point of the gel moves sideways and towards the camera, which enlarges its distance from the axis.
-
-    Parameters
-    ----------
-    places : (M, 2) array
-        Columns and rows on the untouched gel.
-    sideways : (N, H, W, 2) array
-        Displacement of the gel along image right and image up, metres.
-    displacement : (N, H, W) array
-        Towards the camera, metres.
-    profile : SensorProfile
+    A point of the gel moves sideways (N, H, W, 2), right and up in the image, and towards the camera, by the
+    displacement (N, H, W), which enlarges its distance from the axis; metres. Places (M, 2) are columns and
+    rows on the untouched gel.
     """
     at = places.T[::-1]
     focal = profile.camera_to_gel / profile.pixel_pitch  # pixels per unit slope of a ray
@@ -75,19 +67,10 @@ def marker_flow(
 def draw_markers(
     images: np.ndarray, places: np.ndarray, flow: np.ndarray, markers: Markers, profile: SensorProfile
 ) -> np.ndarray:
-    """Return images with the markers where they have moved; (N, H, W, 3) uint8.
+    """Return images (N, H, W, 3) uint8 with the markers where they have moved.
 
-    Edges are smooth over a pixel. Dots keep their size.
-
-    Parameters
-    ----------
-    images : (N, H, W, 3) uint8 array
-    places : (M, 2) array
-        See `Markers.places`.
-    flow : (N, M, 2) array
-        See `marker_flow`.
-    markers : Markers
-    profile : SensorProfile
+    Places (M, 2) are those of `Markers.places`, the flow (N, M, 2) that of `marker_flow`. Edges are smooth
+    over a pixel. Dots keep their size.
     """
     height, width = images.shape[1:3]
     radius = markers.radius / profile.pixel_pitch

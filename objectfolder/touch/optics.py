@@ -3,9 +3,16 @@
 import numpy as np
 import torch
 
-from objectfolder.touch.arrays import Array, array_library, zeros
+from objectfolder.touch.arrays import (
+    Array,
+    array_library,
+    blur,
+    convolve,
+    gaussian_weights,
+    neighbours,
+    zeros,
+)
 from objectfolder.touch.camera import gel_depth, ray_directions
-from objectfolder.touch.filters import blur, convolve, gaussian_weights, neighbours
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.residual import places, residual_levels, tilt
 from objectfolder.touch.shading import Vectors, shade, unit_components
@@ -17,27 +24,12 @@ _GPU_BATCH = 64  # images that a GPU renders at once
 
 
 class Optics:
-    """Renderer of the gel, lit from inside.
+    """Renderer of the gel, lit from inside, on a device.
 
     An image is the background plus the change in shading from the undeformed gel, as in TACTO's calibration
     (Wang et al. 2022), plus the profile's residual, if it has one. Shading is glTF's metallic-roughness model
-    under point lights, without shadows or interreflections.
-
-    Parameters
-    ----------
-    profile : SensorProfile
-    device : str or torch.device
-        Device that `render` runs on.
-
-    Attributes
-    ----------
-    untouched : (3, H, W) float32 tensor
-        Shading of the undeformed gel, 0 to 1.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the profile's background picture cannot be used.
+    under point lights, without shadows or interreflections. ``untouched`` (3, H, W) float32 is the shading of
+    the undeformed gel, 0 to 1. Raises ObjectFolderError if the profile's background picture cannot be used.
     """
 
     def __init__(self, profile: SensorProfile, device: str | torch.device = "cpu"):
@@ -74,17 +66,10 @@ class Optics:
         self._planes = self._array(self._background.permute(2, 0, 1).contiguous())
 
     def render(self, displacement: torch.Tensor) -> torch.Tensor:
-        """Return images of the deformed gel.
+        """Return images (N, H, W, 3) uint8, RGB, of the deformed gel, on the device of the optics.
 
-        Parameters
-        ----------
-        displacement : (N, H, W) float32 tensor
-            Metres towards the camera along the pixel rays, from `gel.deform`; exactly 0 where the gel rests.
-
-        Returns
-        -------
-        (N, H, W, 3) uint8 tensor, RGB, on the device of the optics. The bits of an image do not depend on
-        the rest of the batch.
+        Displacements (N, H, W) float32 are metres towards the camera along the pixel rays, from `gel.deform`;
+        exactly 0 where the gel rests. The bits of an image do not depend on the rest of the batch.
         """
         images = torch.empty(*displacement.shape, 3, dtype=torch.uint8, device=self.device)
         library = array_library(self._planes)
@@ -110,10 +95,7 @@ class Optics:
     def tilted(self, slope_y: np.ndarray, slope_z: np.ndarray) -> np.ndarray:
         """Return the change in grey levels of a gel that is only tilted, everywhere; (3, N, H, W) float32.
 
-        Parameters
-        ----------
-        slope_y, slope_z : (N,) arrays
-            Derivatives of the displacement along y and z, metres per metre.
+        Slopes (N,) are derivatives of the displacement along y and z.
         """
         slopes = np.stack([slope_y, slope_z]).astype(np.float32)[..., None, None]
         slopes = self._array(torch.from_numpy(slopes)) * self._maps[2]
@@ -126,12 +108,7 @@ class Optics:
         return np.asarray(torch.as_tensor(change).cpu())
 
     def surface(self, displacement: torch.Tensor) -> tuple[Vectors, Vectors, Array]:
-        """Return points, unit normals and tilt of the deformed gel; see `shade` and `residual_levels`.
-
-        Parameters
-        ----------
-        displacement : (N, H, W) float32 tensor
-        """
+        """Return points, unit normals and tilt of a gel displaced by (N, H, W); see `shade`, `tilt`."""
         moved = self._array(displacement)
         slopes = self._slopes(moved)
         return *self._geometry(self._maps, moved, *slopes), tilt(slopes, self._maps[2])

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from objectfolder.errors import ObjectFolderError, quoted, shortened
-from objectfolder.yamlfile import read_yaml
+from objectfolder.yamlfile import is_yaml_name, read_yaml
 
 _PROFILES = Path(__file__).with_suffix("")
 
@@ -66,13 +66,11 @@ class SensorProfile:
     roughness: float  #: of the coating, 0 to 1
     gamma: float  #: display value = radiance^(1/gamma)
     gain: float  #: factor on the difference to the undeformed gel
-    slope_smoothing: (
-        float  #: m on the gel, Gaussian deviation, of the gel's slopes within the contact; 0 is none
-    )
+    #: m on the gel, Gaussian deviation, of the gel's slopes within the contact; 0 is none
+    slope_smoothing: float
     image_smoothing: float  #: m on the gel, Gaussian deviation of the optical blur; 0 is none
-    background_image: (
-        str  #: photograph of the untouched sensor, relative to the file; empty is the synthetic one
-    )
+    #: Photograph of the untouched sensor, relative to the file; empty is the synthetic one
+    background_image: str
     background_sha256: str  #: of that file, hexadecimal; a changed picture thus changes the profile
     background_color: Vector  #: display RGB of the untouched gel away from the lights, 0 to 1
     background_glow: float  #: display value that each light adds where it is nearest, 0 to 1
@@ -206,7 +204,7 @@ def load_profile(sensor: str | Path | SensorProfile) -> SensorProfile:
             f"sensor is of type {type(sensor).__name__}, expected a name, a path or a profile"
         )
     path = Path(sensor)
-    named = path.suffix not in (".yaml", ".yml")
+    named = not is_yaml_name(path)
     if named:
         path = _PROFILES / f"{sensor}.yaml"
     try:

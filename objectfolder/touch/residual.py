@@ -21,12 +21,8 @@ def places(profile: SensorProfile) -> np.ndarray:
 def tilt(slopes: Array, gel: Array) -> Array:
     """Return the sine of the deformed gel's slope against the undeformed one, along y and z.
 
-    Parameters
-    ----------
-    slopes : (2, N, H, W) float32 array or tensor
-        Derivatives of the displacement by the tangents of the rays, metres.
-    gel : (H, W) float32 array or tensor
-        Depth of the undeformed gel, metres.
+    Slopes (2, N, H, W) are derivatives of the displacement by the tangents of the rays, metres, gel (H, W)
+    the depth of the undeformed gel, metres; float32 arrays or tensors.
     """
     gradient = slopes / gel
     return gradient / array_library(gradient).sqrt((gradient * gradient).sum(0) + 1)
@@ -35,26 +31,14 @@ def tilt(slopes: Array, gel: Array) -> Array:
 def residual_terms(leaning: Array, place: Array) -> list[Array]:
     """Return the `RESIDUAL_TERMS` terms of the polynomial, each (...); all are 0 where the gel is not tilted.
 
-    Parameters
-    ----------
-    leaning : (2, ...) array or tensor
-        See `tilt`.
-    place : (2, ...) array or tensor
-        See `places`.
+    Of `tilt` (2, ...) and `places` (2, ...).
     """
     tilted = [leaning[0] ** a * leaning[1] ** b for a, b in POWERS]
     return [term * factor for term in tilted for factor in (1.0, place[0], place[1])]
 
 
 def residual_levels(leaning: Array, place: Array, coefficients: tuple[tuple[float, ...], ...]) -> Array:
-    """Return the residual in grey levels; (3, ...).
-
-    Parameters
-    ----------
-    leaning, place : as for `residual_terms`
-    coefficients : three tuples of `RESIDUAL_TERMS` numbers
-        Of red, green and blue.
-    """
+    """Return the residual in grey levels, (3, ...), by the coefficients of red, green and blue."""
     levels = zeros((3, *leaning.shape[1:]), leaning)
     for term, of_term in zip(residual_terms(leaning, place), zip(*coefficients)):
         for channel, coefficient in enumerate(of_term):

@@ -10,16 +10,16 @@ from objectfolder.settings import Count, NonNegative
 class RenderTouchConfig:
     """Section ``render_touch`` of ``params.yaml``."""
 
-    locations: Literal["surface", "vertices"]  #: random points by area, or vertices (as the paper)
-    normals: Literal[
-        "contact", "vertex"
-    ]  #: of the pressed surface (`objectfolder.touch.contact.contact_normals`), or the mesh's (the paper)
-    train: Count | None  #: contacts; with ``vertices`` at most, and null: every vertex of the split
-    val: Count | None
-    test: Count | None
-    renderer: Literal["gel", "tacto"]  #: the deformed gel, or TACTO's rendering (sensor: tacto_digit)
-    depth: NonNegative | None  #: of every contact, metres; null: random up to the sensor's press_depth
-    angle: float | None  #: of every contact, radians; null: random
+    #: random points by area, or vertices (as the paper)
+    locations: Literal["surface", "vertices"] = "surface"
+    #: of the pressed surface (`objectfolder.touch.contact.contact_normals`), or the mesh's (the paper)
+    normals: Literal["contact", "vertex"] = "contact"
+    train: Count | None = 64  #: contacts; with ``vertices`` at most, and null: every vertex of the split
+    val: Count | None = 32
+    test: Count | None = 128
+    renderer: Literal["gel", "tacto"] = "gel"  #: the deformed gel, or TACTO's rendering (sensor: tacto_digit)
+    depth: NonNegative | None = None  #: of every contact, metres; null: random up to the sensor's press_depth
+    angle: float | None = None  #: of every contact, radians; null: random
 
     def __post_init__(self) -> None:
         """Refuse what random points do not have."""

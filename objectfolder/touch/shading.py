@@ -15,19 +15,10 @@ _COSINE = (0.001, 1)  # bounds of cosines in pyrender's shader
 
 
 def shade(point: Vectors, normal: Vectors, profile: SensorProfile) -> Array:
-    """Return display values of surface points under the profile's lights.
+    """Return display values (3, ...) float32, 0 to 1, of surface points under the profile's lights.
 
-    Parameters
-    ----------
-    point : three (...) float32 arrays or tensors
-        Metres, camera frame.
-    normal : three (...) float32 arrays or tensors
-        Unit length, towards the camera.
-    profile : SensorProfile
-
-    Returns
-    -------
-    (3, ...) float32 array or tensor, 0 to 1
+    Points, metres, and unit normals towards the camera are three float32 arrays or tensors each, camera
+    frame.
     """
     light = radiance(point, normal, profile)
     library = array_library(light)
@@ -61,22 +52,13 @@ def ggx_reflectance(normal_view: Array, profile: SensorProfile) -> Callable[[Arr
     """Return the BRDF of glTF's metallic-roughness model (glTF 2.0, appendix B) for directions to the camera.
 
     A Lambert base under a GGX layer with Smith's shadowing, in the approximation by Schlick, and Schlick's
-    Fresnel term; cosines and denominator are bounded as in pyrender's shader. With the half vector
-    h = (l + v) / sqrt(2 (1 + l·v)), the cosines of the terms are
+    Fresnel term; cosines and denominator are bounded as in pyrender's shader. With the half vector h = (l +
+    v) / sqrt(2 (1 + l·v)), the cosines of the terms are
 
         n·h = (n·l + n·v) / sqrt(2 (1 + l·v)),    v·h = sqrt((1 + l·v) / 2).
 
-    Parameters
-    ----------
-    normal_view : (...) float32 array or tensor
-        Cosine between the unit normal n and the direction v to the camera.
-    profile : SensorProfile
-        Its albedo, roughness and metallic.
-
-    Returns
-    -------
-    callable
-        From the cosines n·l and l·v, l being the direction to a light, to the BRDF, 1/sr; all (...) float32.
+    Takes the cosine n·v between unit normal and direction to the camera, and returns a function from the
+    cosines n·l and l·v, l being the direction to a light, to the BRDF, 1/sr; all (...) float32.
     """
     albedo, metallic = profile.albedo, profile.metallic
     f0 = _DIELECTRIC * (1 - metallic) + albedo * metallic

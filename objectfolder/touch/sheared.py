@@ -31,7 +31,7 @@ class ShearedTouches(Touches):
     marker_flow: np.ndarray  #: (N, M, 2) float32, their motion, pixels
 
 
-def sheared(
+def shear_touches(
     touches: Touches,
     shear: np.ndarray,
     twist: np.ndarray,
@@ -39,23 +39,12 @@ def sheared(
     markers: Markers | None,
     render: Callable[[np.ndarray], np.ndarray],
 ) -> ShearedTouches:
-    """Move pressed objects sideways and turn them.
+    """Move pressed objects sideways and turn them; see `shear_contacts` and `dragged_contacts`.
 
-    See `tangential.shear_contacts` and `dragged.dragged_contacts`.
-
-    Parameters
-    ----------
-    touches : Touches
-    shear : (N, 2) array
-        Motion of the object against the sensor, along image right and image up, metres.
-    twist : (N,) array
-        Turn about the optical axis, anticlockwise in the image, radians.
-    friction : (N,) array
-        Coefficients.
-    markers : Markers, optional
-        To draw into the images. Their flow is that of the default ones otherwise.
-    render : callable
-        From displacements of the gel, (K, H, W) metres, to images (K, H, W, 3).
+    ``shear`` (N, 2) is the motion of the object against the sensor, right and up in the image, metres;
+    ``twist`` (N,) its turn about the optical axis, anticlockwise in the image, radians; ``friction`` (N,)
+    coefficients. Markers are drawn if given; their flow is that of the default ones otherwise. ``render``
+    makes images (K, H, W, 3) of displacements (K, H, W) of the gel.
     """
     profile = touches.profile
     found = shear_contacts(touches.pressure, shear, twist, friction, profile)

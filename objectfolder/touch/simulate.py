@@ -54,7 +54,8 @@ def press(
     scale: float = 1.0,
 ) -> Contacts:
     """Press the sensor on an object. Parameters are those of `heightmaps`."""
-    return contacts_of(*heightmaps(caster, points, normals, angles, depths, profile, scale), profile)
+    height, obstructed, _ = heightmaps(caster, points, normals, angles, depths, profile, scale)
+    return contacts_of(height, obstructed, profile)
 
 
 def contacts_of(height: np.ndarray, obstructed: np.ndarray, profile: SensorProfile) -> Contacts:
@@ -91,15 +92,10 @@ def touch_images(
     optics: Optics,
     scale: float = 1.0,
 ) -> tuple[np.ndarray, Contacts]:
-    """Press the sensor on an object and read its images, without noise.
+    """Press the sensor on an object and read its images (N, H, W, 3) uint8, without noise.
 
     Parameters are those of `heightmaps`; ``optics`` renders the same profile. Each row depends on its own
     contact only, to the bit.
-
-    Returns
-    -------
-    images : (N, H, W, 3) uint8, RGB
-    contacts : Contacts
     """
     contacts = press(caster, points, normals, angles, depths, profile, scale)
     return optics.render(torch.from_numpy(contacts.displacement)).numpy(), contacts

@@ -6,7 +6,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_sag
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.tacto_rays import NEAR, compose, sensor_poses, smooth_normals
+from objectfolder.touch.tacto_rays import NEAR_PLANE, compose, sensor_poses, smooth_normals
 from objectfolder.vision.renderers.registry import NEEDS
 
 #: Grey levels, deviation of the Gaussian noise that TACTO adds to each image.
@@ -17,7 +17,7 @@ _GEL_VERTICES = 100
 # Size of the gel relative to the view at the apex: 20 mm across the DIGIT.
 _GEL_MARGIN = 1.05
 _GAMMA = 2.2  # of pyrender's shader
-_FAR = 1.0  # m
+_FAR_PLANE = 1.0  # m
 
 
 class TactoReference:
@@ -44,7 +44,7 @@ class TactoReference:
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, scale: float = 1.0):
         try:
-            from objectfolder.vision.opengl import canvas, pyrender
+            from objectfolder.vision.renderers.raster import canvas, pyrender
 
             self._canvas = canvas()
         except ImportError as error:
@@ -79,7 +79,9 @@ class TactoReference:
         pose = np.eye(4)
         pose[:3, :3] = np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]])
         field = np.radians(profile.vertical_fov_deg)
-        camera = pyrender.PerspectiveCamera(field, NEAR, _FAR, aspectRatio=profile.width / profile.height)
+        camera = pyrender.PerspectiveCamera(
+            field, NEAR_PLANE, _FAR_PLANE, aspectRatio=profile.width / profile.height
+        )
         self._scene.add(camera, pose=pose)
         for light in profile.lights:
             pose = np.eye(4)
@@ -100,20 +102,10 @@ class TactoReference:
         depths: np.ndarray,
         noise: np.random.Generator | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Press the sensor on the object.
+        """Press the sensor on the object; images (N, H, W, 3) uint8, RGB, and contacts (N, H, W) bool.
 
-        Parameters
-        ----------
-        points, normals, angles, depths
-            See `objectfolder.touch.tacto_rays.TactoRays.render`.
-        noise : numpy.random.Generator, optional
-            Generator of TACTO's pixel noise, of deviation `NOISE_STD`; no noise by default.
-
-        Returns
-        -------
-        images : (N, H, W, 3) uint8, RGB
-        contact : (N, H, W) bool
-            Where the object is in front of the gel.
+        Contacts are those of `objectfolder.touch.tacto_rays.TactoRays.render`; they touch where the object is
+        in front of the gel. A generator adds TACTO's pixel noise, of deviation `NOISE_STD`.
         """
         cameras, frames = sensor_poses(points, normals, angles, depths, self.profile)
         images = np.empty((len(frames), *self.background.shape), np.uint8)

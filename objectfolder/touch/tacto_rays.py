@@ -5,15 +5,15 @@ import torch
 
 from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.touch.arrays import blur
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import sensor_frames
-from objectfolder.touch.filters import blur
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.shading import shade, unit_components
 
 #: m from the pinhole; nothing nearer is drawn.
-NEAR = 0.001
+NEAR_PLANE = 0.001
 
 # Samples within a pixel, from its top left corner: the usual rotated grid of OpenGL drivers.
 _SAMPLES = np.array([[0.375, 0.125], [0.875, 0.375], [0.125, 0.625], [0.625, 0.875]])
@@ -28,10 +28,9 @@ _BACK_FACES = 4
 class TactoRays:
     """Ray-cast renderer of TACTO's images (Wang et al. 2022).
 
-    The gel is rigid; wherever the object is nearer to the camera than the gel, down to `NEAR`, the object is
-    drawn. Only faces towards the camera are visible. One ray through the centre
-    of a pixel, shaded with the interpolated normal; at the outline of the contact four, as in OpenGL's
-    multisampling.
+    The gel is rigid; wherever the object is nearer to the camera than the gel, down to `NEAR_PLANE`, the
+    object is drawn. Only faces towards the camera are visible. One ray through the centre of a pixel, shaded
+    with the interpolated normal; at the outline of the contact four, as in OpenGL's multisampling.
 
     Parameters
     ----------
@@ -75,20 +74,11 @@ class TactoRays:
     def render(
         self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Press the sensor on the object, without noise.
+        """Press the sensor on the object, without noise; images (N, H, W, 3) uint8, contacts (N, H, W) bool.
 
-        Parameters
-        ----------
-        points, normals : (N, 3) arrays
-            Contact points (metres) and unit outward normals, object frame.
-        angles, depths : (N,) arrays
-            Radians and metres; see `objectfolder.touch.contact.heightmaps`.
-
-        Returns
-        -------
-        images : (N, H, W, 3) uint8, RGB
-        contact : (N, H, W) bool
-            Where the centre of the pixel shows the object.
+        Points (N, 3), metres, unit outward normals (N, 3), object frame, angles (N,), radians, and depths
+        (N,), metres, are those of `objectfolder.touch.contact.heightmaps`; they touch where the centre of a
+        pixel shows the object.
         """
         height, width = self.profile.height, self.profile.width
         cameras, frames = sensor_poses(points, normals, angles, depths, self.profile)
@@ -135,7 +125,7 @@ class TactoRays:
         self, camera: np.ndarray, directions: np.ndarray, gel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the first front faces before the gel: ray, depth, face, barycentric weights."""
-        live, along, start = np.arange(len(directions)), directions, np.float32(NEAR)
+        live, along, start = np.arange(len(directions)), directions, np.float32(NEAR_PLANE)
         camera, found = camera.astype(np.float32), []
         for _ in range(_BACK_FACES):
             origins = camera + np.reshape(start, (-1, 1)) * along
@@ -176,18 +166,9 @@ def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def compose(
     rendered: np.ndarray, empty: np.ndarray, background: np.ndarray, profile: SensorProfile
 ) -> np.ndarray:
-    """Compose TACTO's image from renderings with and without the object.
+    """Compose TACTO's image (H, W, 3) uint8, truncated as there, from renderings with and without the object.
 
-    Parameters
-    ----------
-    rendered, empty, background : (H, W, 3) arrays
-        0 to 255.
-    profile : SensorProfile
-        Gain and blur.
-
-    Returns
-    -------
-    (H, W, 3) uint8, truncated as in TACTO
+    All (H, W, 3), 0 to 255; gain and blur are the profile's.
     """
     change = torch.from_numpy((rendered.astype(np.float32) - empty) * profile.gain).permute(2, 0, 1)[None]
     blurred = blur(change, profile.image_smoothing / profile.pixel_pitch)[0].permute(1, 2, 0).numpy()

@@ -9,12 +9,12 @@ import scipy
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
-from objectfolder.touch.gel import DENSE, SPACING, Layer, double, halve, layer_of, period
+from objectfolder.touch.gel import MAX_DENSE_PIXELS, SPACING, Layer, double, halve, layer_of, period
 from objectfolder.touch.profiles import SensorProfile
 
 _TOLERANCE = 0.002  # of the motion: error of the surface's displacement where it sticks
 _MAX_STEPS = 400  # typically tens suffice
-FINEST = 80  #: pixels; grids with a longer shorter side are halved
+MAX_GRID_SIDE = 80  #: pixels; grids with a longer shorter side are halved
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,9 @@ class Shears:
 def shear_compliance(layer: Layer, wavenumber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the tangential displacement of the surface per unit of a sinusoidal shear traction, m/Pa.
 
-    The first is that of tractions along the wave vector q, (1 - ν) / (G q) for short waves; the second of
-    those across it, tanh(q h) / (G q). Both are h / G for long ones. Linear elasticity of a layer bonded to
-    a rigid base, its surface free of pressure.
-
-    Parameters
-    ----------
-    layer : Layer
-    wavenumber : array
-        q, rad/m, zero or positive.
+    The first is that of tractions along the wave vector q, rad/m, (1 - ν) / (G q) for short waves; the second
+    of those across it, tanh(q h) / (G q). Both are h / G for long ones. Linear elasticity of a layer bonded
+    to a rigid base, its surface free of pressure.
     """
     nu, thickness = layer.poisson_ratio, layer.thickness
     shear_modulus = layer.young_modulus / (2 * (1 + nu))
@@ -69,11 +63,7 @@ def spreading(layer: Layer, wavenumber: np.ndarray) -> np.ndarray:
 
 
 def shear_contacts(
-    pressure: np.ndarray,
-    shear: np.ndarray,
-    twist: np.ndarray,
-    friction: np.ndarray,
-    profile: SensorProfile,
+    pressure: np.ndarray, shear: np.ndarray, twist: np.ndarray, friction: np.ndarray, profile: SensorProfile
 ) -> Shears:
     """Move a pressed object sideways and turn it, from a press without friction, in one step.
 
@@ -84,23 +74,9 @@ def shear_contacts(
     (Goodman 1962). The press itself moves the surface sideways without friction. Images are halved until
     their shorter side has less than 80 pixels.
 
-    Parameters
-    ----------
-    pressure : (N, H, W) array
-        Pa, from `gel.deform`.
-    shear : (N, 2) array
-        Motion of the object against the sensor, along image right and image up, metres.
-    twist : (N,) array
-        Turn of the object about the optical axis, anticlockwise in the image, radians.
-    friction : (N,) array
-        Coefficients.
-    profile : SensorProfile
-        With a soft gel.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the gel is rigid, or a contact does not converge.
+    Pressure (N, H, W), Pa, is that of `gel.deform`; shear (N, 2), metres, twist (N,), radians, and friction
+    (N,) are those of `shear_touches`. Raises ObjectFolderError if the gel is rigid, or a contact does not
+    converge.
     """
     if profile.gel == "rigid":
         raise ObjectFolderError(
@@ -116,7 +92,7 @@ def shear_contacts(
         if not image.any():
             continue
         shapes, step = [], pitch
-        while min(image.shape) >= FINEST:
+        while min(image.shape) >= MAX_GRID_SIDE:
             shapes.append(image.shape)
             image, step = halve(image), 2 * step
         right, up = _grid(image.shape, step, (height, width), pitch)
@@ -159,17 +135,8 @@ def slide(
 ) -> np.ndarray:
     """Return the traction where a rigid object in frictional contact moves; (2, H, W) float32, Pa.
 
-    Projected gradients with the steps of Barzilai and Borwein (1988).
-
-    Parameters
-    ----------
-    pressure : (H, W) float32 array, Pa
-    motion : (2, H, W) float32 array
-        Of the object's points, metres, along image right and up.
-    friction : float
-    pitch : float
-        Metres between pixels.
-    layer : Layer
+    Projected gradients with the steps of Barzilai and Borwein (1988). Pressure (H, W), Pa, and the motion (2,
+    H, W) of the object's points, right and up in the image, metres, are float32.
     """
     traction = np.zeros_like(motion)
     rows, columns = (np.flatnonzero(pressure.any(axis=axis)) for axis in (1, 0))
@@ -207,7 +174,7 @@ def _bounded(traction: np.ndarray, bound: np.ndarray) -> np.ndarray:
 
 def _respond(traction: np.ndarray, shape: tuple[int, ...], pitch: float, layer: Layer) -> np.ndarray:
     """Return the tangential displacement under a traction, both (2, h, w), in a part of an image (H, W)."""
-    if math.prod(shape) <= DENSE:
+    if math.prod(shape) <= MAX_DENSE_PIXELS:
         matrix = _part(traction.shape[1:], shape, pitch, layer)
         found: np.ndarray = np.einsum("ij,j->i", matrix, traction.ravel())  # as in `gel.respond`
         return found.reshape(traction.shape)
@@ -285,16 +252,8 @@ def _compliances(
 ) -> tuple[np.ndarray, ...]:
     """Return the displacements of waves, right by right, right by up, and up by up; float32, m/Pa.
 
-    Parameters
-    ----------
-    rows, columns : int
-        Of the transforms. Where they are less than those of the whole image, the layer answers as there to
-        shifts up to half of them.
-    wholes : (int, int)
-        Rows and columns of the transforms of the whole image.
-    pitch : float
-        Metres between pixels.
-    layer : Layer
+    Where the rows and columns of the transforms are less than those of the whole image, ``wholes``, the layer
+    answers as there to shifts up to half of them.
     """
     vector = _wavenumbers(wholes[0], wholes[1], pitch)
     length = np.hypot(*vector)

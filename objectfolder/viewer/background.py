@@ -13,7 +13,7 @@ STEP = 5
 _FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}]
 
 
-def packed_background(profile: SensorProfile) -> str:
+def pack_background(profile: SensorProfile) -> str:
     """Return a profile's background as ``viewer/core/background.ts`` unpacks it, within 2 levels of 255.
 
     It is an xz stream in base64: multiples of `STEP`, of which all rows after the first are differences,

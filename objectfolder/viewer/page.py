@@ -7,12 +7,10 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from objectfolder.materials import MATERIALS, material
+from objectfolder.materials import LAWS, material, material_names
 from objectfolder.text import in_html, in_script
 from objectfolder.touch.profiles import available_profiles, load_profile
-from objectfolder.viewer.background import packed_background
-
-LAWS = ("rayleigh", "loss_factor")
+from objectfolder.viewer.background import pack_background
 
 
 def viewer_page(objects: Mapping[str, bytes], title: str = "Object File") -> str:
@@ -26,11 +24,11 @@ def viewer_page(objects: Mapping[str, bytes], title: str = "Object File") -> str
         Contents of Object Files by the names in the page's menu.
     title : str
     """
-    return filled_page("page.html", page_parts(objects, title) | {"script": static_text("viewer.js")})
+    return fill_page("page.html", page_parts(objects, title) | {"script": static_text("viewer.js")})
 
 
 def page_parts(objects: Mapping[str, bytes], title: str) -> dict[str, str]:
-    """Return what `filled_page` puts into page.html, but for the program."""
+    """Return what `fill_page` puts into page.html, but for the program."""
     return {
         "title": in_html(title),
         "settings": _settings(),
@@ -38,7 +36,7 @@ def page_parts(objects: Mapping[str, bytes], title: str) -> dict[str, str]:
     }
 
 
-def filled_page(name: str, parts: Mapping[str, str]) -> str:
+def fill_page(name: str, parts: Mapping[str, str]) -> str:
     """Return a page that ``viewer/`` builds with parts in place of their names in braces."""
     # One pass: what is put in may hold braces itself.
     first, *rest = static_text(name).split("{{")
@@ -66,7 +64,7 @@ def _embedded(name: str, content: bytes) -> str:
 def _settings() -> str:
     """Return materials and sensors as JSON that may stand in HTML."""
     settings = {
-        "materials": {law: {name: _material(name, law) for name in MATERIALS} for law in LAWS},
+        "materials": {law: {name: _material(name, law) for name in material_names()} for law in LAWS},
         "sensors": {name: page_sensor(name) for name in available_profiles()},
     }
     return in_script(settings)
@@ -82,4 +80,4 @@ def page_sensor(name: str) -> dict[str, Any]:
     unread = ("source", "noise_std", "press_depth", "background_image", "background_sha256")
     profile = load_profile(name)
     values = {key: value for key, value in profile.to_dict().items() if key not in unread}
-    return values | ({"background": packed_background(profile)} if profile.background_image else {})
+    return values | ({"background": pack_background(profile)} if profile.background_image else {})

@@ -10,17 +10,9 @@ from objectfolder.vision.scene import Scene
 
 
 def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return base colours and shading normals at the mesh's nearest points to given points.
+    """Return base colours and shading normals at the mesh's nearest points to points (N, 3), unit frame.
 
-    Parameters
-    ----------
-    scene : Scene
-    points : (N, 3) array, unit frame
-
-    Returns
-    -------
-    base_color : (N, 3) float32, linear
-    normals : (N, 3) float32, of unit length, oriented like the mesh's faces
+    Colours (N, 3) are linear; normals (N, 3), of unit length, oriented like the mesh's faces; float32.
     """
     mesh = scene.mesh
     vertices, faces = mesh.vertices.astype(np.float64), mesh.faces.astype(np.int64)
@@ -41,7 +33,7 @@ def appearance_at(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _texels(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Look up a repeating sRGB texture bilinearly; returns linear colours, uv from the lower left corner."""
+    """Look up a repeating sRGB texture bilinearly; linear colours, uv from the lower left corner."""
     height, width = texture.shape[:2]
     linear = srgb.decode(np.arange(256) / 255)
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from objectfolder.vision.vectors import dot, normalized
+from objectfolder.vision.vectors import dot, normalize_rows
 
 REFRACTIVE_INDEX = 1.5  # principled specular 0.5
 MIN_ALPHA = 0.001
@@ -18,27 +18,14 @@ def principled(
     roughness: float,
     metallic: float,
 ) -> torch.Tensor:
-    """Return pi * BSDF * cosine: the radiance under a light that gives a white Lambertian surface 1.
+    """Return pi * BSDF * cosine: the radiance under a light that gives a white Lambertian surface 1; (S, 3).
 
     As in Mitsuba 3, with the lobes of an opaque, isotropic surface without coat and sheen: diffuse with
-    retro-reflection, and GGX with Smith's masking (Walter et al. 2007).
-
-    Parameters
-    ----------
-    normal : (S, 3) tensor
-        Shading normals; these, views and lights have unit length.
-    view : (S, 3) tensor
-        From the camera to the surface.
-    light : (S, 3) tensor
-        From the surface to the light.
-    base_color : (S, 3) tensor, linear
-    roughness, metallic : float
-
-    Returns
-    -------
-    (S, 3) tensor, 0 where the camera or the light is behind the surface
+    retro-reflection, and GGX with Smith's masking (Walter et al. 2007). Shading normals, views from the
+    camera to the surface, and directions from there to the light are (S, 3) of unit length; base colours (S,
+    3) are linear. 0 where the camera or the light is behind the surface.
     """
-    half = normalized(light - view)
+    half = normalize_rows(light - view)
     seen, received = -dot(normal, view), dot(normal, light)
     facing = (seen > 0) & (received > 0)
     seen, received = seen.clamp(min=1e-4), received.clamp(min=1e-6)
@@ -58,12 +45,7 @@ def principled(
 def fresnel(cosine: torch.Tensor, base_color: torch.Tensor, metallic: float) -> torch.Tensor:
     """Return the Fresnel reflectance; (S, 3), or (S, 1) for a dielectric, which has no colour.
 
-    Parameters
-    ----------
-    cosine : (S, 1) tensor
-        Cosine between the direction of the light and the (micro)surface normal.
-    base_color : (S, 3) tensor, linear
-    metallic : float
+    Cosines (S, 1) are between the direction of the light and the (micro)surface normal.
     """
     share = (1 - metallic) * _dielectric(cosine)
     if metallic:

@@ -10,8 +10,9 @@ from objectfolder.errors import ObjectFolderError
 
 CAMERA_RADIUS = 2.5  #: training cameras sit on this sphere (supplementary C)
 LIGHT_RADIUS = 1.0
-FARTHEST = 1e3  #: coordinate of a camera or light: beyond, single precision does not resolve the object
-RIGID = 1e-4  #: largest deviation of a camera's matrix from a rigid motion; single precision leaves 1e-6
+MAX_COORDINATE = 1e3  #: coordinate of a camera or light: beyond, single precision does not resolve the object
+#: Largest deviation of a camera's matrix from a rigid motion; single precision leaves 1e-6
+RIGID_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -81,10 +82,7 @@ class Intrinsics:
     def given(cls, intrinsics: "Intrinsics | None", resolution: int | None) -> "Intrinsics":
         """Return intrinsics, or `square` of a resolution, by default 256.
 
-        Raises
-        ------
-        ObjectFolderError
-            If they are of another type, or both are given.
+        Raises ObjectFolderError if they are of another type, or both are given.
         """
         if intrinsics is None:
             return cls.square(256 if resolution is None else resolution)
@@ -128,13 +126,7 @@ class Intrinsics:
 
 
 def image_intrinsics(images: Mapping[str, np.ndarray]) -> list[Intrinsics]:
-    """Return the intrinsics of each image of a file of views.
-
-    Parameters
-    ----------
-    images : mapping
-        ``rgba`` (N, H, W, 4), ``focal`` and ``center`` (N, 2) among others.
-    """
+    """Return the intrinsics of each image of a file of views, from its ``rgba``, ``focal``, ``center``."""
     height, width = images["rgba"].shape[1:3]
     focal = float(images["focal"])
     return [Intrinsics(width, height, focal, (column, row)) for column, row in images["center"].tolist()]
@@ -191,16 +183,10 @@ def up_directions(backward: np.ndarray) -> np.ndarray:
 
 
 def require_rigid(poses: np.ndarray) -> None:
-    """Check camera-to-world matrices.
+    """Check camera-to-world matrices (N, 4, 4).
 
-    Parameters
-    ----------
-    poses : (N, 4, 4) array
-
-    Raises
-    ------
-    ObjectFolderError
-        If one is no rotation followed by a translation: not finite, scaled, sheared, mirrored or transposed.
+    Raises ObjectFolderError if one is no rotation followed by a translation: not finite, scaled, sheared,
+    mirrored or transposed.
     """
     rotation = poses[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # what is not a number fails every comparison
@@ -214,7 +200,7 @@ def require_rigid(poses: np.ndarray) -> None:
             "it mirrors: its determinant must be 1": np.abs(np.linalg.det(rotation) - 1),
         }
     for problem, deviation in problems.items():
-        wrong = np.flatnonzero(~(deviation <= RIGID))
+        wrong = np.flatnonzero(~(deviation <= RIGID_TOLERANCE))
         if len(wrong):
             raise ObjectFolderError(
                 f"camera: matrix {wrong[0]} is {poses[wrong[0]].round(4).tolist()}, must be camera to world: "
@@ -225,17 +211,9 @@ def require_rigid(poses: np.ndarray) -> None:
 def camera_rays(
     camera_to_world: np.ndarray, intrinsics: Intrinsics, pixels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rays through image positions.
+    """Return the rays through image positions: origins and unit directions, (P, 3) float32 each.
 
-    Parameters
-    ----------
-    camera_to_world : (4, 4) array
-    pixels : (P, 2) array
-        Column and row; the centre of the upper left pixel is (0.5, 0.5).
-
-    Returns
-    -------
-    origins, directions : (P, 3) float32, directions of unit length
+    Positions (P, 2) are column and row; the centre of the upper left pixel is (0.5, 0.5).
     """
     x = (pixels[:, 0] - intrinsics.cx) / intrinsics.fx
     y = (intrinsics.cy - pixels[:, 1]) / intrinsics.fy
@@ -249,14 +227,8 @@ def camera_rays(
 class PixelRays:
     """Rays through the pixels of an image, several times faster than `camera_rays`.
 
-    Directions are not normalized: their component along the optical axis is 1, so that distance is depth.
-
-    Parameters
-    ----------
-    camera_to_world : (4, 4) array
-    intrinsics : Intrinsics
-    left, top, right, bottom : int
-        Part of the image, from left to before right; its pixels are numbered row by row.
+    Directions are not normalized: their component along the optical axis is 1, so that distance is depth. The
+    part of the image goes from left to before right, its pixels are numbered row by row.
     """
 
     def __init__(
@@ -314,12 +286,7 @@ class PixelRays:
     def through(self, pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the directions through positions within pixels; (K, 3) float32.
 
-        Parameters
-        ----------
-        pixels : (K,) int array
-            Pixel numbers.
-        x, y : (K,) float32 arrays
-            Position from a pixel's upper left corner, 0 to 1.
+        Positions x, y (K,) float32 are measured from a pixel's upper left corner, 0 to 1.
         """
         row = pixels // self.shape[1]
         column = pixels - self.shape[1] * row
@@ -342,20 +309,10 @@ def project(
 def covered_rectangle(
     points: np.ndarray, camera_to_world: np.ndarray, intrinsics: Intrinsics
 ) -> tuple[int, int, int, int]:
-    """Return the rectangle of pixels that the convex hull of points may cover.
+    """Return the rectangle of pixels that the convex hull of points (N, 3), unit frame, may cover.
 
-    Parameters
-    ----------
-    points : (N, 3) array
-        Unit frame.
-    camera_to_world : (4, 4) array
-    intrinsics : Intrinsics
-
-    Returns
-    -------
-    left, top, right, bottom : int
-        Columns from left to before right, rows from top to before bottom: empty if the hull is out of sight,
-        the whole image if a point is behind the camera.
+    Left, top, right, bottom: columns from left to before right, rows from top to before bottom: empty if the
+    hull is out of sight, the whole image if a point is behind the camera.
     """
     size = np.array([intrinsics.width, intrinsics.height])
     pixels, depth = project(points, camera_to_world, intrinsics)

@@ -5,9 +5,9 @@ import torch
 
 from objectfolder.mesh import srgb
 
-COVERED = 0.999  #: least alpha of a pixel that the object fills
+MIN_FOREGROUND_ALPHA = 0.999  #: least alpha of a pixel that the object fills
 CHUNK = 2**20  # pixels encoded at once
-LIT = 0.01  #: least radiance of a lit pixel, relative to white
+MIN_LIT_RADIANCE = 0.01  #: least radiance of a lit pixel, relative to white
 
 
 def on_white(rgba: torch.Tensor) -> torch.Tensor:
@@ -24,12 +24,12 @@ def on_white(rgba: torch.Tensor) -> torch.Tensor:
     return shown.view(*rgba.shape[:-1], 3)
 
 
-def lit_foreground(rgba: np.ndarray) -> np.ndarray:
+def find_lit_foreground(rgba: np.ndarray) -> np.ndarray:
     """Return a mask (...) of the pixels of linear premultiplied RGBA (..., 4) that are covered and lit."""
-    return (rgba[..., 3] >= COVERED) & (rgba[..., :3].max(-1) > LIT)
+    return (rgba[..., 3] >= MIN_FOREGROUND_ALPHA) & (rgba[..., :3].max(-1) > MIN_LIT_RADIANCE)
 
 
-def shown_error(radiance: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+def display_error(radiance: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Return the displayed error of a linear radiance against an sRGB target of the same shape.
 
     A small linear term gives a gradient to values outside [0, 1].

@@ -1,4 +1,4 @@
-"""Images of an object with random cameras and lights: whole views, and tiles of views."""
+"""Ground-truth views of an object with random cameras and lights: whole, and tiles."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -15,10 +15,11 @@ from objectfolder.vision.cameras import (
     look_at,
     sphere_points,
 )
-from objectfolder.vision.color import lit_foreground, on_white
+from objectfolder.vision.color import find_lit_foreground, on_white
 from objectfolder.vision.renderers.registry import Renderer
+from objectfolder.vision.settings import RenderViewsConfig
 
-BRIGHTEST = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
+MAX_RADIANCE = np.finfo(np.float16).max  # highlights of a mirror near the light exceed it
 TILES_PER_LIGHT = 4  # a new light costs training as much as a few tiles
 
 
@@ -42,19 +43,9 @@ class Shots:
     ) -> "Shots":
         """Draw square tiles of views, each of another camera; consecutive ones share a light.
 
-        A tile lies anywhere in the rectangle that the object may cover. It is an image of its own: its
-        principal point, measured from its own corner, says where it lies.
-
-        Parameters
-        ----------
-        count : int
-        side : int
-            Pixels along a side.
-        points : (P, 3) array
-            Vertices of the object, unit frame.
-        intrinsics : Intrinsics
-            Of the whole views.
-        rng : numpy.random.Generator
+        A tile lies anywhere in the rectangle of the view that the object, given by its vertices (P, 3), may
+        cover. It is an image of its own: its principal point, measured from its own corner, says where it
+        lies.
         """
         cameras = look_at(sphere_points(count, CAMERA_RADIUS, rng))
         lights = sphere_points(-(-count // TILES_PER_LIGHT), LIGHT_RADIUS, rng)
@@ -68,7 +59,17 @@ class Shots:
         return cls(cameras, lights.repeat(TILES_PER_LIGHT, 0)[:count], parts)
 
 
-def render_split(
+def draw_shots(
+    vertices: np.ndarray, config: RenderViewsConfig, split: str, rng: np.random.Generator
+) -> Shots:
+    """Draw the images of a split: whole views, or tiles if the settings have some and it is not the test."""
+    count, whole = getattr(config, split), Intrinsics.square(config.resolution)
+    if config.tile and split != "test":
+        return Shots.tiles(count, config.tile, vertices, whole, rng)
+    return Shots.views(count, whole, rng)
+
+
+def render_shots(
     renderer: Renderer,
     shots: Shots,
     samples: int,
@@ -76,27 +77,14 @@ def render_split(
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
     halves: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Render images.
+    """Render the images of a split; the arrays of ``views/SPLIT.npz``.
 
-    Parameters
-    ----------
-    renderer : Renderer
-    shots : Shots
-    samples : int
-        Per pixel.
-    rng : numpy.random.Generator
-    progress : callable
-        Wraps the iteration over images.
-    halves : bool
-        Whether to render each image as the mean of two independent renders with half of the samples (an even
-        number) each; their difference gives the noise.
+    With halves, each image is the mean of two independent renders with half of the samples per pixel (an even
+    number) each; their difference gives the noise. ``progress`` wraps the iteration over images.
 
-    Returns
-    -------
-    dict
-        ``rgba`` (N, H, W, 4) float16, linear and premultiplied; ``camera_to_world`` (N, 4, 4);
-        ``light`` (N, 3); ``focal``; ``center`` (N, 2), column and row of the principal point in each image;
-        ``renderer``, its version. With halves also ``noise`` (N, 2), see `shown_noise`.
+    ``rgba`` (N, H, W, 4) float16, linear and premultiplied; ``camera_to_world`` (N, 4, 4); ``light`` (N, 3);
+    ``focal``; ``center`` (N, 2), column and row of the principal point in each image; ``renderer``, its
+    version. With halves also ``noise`` (N, 2), see `estimate_noise`.
     """
     count, one = len(shots.intrinsics), shots.intrinsics[0]
     parts = 2 if halves else 1
@@ -106,11 +94,11 @@ def render_split(
     for i in progress(range(count)):
         shot = shots.camera_to_world[i], shots.light[i], shots.intrinsics[i]
         images = [
-            renderer.render(*shot, samples // parts, int(seed)).clip(max=BRIGHTEST) for seed in seeds[:, i]
+            renderer.render(*shot, samples // parts, int(seed)).clip(max=MAX_RADIANCE) for seed in seeds[:, i]
         ]
         rgba[i] = sum(images) / parts
         if halves:
-            noise[i] = shown_noise(*images)
+            noise[i] = estimate_noise(*images)
     views = {
         "rgba": rgba,
         "camera_to_world": shots.camera_to_world,
@@ -122,25 +110,14 @@ def render_split(
     return views | {"noise": noise} if halves else views
 
 
-def shown_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """Estimate the mean squared error, in sRGB on white, of the mean of two independent renders of a view.
+def estimate_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    """Estimate the mean squared error, in sRGB on white, of the mean of two independent renders (H, W, 4).
 
     First order in the noise: the variance of the mean is a quarter of the mean squared difference. Rare
     bright paths are underestimated where the image clips them, and missed if neither render sampled them.
-
-    Parameters
-    ----------
-    first, second : (H, W, 4) float32 arrays
-        Linear, premultiplied.
-
-    Returns
-    -------
-    float
-        Over all pixels.
-    float
-        Over the pixels in `lit_foreground`; 0 if there are none.
+    Returns the error over all pixels, and over those in `find_lit_foreground`; 0 if there are none.
     """
     shown = [on_white(torch.from_numpy(image)).numpy().astype(np.float64) for image in (first, second)]
     error = np.square(shown[0] - shown[1]).mean(-1) / 4
-    lit = lit_foreground((first + second) / 2)
+    lit = find_lit_foreground((first + second) / 2)
     return float(error.mean()), float(error[lit].mean()) if lit.any() else 0.0

@@ -10,10 +10,10 @@ import numpy as np
 from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.vision.lighting import BRIGHTEST, DistantLight, Lamp, chosen_lamps
+from objectfolder.vision.lighting import MAX_COLOR, DistantLight, Lamp, choose_lamps
 
 LIGHTS = 64  #: that stand for a picture
-BRIGHTEST_PIXEL = BRIGHTEST / 10  #: radiance; a light has up to four times that of its pixels
+MAX_PIXEL = MAX_COLOR / 10  #: radiance; a light has up to four times that of its pixels
 HDR_SUFFIXES = (".hdr", ".exr", ".pfm")
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709
 
@@ -21,12 +21,8 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709
 def read_environment(path: str | Path) -> np.ndarray:
     """Read an equirectangular picture; (H, W, 3) linear radiance.
 
-    Radiance, OpenEXR and PFM files are read by mitsuba, others are taken for sRGB.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the picture cannot be read, or mitsuba is missing.
+    Radiance, OpenEXR and PFM files are read by mitsuba, others are taken for sRGB. Raises ObjectFolderError
+    if the picture cannot be read, or mitsuba is missing.
     """
     path = Path(path)
     if path.suffix.lower() not in HDR_SUFFIXES:
@@ -79,7 +75,7 @@ def environment_lamps(picture: str | Path | np.ndarray, count: int = LIGHTS) -> 
     Raises
     ------
     ObjectFolderError
-        If the picture cannot be read, or its values are negative, not finite, beyond `BRIGHTEST_PIXEL`, or
+        If the picture cannot be read, or its values are negative, not finite, beyond `MAX_PIXEL`, or
         all 0.
     """
     where = str(picture) if isinstance(picture, str | Path) else "environment"
@@ -88,9 +84,9 @@ def environment_lamps(picture: str | Path | np.ndarray, count: int = LIGHTS) -> 
         raise ObjectFolderError(f"{where} has shape {values.shape}, expected (H, W, 3)")
     if not (np.isfinite(values).all() and (values >= 0).all()):
         raise ObjectFolderError(f"{where} holds values that are negative or not finite, expected radiances")
-    if values.max() > BRIGHTEST_PIXEL:
+    if values.max() > MAX_PIXEL:
         raise ObjectFolderError(
-            f"{where} holds the radiance {values.max():g}, expected at most {BRIGHTEST_PIXEL:g}"
+            f"{where} holds the radiance {values.max():g}, expected at most {MAX_PIXEL:g}"
         )
     height, width = values.shape[:2]
     edges = np.linspace(0, np.pi, height + 1)
@@ -112,12 +108,14 @@ def environment_lamps(picture: str | Path | np.ndarray, count: int = LIGHTS) -> 
     return lamps
 
 
-def all_lamps(lights: str | Sequence[Any] | None, environment: str | Path | np.ndarray | None) -> list[Lamp]:
+def gather_lamps(
+    lights: str | Sequence[Any] | None, environment: str | Path | np.ndarray | None
+) -> list[Lamp]:
     """Return the lights that a query names and those of its surroundings.
 
-    Parameters and errors are those of `objectfolder.vision.lighting.chosen_lamps` and `environment_lamps`.
+    Parameters and errors are those of `objectfolder.vision.lighting.choose_lamps` and `environment_lamps`.
     """
-    chosen = chosen_lamps(lights)
+    chosen = choose_lamps(lights)
     return chosen if environment is None else [*chosen, *environment_lamps(environment)]
 
 

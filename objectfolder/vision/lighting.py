@@ -13,10 +13,11 @@ import torch
 
 from objectfolder.checks import finite_number, real_array
 from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.vision.cameras import FARTHEST
+from objectfolder.vision.cameras import MAX_COORDINATE
 
-BRIGHTEST = 1e12  #: of a colour: its light near a surface still fits into single precision
-FAR = 30.0  #: distance from which a point light counts as parallel: nets learnt from near and parallel ones
+MAX_COLOR = 1e12  #: of a colour: its light near a surface still fits into single precision
+#: Distance from which a point light counts as parallel: nets learnt from near and parallel ones
+PARALLEL_DISTANCE = 30.0
 KEY_DISTANCE = 2.4  #: of the lights of the studio, unit frame
 
 #: Three numbers, such as a position or a linear colour.
@@ -27,28 +28,22 @@ Triple = Sequence[float] | np.ndarray
 class PointLight:
     """A point light.
 
-    Parameters
-    ----------
-    position : three numbers
-        Unit frame.
-    color : three numbers
-        Linear: the radiance of a white Lambertian surface that faces the light at distance 1.
-
     Raises
     ------
     ObjectFolderError
-        If a number is not finite, the position too far away, or the colour negative or beyond `BRIGHTEST`.
+        If a number is not finite, the position too far away, or the colour negative or beyond `MAX_COLOR`.
     """
 
-    position: Triple
+    position: Triple  #: three numbers, unit frame
+    #: Three numbers, linear: the radiance of a white Lambertian surface that faces the light at distance 1
     color: Triple = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", _triple("position of a light", self.position))
-        if np.abs(self.position).max() > FARTHEST:
+        if np.abs(self.position).max() > MAX_COORDINATE:
             raise ObjectFolderError(
                 f"position of a light is {quoted(self.position)}, expected coordinates of at most "
-                f"{FARTHEST:g}, in the unit frame (longest side 1); give a DistantLight instead"
+                f"{MAX_COORDINATE:g}, in the unit frame (longest side 1); give a DistantLight instead"
             )
         object.__setattr__(self, "color", _color(self.color))
 
@@ -62,21 +57,15 @@ class PointLight:
 class DistantLight:
     """Parallel light, as of the sun.
 
-    Parameters
-    ----------
-    direction : three numbers
-        Towards the light; any length but 0.
-    color : three numbers
-        Linear: the radiance of a white Lambertian surface that faces the light, its irradiance over pi.
-
     Raises
     ------
     ObjectFolderError
         If a number is not finite, the direction has no length, or the colour is negative or beyond
-        `BRIGHTEST`.
+        `MAX_COLOR`.
     """
 
-    direction: Triple
+    direction: Triple  #: three numbers towards the light; any length but 0
+    #: Three numbers, linear: the radiance of a white Lambertian surface that faces it, its irradiance over pi
     color: Triple = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
@@ -100,13 +89,9 @@ Lamp = PointLight | DistantLight
 
 
 def toward(light: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-    """Return vectors from points to a light; (S, 3), of unit length if the light is distant.
+    """Return vectors from points (S, 3) to a light; (S, 3), of unit length if the light is distant.
 
-    Parameters
-    ----------
-    light : (3,) or (4,) tensor
-        Position of a point light, or a unit vector and 0: a distant light.
-    points : (S, 3) tensor, unit frame
+    A light is the position (3,) of a point light, or a unit vector and 0 (4,): a distant light.
     """
     return light - points if len(light) == 3 else light[:3] + torch.zeros_like(points)
 
@@ -134,13 +119,10 @@ def studio(azimuth: float = 35.0, elevation: float = 50.0) -> list[PointLight]:
     ]
 
 
-def chosen_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
-    """Return the lights that a query names: "studio", or lights; point lights beyond `FAR` as distant ones.
+def choose_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
+    """Return the lights that a query names, "studio" or lights; far point lights as distant ones.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is anything else.
+    Raises ObjectFolderError if it is anything else.
     """
     if lights is None:
         return []
@@ -160,7 +142,11 @@ def chosen_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
 
 def _parallel(lamp: PointLight) -> Lamp:
     squared = float(np.square(lamp.place).sum())
-    return lamp if squared <= FAR**2 else DistantLight(lamp.position, np.array(lamp.color) / squared)
+    return (
+        lamp
+        if squared <= PARALLEL_DISTANCE**2
+        else DistantLight(lamp.position, np.array(lamp.color) / squared)
+    )
 
 
 def _triple(name: str, values: Triple) -> tuple[float, ...]:
@@ -174,6 +160,6 @@ def _color(values: Triple) -> tuple[float, ...]:
     color = _triple("colour of a light", values)
     if min(color) < 0:
         raise ObjectFolderError(f"colour of a light is {quoted(color)}, expected no negative number")
-    if max(color) > BRIGHTEST:
-        raise ObjectFolderError(f"colour of a light is {quoted(color)}, expected at most {BRIGHTEST:g}")
+    if max(color) > MAX_COLOR:
+        raise ObjectFolderError(f"colour of a light is {quoted(color)}, expected at most {MAX_COLOR:g}")
     return color

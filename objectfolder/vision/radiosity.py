@@ -25,7 +25,7 @@ BOUNCES = 2  # later ones are fainter than the error of the patches
 NEIGHBOURS = 4  # patches from which the light at a vertex is interpolated
 START = 0.3  # voxels along the normal where rays start
 BLOCKS = 16  # along a side of the cube; patches are sorted by block
-SOLVED = 64  # lights whose solution is cached
+CACHED_LIGHTS = 64  # lights whose solution is cached
 TURN = 0.1  # distance in the unit frame equivalent to one radian between normals
 
 
@@ -34,14 +34,8 @@ class Radiosity:
 
     The surface is represented by random points, the patches. Form factors between patches are estimated once,
     by cosine-weighted rays from each patch. A light then costs one shadow ray per patch and one sparse
-    product per bounce.
-
-    Parameters
-    ----------
-    surface : Isosurface
-    reflectance : callable
-        Points and unit normals (P, 3), float32 tensors in the unit frame, -> diffuse reflectance (P, 3),
-        linear.
+    product per bounce. Points and unit normals (P, 3), float32 tensors in the unit frame, have the diffuse
+    reflectance (P, 3), linear.
     """
 
     def __init__(
@@ -73,46 +67,25 @@ class Radiosity:
         self._points, self._normals = (
             column_major(torch.from_numpy(v[self._involved])) for v in (points, normals)
         )
-        self._solved: Recent[tuple[torch.Tensor, torch.Tensor]] = Recent(SOLVED)
+        self._solved: Recent[tuple[torch.Tensor, torch.Tensor]] = Recent(CACHED_LIGHTS)
 
-    def gathered(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
-        """Return the diffuse light of the surface that a white Lambertian surface reflects at samples.
+    def gather(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
+        """Return the diffuse light of the surface that a white Lambertian one reflects at samples; (S, 3).
 
-        Parameters
-        ----------
-        samples : SurfaceSamples
-        light : (3,) or (4,) float32 tensor
-            A point light, unit frame, or a distant one, see `objectfolder.vision.lighting.toward`. A white
-            surface that faces it at distance 1, or at any, has a radiance of 1.
-
-        Returns
-        -------
-        (S, 3) float32 tensor, radiance, on the light's device
+        Float32 radiance on the device of the light, see `objectfolder.vision.lighting.toward`: a white
+        surface that faces it at distance 1, or at any, has a radiance of 1.
         """
         gathered, _ = self._under(light)
         return self._at(gathered, samples.nearest_corner.cpu()).to(light.device)
 
-    def mirrored(
+    def mirror(
         self, samples: SurfaceSamples, normals: torch.Tensor, light: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the diffuse light of the surface that a mirror reflects at samples.
+        """Return the diffuse light of the surface that a mirror with normals (S, 3) reflects at samples.
 
-        No rays are cast from where no patch sees the surface, as on a convex object.
-
-        Parameters
-        ----------
-        samples : SurfaceSamples
-        normals : (S, 3) float32 tensor
-            Unit normals of the mirror.
-        light : (3,) or (4,) float32 tensor
-            As of `gathered`.
-
-        Returns
-        -------
-        index : (K,) int64 tensor
-            Samples whose mirrored rays hit the surface.
-        radiance : (K, 3) float32 tensor
-            What these see; both on the device of the samples.
+        The indices (K,) of samples whose mirrored rays hit the surface, and the radiance (K, 3) that these
+        see, on the device of the samples. No rays are cast from where no patch sees the surface, as on a
+        convex object.
         """
         _, outgoing = self._under(light)
         some = self._sees.index_select(0, samples.nearest_corner.cpu()).nonzero()[:, 0]
@@ -181,12 +154,7 @@ class Bounced(torch.autograd.Function):
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return what patches gather, as if they were white, and give off; (P, 3) each.
 
-        Parameters
-        ----------
-        received : (P,) tensor
-        seen : (P, P) sparse matrix
-            Form factors.
-        reflectance : (3, P) array
+        Of received light (P,), form factors (P, P) and reflectance (3, P).
         """
         ctx.patches = seen, reflectance
         direct = received.numpy()

@@ -23,12 +23,8 @@ class Scene:
     The surface is a principled BSDF, seen from both sides. It is shaded with the mesh's vertex normals,
     interpolated over each face, or flat if it has none; its shape, outline and shadows are those of the faces
     in any case. Its base colour is the texture, if the mesh has one with coordinates; else its vertex
-    colours; else grey. The background has alpha 0.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the mesh has no faces or vertices that are not finite, or the ambient light is negative.
+    colours; else grey. The background has alpha 0. Raises ObjectFolderError if the mesh has no faces or
+    vertices that are not finite, or the ambient light is negative.
     """
 
     mesh: TexturedMesh

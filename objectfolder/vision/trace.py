@@ -9,7 +9,7 @@ import torch.nn.functional as F
 
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.vision.lighting import toward
-from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
+from objectfolder.vision.vectors import column_major, concatenate, dot, normalize_rows, take_rows
 
 HORIZON = 0.035  # sine of the angle behind a surface from which light may still reach it
 REACH = 2.0  # unit frame; beyond the cube of any point of the surface
@@ -36,7 +36,7 @@ class SurfaceSamples:
         """Return some of the samples."""
         return SurfaceSamples(*(take_rows(getattr(self, field.name), index) for field in fields(self)))
 
-    def joined(self, others: "SurfaceSamples") -> "SurfaceSamples":
+    def join(self, others: "SurfaceSamples") -> "SurfaceSamples":
         """Return these samples, then the others."""
         if not len(self.ray):
             return others
@@ -52,7 +52,7 @@ class SurfaceSamples:
         """Nearest vertex of `Isosurface.shading`; (S,) int32."""
         return nearest_corners(self.corners, self.weights)
 
-    def interpolated(self, attributes: torch.Tensor) -> torch.Tensor:
+    def interpolate(self, attributes: torch.Tensor) -> torch.Tensor:
         """Interpolate attributes (V', C) of the vertices of `Isosurface.shading` at the samples; (S, C)."""
         return weighted_rows(attributes, self.corners, self.weights)
 
@@ -72,14 +72,9 @@ def nearest_corners(corners: torch.Tensor, weights: torch.Tensor) -> torch.Tenso
 def trace(
     surface: Isosurface, origins: np.ndarray, directions: np.ndarray, light: np.ndarray
 ) -> SurfaceSamples:
-    """Cast rays against a surface and shadow rays to a light.
+    """Cast rays, origins (N, 3) or (3,), directions (N, 3), float32, and shadow rays to a light; unit frame.
 
-    Parameters
-    ----------
-    origins : (N, 3) or (3,) float32 array, unit frame
-    directions : (N, 3) float32 array
-    light : (3,) or (4,) array, unit frame
-        A point light or a distant one, see `objectfolder.vision.lighting.toward`.
+    The light is a point light (3,) or a distant one (4,), see `objectfolder.vision.lighting.toward`.
     """
     ray, distance, face, barycentric = surface.caster.intersect(origins, directions)
     index, t = torch.from_numpy(ray), torch.from_numpy(distance)
@@ -87,21 +82,17 @@ def trace(
     start = torch.tensor(origins) if origins.ndim == 1 else torch.from_numpy(origins.T.take(ray, 1)).T
     points = start + away * t[:, None]
     corners, weights = torch.from_numpy(surface.corners(face)), torch.from_numpy(barycentric)
-    normals = normalized(column_major(weighted_rows(surface.shading.tensor, corners, weights)))
+    normals = normalize_rows(column_major(weighted_rows(surface.shading.tensor, corners, weights)))
     lit = is_lit(surface, points, normals, torch.from_numpy(np.asarray(light, np.float32)))
-    return SurfaceSamples(index, points, normals, normalized(away), t, lit, corners, weights)
+    return SurfaceSamples(index, points, normals, normalize_rows(away), t, lit, corners, weights)
 
 
 def is_lit(
     surface: Isosurface, points: torch.Tensor, normals: torch.Tensor, light: torch.Tensor
 ) -> torch.Tensor:
-    """Return which points of the surface face the light and are not in shadow; (S,) bool.
+    """Return which points (S, 3) of the surface face the light and are not in shadow; (S,) bool.
 
-    Parameters
-    ----------
-    points, normals : (S, 3) float32 tensors, unit frame
-    light : (3,) or (4,) float32 tensor, unit frame
-        A point light or a distant one, see `objectfolder.vision.lighting.toward`.
+    Float32, unit frame; lights are those of `objectfolder.vision.lighting.toward`.
     """
     to_light = toward(light, points)
     # Stored normals are off by a degree; shadow rays and shading normals tell what is behind the horizon.

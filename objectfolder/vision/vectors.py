@@ -18,7 +18,7 @@ def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     return (a * b).sum(-1, keepdim=True)
 
 
-def normalized(vectors: torch.Tensor) -> torch.Tensor:
+def normalize_rows(vectors: torch.Tensor) -> torch.Tensor:
     """Scale (S, 3) vectors to unit length; zero stays zero."""
     return vectors / dot(vectors, vectors).sqrt().clamp(min=1e-12)
 

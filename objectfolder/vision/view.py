@@ -12,10 +12,10 @@ from objectfolder.vision.trace import SurfaceSamples, trace
 
 CREASE = 0.35  # difference of neighbouring unit normals
 SIDE = 3  # edge pixels have SIDE x SIDE samples, one of them at the centre
-OTHERS = SIDE**2 - 1
+EXTRA_SAMPLES = SIDE**2 - 1
 AXIS = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
 AROUND = np.delete(
-    np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), OTHERS // 2, axis=1
+    np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), EXTRA_SAMPLES // 2, axis=1
 )  # x, y off the centre
 HALVINGS = 4  # bisections of the interval between two samples that contains a silhouette
 END = np.float32(1 / 64)  # pixels; a line that is hit this near to its end is covered up to the end
@@ -44,27 +44,13 @@ def draw(
     """Render one view of a stored surface.
 
     Casts one ray through every pixel that the object may cover, and a square of samples through pixels that
-    silhouettes, shadow edges or creases cross. On silhouettes, more rays measure the coverage of the pixel.
-    Large images are drawn a few rows at a time.
+    silhouettes, shadow edges or creases cross, unless ``supersample`` is false: faster, with aliased edges.
+    On silhouettes, more rays measure the coverage of the pixel. Large images are drawn a few rows at a time.
+    Lights (3,) or (4,) are those of `objectfolder.vision.lighting.toward`.
 
-    Parameters
-    ----------
-    surface : Isosurface
-    shade : callable
-        See `Shader`.
-    camera_to_world : (4, 4) array
-    light : (3,) or (4,) array
-        A point light or a distant one, see `objectfolder.vision.lighting.toward`.
-    intrinsics : Intrinsics
-    supersample : bool
-        Whether to supersample edges; without, one ray per pixel: faster, with aliased edges.
-
-    Returns
-    -------
-    Picture
-        Depth and normal are those of the ray through the pixel's centre; where it misses, of the nearest
-        sample that hits. Normals are those of the stored surface, not the net's shading normals; a camera
-        inside the object sees their back.
+    Depth and normal are those of the ray through the pixel's centre; where it misses, of the nearest sample
+    that hits. Normals are those of the stored surface, not the net's shading normals; a camera inside the
+    object sees their back.
     """
     height, width = intrinsics.height, intrinsics.width
     rgba = np.zeros((height, width, 4), np.float32)
@@ -102,16 +88,20 @@ def _draw(
         edges = order[_varies(np.concatenate([normals, state[None]]), rays.shape, CREASE)[order]]
     pixel = seen
     if len(edges):
-        around = rays.through(np.repeat(edges, OTHERS), *np.tile(AROUND, len(edges)))
+        around = rays.through(np.repeat(edges, EXTRA_SAMPLES), *np.tile(AROUND, len(edges)))
         fine = trace(surface, rays.origin, around, light)
         ray = fine.ray.numpy()
-        samples, pixel, finer = fine.joined(centre), np.concatenate([edges[ray // OTHERS], seen]), len(ray)
+        samples, pixel, finer = (
+            fine.join(centre),
+            np.concatenate([edges[ray // EXTRA_SAMPLES], seen]),
+            len(ray),
+        )
     if not len(pixel):
         return _shaped(images, rays.shape)
     radiance = shade(samples, torch.from_numpy(light), rays.by_squares(pixel, SQUARE_SIDE)).numpy().T
     _put(color, seen, radiance[:, finer:])
     if len(edges):
-        found = _images(len(edges) * OTHERS)
+        found = _images(len(edges) * EXTRA_SAMPLES)
         found[1][ray], found[2][ray] = 1, fine.distance.numpy()
         _put(found[0], ray, radiance[:, :finer])
         _put(found[3], ray, fine.normals.numpy().T)
@@ -139,21 +129,11 @@ def _shaped(images: Images, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndar
 
 
 def _refine(surface: Isosurface, rays: PixelRays, edges: np.ndarray, images: Images, found: Images) -> None:
-    """Update the images with the additional samples of edge pixels.
-
-    Parameters
-    ----------
-    edges : (E,) int array
-        Pixel numbers.
-    images
-        Of the rays through the pixels' centres; updated in place.
-    found
-        Of the additional samples of edge pixels.
-    """
+    """Update images in place with the additional samples ``found`` of edge pixels (E,)."""
     color, alpha, depth, normals = images
-    hit = np.insert(found[1].reshape(-1, OTHERS), OTHERS // 2, alpha[edges], axis=1) > 0
+    hit = np.insert(found[1].reshape(-1, EXTRA_SAMPLES), EXTRA_SAMPLES // 2, alpha[edges], axis=1) > 0
     hits = hit.sum(1, dtype=np.float32)
-    summed = color[:, edges] + found[0].reshape(3, -1, OTHERS).sum(2)
+    summed = color[:, edges] + found[0].reshape(3, -1, EXTRA_SAMPLES).sum(2)
     color[:, edges] = summed / np.maximum(hits, 1)
     alpha[edges] = hits / SIDE**2
     silhouette = np.flatnonzero(_varies(alpha[None], rays.shape, 0)[edges] & (hits > 0))
@@ -162,7 +142,7 @@ def _refine(surface: Isosurface, rays: PixelRays, edges: np.ndarray, images: Ima
     alpha[pixels] = _coverage(surface, rays, pixels, lines, _slopes(alpha.reshape(rays.shape), pixels))
     # Where the centre misses, take the nearest of the others.
     missed = np.flatnonzero(np.isinf(depth[edges]))
-    nearest = OTHERS * missed + found[2].reshape(-1, OTHERS)[missed].argmin(1)
+    nearest = EXTRA_SAMPLES * missed + found[2].reshape(-1, EXTRA_SAMPLES)[missed].argmin(1)
     depth[edges[missed]], normals[:, edges[missed]] = found[2][nearest], found[3][:, nearest]
     empty = edges[alpha[edges] == 0]
     depth[empty], normals[:, empty] = np.inf, 0
@@ -185,16 +165,10 @@ def _coverage(
 ) -> np.ndarray:
     """Return the coverage of each pixel by the surface; (P,).
 
-    Each pixel's samples form lines across the silhouette. A line is covered from one cut to another or to its
-    end. Each cut lies between a sample that hits and one that misses, or the end of the line; bisection finds
-    it.
-
-    Parameters
-    ----------
-    hit : (P, SIDE, SIDE) bool array
-        Whether the pixels' samples hit.
-    slopes : two (P,) arrays
-        Differences of the coverage down the rows and along the columns.
+    Each pixel's samples, hit or not (P, SIDE, SIDE), form lines across the silhouette. A line is covered from
+    one cut to another or to its end. Each cut lies between a sample that hits and one that misses, or the end
+    of the line; bisection finds it. Slopes (P,) are those of the coverage down the rows and along the
+    columns.
     """
     down, along = slopes
     upright = np.abs(down) >= np.abs(along)
@@ -235,12 +209,7 @@ def _coverage(
 
 
 def _varies(values: np.ndarray, shape: tuple[int, int], tolerance: float) -> np.ndarray:
-    """Return which pixels differ by more than a tolerance from one of their eight neighbours; (H*W,) bool.
-
-    Parameters
-    ----------
-    values : (K, H*W) array
-    """
+    """Return which pixels of (K, H*W) values differ from one of eight neighbours by more than a tolerance."""
     height, width = shape
     varies = np.zeros(shape, bool)
     for image in values.reshape(-1, height, width):

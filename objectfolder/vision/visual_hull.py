@@ -9,24 +9,12 @@ from objectfolder.vision.cameras import Intrinsics, image_intrinsics, project
 
 
 def visual_hull(views: Mapping[str, np.ndarray], cells: int, half: float) -> np.ndarray:
-    """Return which cells of a cube may hold a part of an object, by its silhouettes.
+    """Return which cells of the cube [-half, half]^3 may hold a part of an object, by its silhouettes.
 
     A cell is empty if a view shows none of the object wherever the sphere around the cell projects to. What
-    is outside of an image, or not wholly before its camera, tells nothing.
-
-    Parameters
-    ----------
-    views : mapping
-        ``rgba`` (N, H, W, 4), ``camera_to_world`` (N, 4, 4), ``focal``, ``center`` (N, 2).
-    cells : int
-        Along each axis of the cube.
-    half : float
-        The cube is [-half, half]^3 of the unit frame.
-
-    Returns
-    -------
-    (cells, cells, cells) bool array
-        Indexed by x, y and z.
+    is outside of an image, or not wholly before its camera, tells nothing. Views hold ``rgba`` (N, H, W, 4),
+    ``camera_to_world`` (N, 4, 4), ``focal``, ``center`` (N, 2). Returns (cells, cells, cells) bool by x, y
+    and z, unit frame.
     """
     axis = (np.arange(cells) + 0.5) * (2 * half / cells) - half
     radius = 3**0.5 * half / cells

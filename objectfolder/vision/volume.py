@@ -41,19 +41,16 @@ class Rays:
         return torch.cat([self.near[:, None], middle, self.far[:, None]], 1)
 
 
-def stratified(
+def sample_strata(
     low: torch.Tensor, high: torch.Tensor, count: int, generator: torch.Generator | None = None
 ) -> torch.Tensor:
-    """Return one sample in each of ``count`` equal parts of intervals; (N, count), ascending.
+    """Return a sample in each of ``count`` equal parts of intervals, low to high (N,); ascending (N, count).
 
-    Parameters
-    ----------
-    low, high : (N,) tensors
-        The intervals.
-    generator : torch.Generator, optional
-        On the CPU; draws each sample uniformly within its part. By default, samples are the midpoints.
+    A generator, on the CPU, draws each sample uniformly within its part; without one, samples are the
+    midpoints.
     """
-    place = torch.full((len(low), count), 0.5) if generator is None else _uniform(len(low), count, generator)
+    shape = len(low), count
+    place = torch.full(shape, 0.5) if generator is None else torch.rand(*shape, generator=generator)
     fraction = (torch.arange(count, device=low.device) + place.to(low)) / count
     return low[:, None] + fraction * (high - low)[:, None]
 
@@ -66,15 +63,7 @@ def opacity(density: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
 def transmittance(density: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
     """Return the fraction of light that reaches the start of every interval, and the end of the last one.
 
-    T_i = exp(-sum over j < i of density_j length_j).
-
-    Parameters
-    ----------
-    density, lengths : (N, S) tensors
-
-    Returns
-    -------
-    (N, S + 1) tensor
+    T_i = exp(-sum over j < i of density_j length_j); (N, S) -> (N, S + 1).
     """
     depth = (density * lengths).cumsum(1)
     return torch.exp(-torch.cat([torch.zeros_like(depth[:, :1]), depth], 1))
@@ -88,43 +77,26 @@ def visibility(density: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
     return transmittance(density, lengths)[:, :-1] * opacity(density, lengths)
 
 
-def resampled(
+def resample(
     intervals: torch.Tensor,
     weights: torch.Tensor,
     count: int,
     generator: torch.Generator | None = None,
     floor: float = 1e-5,
 ) -> torch.Tensor:
-    """Draw samples by weights, with the inverse of their cumulative distribution.
+    """Draw samples by weights (N, S), with the inverse of their cumulative distribution; sorted (N, count).
 
-    Parameters
-    ----------
-    intervals : (N, S + 1) tensor
-        Ends of the intervals; the density of samples is constant within one.
-    weights : (N, S) tensor
-        Of the intervals; not negative, without gradient.
-    count : int
-        Samples per row.
-    generator : torch.Generator, optional
-        Draws stratified samples; by default, samples are the midpoints of equal parts of the weight.
-    floor : float
-        Added to every weight, so that rows of zeros give uniform samples.
-
-    Returns
-    -------
-    (N, count) tensor, ascending
+    The density of samples is constant within each of the intervals, whose ends are (N, S + 1). Samples are
+    stratified by a generator, or else the midpoints of equal parts of the weight. The floor is added to every
+    weight, so that rows of zeros give uniform samples.
     """
     share = weights + floor
     cumulative = torch.cat([torch.zeros_like(share[:, :1]), share.cumsum(1)], 1)
     cumulative = cumulative / cumulative[:, -1:]
     start = torch.zeros_like(cumulative[:, 0])
-    target = stratified(start, start + 1, count, generator)
+    target = sample_strata(start, start + 1, count, generator)
     found = torch.searchsorted(cumulative, target, right=True).clamp(1, weights.shape[1])
     (c0, c1), (t0, t1) = (
         (ends.gather(1, found - 1), ends.gather(1, found)) for ends in (cumulative, intervals)
     )
     return t0 + (t1 - t0) * ((target - c0) / (c1 - c0).clamp(min=1e-12)).clamp(0, 1)
-
-
-def _uniform(rows: int, columns: int, generator: torch.Generator) -> torch.Tensor:
-    return torch.rand(rows, columns, generator=generator)

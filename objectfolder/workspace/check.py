@@ -1,6 +1,6 @@
 """Check all of ``params.yaml`` before a long build starts.
 
-Stages import `objectfolder.workspace.params` alone, so that a new material reruns only ``modal``.
+Stages import `objectfolder.workspace.params` alone, so that a change of this module makes none of them stale.
 """
 
 import difflib
@@ -112,7 +112,7 @@ def check_object(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
     """
     entry = object_entry(key, values, path)
     try:
-        own_material(entry.material)
+        own_material(entry.material, root=Path(path).parent)
     except ObjectFolderError as error:
         raise ObjectFolderError(f"{path}: objects.{key}: material: {error}") from error
     if entry.wall is not None and not entry.wall < entry.scale / 2:

@@ -15,6 +15,9 @@ from typing import Any
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest
 from objectfolder.workspace.installed import INSTALLED, PACKAGE, PROFILES, SENSORS, located, runs_installed
+from objectfolder.workspace.layout import MATERIALS
+from objectfolder.workspace.params import PARAMS_FILE, read
+from objectfolder.yamlfile import is_yaml_name
 
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 PACKAGES = (PACKAGE, "stages")  #: packages of the project
@@ -77,15 +80,19 @@ def code_text(name: str, root: str | Path = ".") -> str | None:
     Parameters
     ----------
     name : str
-        A stage, or a file or folder in `DATA`.
+        A stage, a file or folder in `DATA`, or the material of an object: ``materials/KEY``.
     root : Path
         Workspace.
 
     Returns
     -------
     str or None
-        A digest and a name per line; None if there is no such stage or file.
+        A digest and a name per line; None if there is no such stage, file or object.
     """
+    folder, _, key = name.partition("/")
+    if folder == MATERIALS:
+        file = _file_of_material(key, root)
+        return None if file is None else _digests([file], root)
     if "/" not in name:
         script = f"stages/{name}.py"
         return digests(script, root) if located(script, root).is_file() else None
@@ -93,6 +100,22 @@ def code_text(name: str, root: str | Path = ".") -> str | None:
     if not path.exists():
         return None
     return _digests([name] if path.is_file() else _names_below(name, root), root)
+
+
+def _file_of_material(key: str, root: str | Path) -> str | None:
+    """Return the file of the material that an object names; None if there is none."""
+    path = Path(root, PARAMS_FILE)
+    entry = _objects(path, path.stat().st_mtime_ns if path.is_file() else None).get(key)
+    described = entry.get("material") if isinstance(entry, dict) else None
+    name = described.get("base") if isinstance(described, dict) else described
+    file = str(name) if is_yaml_name(name) else f"{PACKAGE}/{MATERIALS}/{str(name).lower()}.yaml"
+    return file if located(file, root).is_file() else None
+
+
+@cache  # for all objects
+def _objects(path: Path, _changed: int | None) -> dict[str, Any]:
+    objects: dict[str, Any] = read(path)["objects"]
+    return objects
 
 
 def content_digest(path: Path) -> str:

@@ -12,16 +12,16 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from objectfolder import materials
 from objectfolder.errors import ObjectFolderError, plural, quoted
 from objectfolder.fem.settings import VoxelizeConfig
 from objectfolder.fem.voxelize import voxelize
+from objectfolder.materials import own_material
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
 from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new, object_files
 from objectfolder.workspace.params import settings
-from objectfolder.yamlfile import read_yaml
+from objectfolder.yamlfile import is_yaml_name, read_yaml
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  #: metres
 SMALL = 0.01  # metres; smallest size that is guessed
@@ -194,7 +194,8 @@ def _materials(folder: Path) -> dict[str, str]:
     for name, value in values.items():
         if isinstance(value, dict | list):
             raise ObjectFolderError(f"{path}: {quoted(name)} is {quoted(value)}; expected {expected}")
-    return {str(name): str(value) for name, value in values.items()}
+    beside = {name: folder / str(value) for name, value in values.items() if is_yaml_name(value)}
+    return {str(name): str(beside.get(name, value)) for name, value in values.items()}
 
 
 def _csv_pairs(path: Path) -> dict[str, str]:
@@ -250,7 +251,7 @@ def examine(
     check_new(key, values, mesh=mesh)
     if candidate.material is None:
         raise ObjectFolderError(f"{key} has no material; give --material, or list it in {LISTS[0]}")
-    materials.material(candidate.material)
+    own_material(candidate.material)
     object_files(mesh)
     loaded = load_mesh(mesh, up or default_up(mesh), settings(NormalizeConfig, values).texture_size)
     lower, upper = loaded.bounds
@@ -273,7 +274,7 @@ def examine(
             break
         size = reached
     config = settings(VoxelizeConfig, values)
-    voxelize(normalized.seen(bridge), normalized.surface.mesh, config, key)  # raises
+    voxelize(normalized.select_visible(bridge), normalized.surface.mesh, config, key)  # raises
     report = normalized.report(size, up or default_up(mesh))
     notes = [*report["warnings"], *report["appearance"].get("notes", [])]
     if size > LARGE:

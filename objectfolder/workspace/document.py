@@ -11,13 +11,13 @@ from ruamel.yaml import YAML
 from objectfolder.io import write_text
 from objectfolder.locks import exclusive
 from objectfolder.workspace.params import read
-from objectfolder.yamlfile import checked_yaml
+from objectfolder.yamlfile import check_yaml
 
 
 def editable(path: Path) -> tuple[Any, dict[str, Any]]:
     """Read ``params.yaml`` twice: as a document that keeps comments and order, and as plain values."""
     values = read(path)
-    document = YAML().load(checked_yaml(path))
+    document = YAML().load(check_yaml(path))
     for group in ("objects", "procedural"):
         if not values[group]:
             document[group].fa.set_block_style()  # else all that is added would be on one line
@@ -25,12 +25,16 @@ def editable(path: Path) -> tuple[Any, dict[str, Any]]:
 
 
 @contextmanager
-def edited(path: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield ``params.yaml`` to edit, and its values; then write it. Other processes that edit it wait."""
+def edited(path: Path, dry_run: bool = False) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Yield ``params.yaml`` to edit, and its values; then write it. Other processes that edit it wait.
+
+    A dry run writes nothing.
+    """
     with exclusive(path.parent):
         document, values = editable(path)
         yield document, values
-        write_params(path, document)
+        if not dry_run:
+            write_params(path, document)
 
 
 def write_params(path: Path, document: Any) -> None:

@@ -23,6 +23,7 @@ PIPELINE_FILES = (
     ".dvcignore",
     "catalogs/*.yaml",
     "dvc.yaml",
+    "materials/README.md",
     "params/*.yaml",
     "stages/*.py",
 )

@@ -7,6 +7,7 @@ from typing import Any
 
 SPLITS = ("train", "val", "test")
 MODALITIES = ("vision", "audio", "touch")
+MATERIALS = "materials"  #: folder of a workspace's own materials
 
 
 class Build:
@@ -62,7 +63,7 @@ class Build:
 
     def checkpoint(self, modality: str) -> Path:
         """State of an unfinished training; undeclared: it outlives a killed stage."""
-        return self.dir / f".{modality}_checkpoint.safetensors"
+        return self.dir / f".{modality}_checkpoint.pt"
 
     def artifacts(self) -> list[Path]:
         """List every file that the pipeline writes for the object, existing or not, except its metrics."""
@@ -148,7 +149,7 @@ CODE = Path("build/.code")
 
 
 def code_list(name: str) -> Path:
-    """Return the file with the digests of the modules that a stage imports.
+    """Return the file with the digests of the modules that a stage imports, or of ``materials/KEY``.
 
     In a workspace without the package, also that with the digests of a file or folder of the package that
     stages read.

@@ -11,12 +11,15 @@ from ruamel.yaml.comments import CommentedMap
 
 from objectfolder.disk import new_folder
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.reading.load import default_up, load_mesh
-from objectfolder.mesh.reading.references import references
+from objectfolder.io import write_text
+from objectfolder.materials import own_material
+from objectfolder.mesh.reading.load import default_up, load_mesh, references
 from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_object
 from objectfolder.workspace.document import edited
+from objectfolder.workspace.layout import MATERIALS
+from objectfolder.yamlfile import is_yaml_name
 
 MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; beyond, the unit is probably wrong
 
@@ -31,6 +34,7 @@ def add_mesh(
     attachments: Sequence[Path] = (),
     wall: float | None = None,
     bridge: str = "all",
+    examined: bool = False,
     *,
     track: Callable[[Path, Path], None],
 ) -> dict[str, Any]:
@@ -43,6 +47,7 @@ def add_mesh(
     key : str
         Object key.
     material : str
+        A name, or a material's file, which is copied to ``materials/`` unless it lies there.
     scale : float or None
         Longest side, metres; None: the longest side of the mesh, whose unit is then metres.
     up : {"y", "z"} or None
@@ -53,6 +58,8 @@ def add_mesh(
         Thickness that open sheets get, metres.
     bridge : {"all", "fem", "off"}
         Where to fill small gaps.
+    examined : bool
+        Whether the mesh is known to load; it is not loaded again if its scale is given too.
     track : callable
         Puts a folder of a workspace under version control, with all its files, or raises; takes both paths.
 
@@ -71,26 +78,31 @@ def add_mesh(
     values = params.read(params_path)
     home = check_new(key, values, root, mesh)
     up = up or default_up(mesh)
-    most = params.settings(NormalizeConfig, values, params_path).texture_size
-    lower, upper = load_mesh(mesh, up, most).bounds
-    size = float(f"{(upper - lower).max():.6g}") if scale is None else scale
+    size = scale
+    if size is None or not examined:
+        most = params.settings(NormalizeConfig, values, params_path).texture_size
+        lower, upper = load_mesh(mesh, up, most).bounds
+        size = float(f"{(upper - lower).max():.6g}") if size is None else size
     if not MIN_SCALE <= size <= MAX_SCALE:
         raise ObjectFolderError(
             f"scale of {key} is {size:g} m, expected the longest side in metres, {MIN_SCALE} to {MAX_SCALE}; "
             + ("the mesh is in other units: give --scale" if scale is None else "give it in metres")
         )
+    named, own = _place_material(material, root)
     entry = {
         "mesh": f"data/objects/{key}/mesh{mesh.suffix.lower()}",
-        "material": material,
+        "material": named,
         "scale": size,
         "up": up,
         "wall": wall,
         "bridge": bridge,
     }
-    entry = check_object(key, {"objects": {key: entry}}, params_path).model_dump()
     sources = object_files(mesh, attachments)
     placed = False
     try:
+        if own:
+            write_text(root / named, own)
+        entry = check_object(key, {"objects": {key: entry}}, params_path).model_dump()
         needed = sum(source.stat().st_size for source in sources.values())
         with new_folder(f"{key}: mesh", home, needed, "") as staging:
             for target, source in sources.items():
@@ -105,10 +117,32 @@ def add_mesh(
         if placed:
             shutil.rmtree(home, ignore_errors=True)
             home.with_name(f"{key}.dvc").unlink(missing_ok=True)
+        if own:
+            (root / named).unlink(missing_ok=True)
         if isinstance(error, OSError) or (isinstance(error, ObjectFolderError) and not placed):
             raise ObjectFolderError(f"cannot add {key} to {home}: {error}; nothing was changed") from error
         raise
     return entry
+
+
+def _place_material(given: str, root: Path) -> tuple[str, str]:
+    """Return what names a material in ``params.yaml``, and the text of a file to write there, if any.
+
+    Raises
+    ------
+    ObjectFolderError
+        If the file is no material's, or ``materials/`` has another of its name.
+    """
+    if not is_yaml_name(given):
+        return given, ""
+    own_material(given)
+    source, target = Path(given), root / MATERIALS / Path(given).name
+    text, named = source.read_text(encoding="utf-8"), f"{MATERIALS}/{source.name}"
+    if not target.is_file():
+        return named, text
+    if target.read_text(encoding="utf-8") != text:
+        raise ObjectFolderError(f"{target} is another material than {given}; rename one")
+    return named, ""
 
 
 def set_material(key: str, described: dict[str, Any], root: Path = Path()) -> None:

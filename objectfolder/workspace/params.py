@@ -21,7 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from pydantic_core import ErrorDetails
 
 from objectfolder.errors import ObjectFolderError, quoted, shortened
-from objectfolder.yamlfile import read_yaml
+from objectfolder.workspace.layout import MATERIALS
+from objectfolder.yamlfile import is_yaml_name, read_yaml
 
 PARAMS_FILE = "params.yaml"
 #: Environment variable by which a build gives its stages the parameters that it recorded: a copy of the file.
@@ -50,12 +51,12 @@ SECTIONS = {
     "radiation": "objectfolder.acoustics.settings:RadiationConfig",
     "render_views": "objectfolder.vision.settings:RenderViewsConfig",
     "render_touch": "objectfolder.touch.settings:RenderTouchConfig",
-    "train_vision": "objectfolder.nets.vision_config:VisionConfig",
-    "train_audio": "objectfolder.nets.audio_config:AudioConfig",
-    "train_touch": "objectfolder.nets.touch_config:TouchConfig",
+    "train_vision": "objectfolder.nets.settings:VisionConfig",
+    "train_audio": "objectfolder.nets.settings:AudioConfig",
+    "train_touch": "objectfolder.nets.settings:TouchConfig",
     "evaluate": "objectfolder.objectfile.settings:EvaluateConfig",
     "observe": "objectfolder.benchmarks.datasets.settings:ObserveConfig",
-    "encode": "objectfolder.benchmarks.models.encode_config:EncodeConfig",
+    "encode": "objectfolder.benchmarks.models.settings:EncodeConfig",
     "recognize": "objectfolder.benchmarks.tasks.recognize:RecognizeConfig",
     "retrieve": "objectfolder.benchmarks.tasks.retrieve:RetrieveConfig",
     "reconstruct": "objectfolder.benchmarks.tasks.reconstruct:ReconstructConfig",
@@ -64,8 +65,8 @@ SECTIONS = {
     "decompose": "objectfolder.benchmarks.datasets.settings:DecomposeConfig",
     "grasp_data": "objectfolder.benchmarks.datasets.settings:GraspDataConfig",
     "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability:GraspStabilityConfig",
-    "grasp_policy": "objectfolder.benchmarks.models.trpo_config:GraspPolicyConfig",
-    "reach": "objectfolder.benchmarks.models.ppo_config:ReachConfig",
+    "grasp_policy": "objectfolder.benchmarks.models.settings:GraspPolicyConfig",
+    "reach": "objectfolder.benchmarks.models.settings:ReachConfig",
 }
 #: Benchmark tasks, each declared in the module of its name in `objectfolder.benchmarks.tasks`, and their
 #: splits; none for tasks on single objects.
@@ -106,7 +107,7 @@ class ObjectEntry(Record):
     """One object."""
 
     mesh: str  #: under data/objects/<key>/
-    material: Any  #: a name, or {base: name} and properties that differ
+    material: Any  #: a name, a file in materials/, or {base: name or file} and properties that differ
     scale: float = Field(ge=1e-4, le=100)  #: longest side, metres
     up: Literal["y", "z"] = "z"  #: up axis of the source mesh
     wall: float | None = Field(default=None, gt=0)  #: thickness given to open sheets, metres; null: 2 %
@@ -129,7 +130,11 @@ class ObjectEntry(Record):
             return value
         if not isinstance(value, str):
             raise ValueError("expected the name of a material, or {base: NAME, PROPERTY: VALUE, ...}")
-        return value.lower()
+        if not is_yaml_name(value):
+            return value.lower()
+        if PurePosixPath(value).parts[:1] != (MATERIALS,) or ".." in PurePosixPath(value).parts:
+            raise ValueError(f"expected a file in {MATERIALS}/")
+        return value
 
 
 class ProceduralEntry(BaseModel):
@@ -144,7 +149,7 @@ class Shared(Record):
     """Values that several stages use."""
 
     seed: int = Field(ge=0)
-    sensor: str  #: profile in objectfolder/touch/profiles
+    sensor: str = "digit"  #: profile in objectfolder/touch/profiles
 
 
 @dataclass(frozen=True)
@@ -322,9 +327,48 @@ def settings(config: type[Config], values: dict[str, Any], path: str | Path = PA
     adapter: TypeAdapter[dict[str, Config]] = TypeAdapter(dict[str, config], config=_STRICT)  # type: ignore[valid-type]
     text = json.dumps({name: values[name]}, default=lambda value: [str(value)])
     try:
-        return adapter.validate_json(text)[name]
+        found = adapter.validate_json(text)[name]
     except ValidationError as error:
-        raise _wrong(f"{path}: {name}", error, outer=1) from error
+        raise _wrong(
+            f"{path}: {name}", error, _names(adapter.dump_python({name: config()})[name]), outer=1
+        ) from error
+    if lacking := _unwritten(adapter.dump_python({name: found}, mode="json")[name], values[name], ""):
+        raise ObjectFolderError(f"{path}: {name}: {'; '.join(lacking)}: DVC tracks what is written; add it")
+    return found
+
+
+def _names(settings: dict[str, Any]) -> set[str]:
+    """Return the names of settings, at any depth."""
+    inner = [_names(value) for value in settings.values() if isinstance(value, dict)]
+    return {*settings}.union(*inner)
+
+
+def _unwritten(settings: Any, values: Any, where: str) -> list[str]:
+    """List the settings that a section does not write, with their defaults; at any depth."""
+    if isinstance(settings, list):
+        return [text for pair in zip(settings, values) for text in _unwritten(*pair, where)]
+    found = []
+    for name, value in settings.items() if isinstance(settings, dict) else ():
+        place = f"{where}.{name}".removeprefix(".")
+        new = [f"{place}: Field required, by default {json.dumps(value)}"]
+        found += _unwritten(value, values[name], place) if name in values else new
+    return found
+
+
+def plain(values: Any) -> Any:
+    """Return nested values with lists for tuples, as YAML holds them."""
+    if isinstance(values, dict):
+        return {name: plain(value) for name, value in values.items()}
+    return [plain(value) for value in values] if isinstance(values, list | tuple) else values
+
+
+def differences(name: str, old: Any, new: Any) -> list[str]:
+    """List the leaves of nested parameters that differ, with both values."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        inner = {key: f"{name}.{key}" if name else key for key in dict.fromkeys([*old, *new])}
+        return [text for key, path in inner.items() for text in differences(path, old.get(key), new.get(key))]
+    shown = ["nothing" if value is None else shortened(value) for value in (old, new)]
+    return [] if old == new else [f"{name}: {shown[0]} -> {shown[1]}"]
 
 
 def require_section(name: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:

@@ -1,21 +1,36 @@
-"""Presets: ``params/<name>.yaml``, merged into the sections of ``params.yaml``."""
+"""Presets: overlays ``params/<name>.yaml`` on the settings that the dataclasses of the sections default to.
 
+The preset ``quick`` is these defaults, and has no file.
+"""
+
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from objectfolder.errors import ObjectFolderError, quoted
 from objectfolder.workspace.check import check_all, check_own
 from objectfolder.workspace.document import edited
-from objectfolder.workspace.params import PARAMS_FILE, SECTIONS, section_config, settings
-from objectfolder.yamlfile import read_yaml
+from objectfolder.workspace.params import PARAMS_FILE, SECTIONS, Shared, differences, plain, section_config
+from objectfolder.yamlfile import inline_lists, read_yaml
+
+DEFAULT = "quick"
 
 
-def apply_preset(name: str, root: Path = Path()) -> list[str]:
-    """Merge ``params/<name>.yaml`` into the stage sections of ``params.yaml``.
+def apply_preset(name: str, root: Path = Path(), dry_run: bool = False) -> list[str]:
+    """Give the stage sections of ``params.yaml`` the settings of a preset; objects and seed stay.
+
+    Parameters
+    ----------
+    name : str
+    root : Path
+        Workspace.
+    dry_run : bool
+        Whether to change nothing.
 
     Returns
     -------
-    Sections that changed.
+    list of str
+        Settings that change, with both values.
 
     Raises
     ------
@@ -23,21 +38,19 @@ def apply_preset(name: str, root: Path = Path()) -> list[str]:
         If there is no such preset, or it or an entry of ``params.yaml`` that it does not hold is invalid.
     """
     params_path = root / PARAMS_FILE
-    with edited(params_path) as (document, values):
+    with edited(params_path, dry_run) as (document, values):
         preset, path = read_preset(name, root)
-        changed = [section for section, content in preset.items() if values.get(section) != content]
         check_own(values, params_path)
-        for name in SECTIONS:
-            if name not in preset:  # a user's own preset may have some of them only
-                settings(section_config(name), values, params_path)
         check_all({**values, **preset}, path)
-        for section in changed:
-            document[section] = preset[section]
-    return changed
+        present = {section: values.get(section) for section in preset}
+        for section, content in preset.items():
+            if present[section] != content:
+                document[section] = inline_lists(content)
+    return differences("", present, preset)
 
 
 def read_preset(name: str, root: Path = Path()) -> tuple[dict[str, Any], Path]:
-    """Return the sections of ``params/<name>.yaml``, and its path.
+    """Return all sections of a preset, and the path of its overlay.
 
     Raises
     ------
@@ -47,9 +60,27 @@ def read_preset(name: str, root: Path = Path()) -> tuple[dict[str, Any], Path]:
     folder = root / "params"
     path = folder / f"{name}.yaml"
     if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
+        if name == DEFAULT:
+            return default_sections(), path
+        known = ", ".join([DEFAULT, *sorted(p.stem for p in folder.glob("*.yaml"))])
         raise ObjectFolderError(f"no preset {name!r} in {folder}/; expected one of {known}")
-    sections = read_yaml(path)
-    if not isinstance(sections, dict):
-        raise ObjectFolderError(f"{path} holds {quoted(sections)}, expected sections by name")
-    return sections, path
+    overlay = read_yaml(path)
+    if not isinstance(overlay, dict):
+        raise ObjectFolderError(f"{path} holds {quoted(overlay)}, expected sections by name")
+    return _merged(default_sections(), overlay), path
+
+
+def default_sections() -> dict[str, Any]:
+    """Return the default of every section and of the sensor, as ``params.yaml`` holds them."""
+    sections = {name: plain(asdict(section_config(name)())) for name in SECTIONS}
+    return {"sensor": Shared.model_fields["sensor"].default, **sections}
+
+
+def _merged(values: dict[str, Any], overlay: dict[str, Any]) -> dict[str, Any]:
+    """Return nested mappings with the values of an overlay; lists are replaced as a whole."""
+    both = {
+        name: _merged(values[name], value)
+        for name, value in overlay.items()
+        if isinstance(value, dict) and isinstance(values.get(name), dict)
+    }
+    return {**values, **overlay, **both}

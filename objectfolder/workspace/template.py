@@ -1,19 +1,14 @@
 """Texts of the files of a workspace that runs the installed package."""
 
 import hashlib
-import json
 import logging
 import os
 import re
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import asdict
 from importlib.machinery import all_suffixes
-from io import StringIO
 from pathlib import Path
 from typing import Any
-
-from ruamel.yaml import YAML
 
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.installation import installed_version, requirement
@@ -29,8 +24,9 @@ from objectfolder.workspace.installed import (
     runs_installed,
 )
 from objectfolder.workspace.layout import code_list
-from objectfolder.workspace.params import BENCHMARKS, PARAMS_FILE, section_config
-from objectfolder.yamlfile import read_yaml
+from objectfolder.workspace.params import PARAMS_FILE
+from objectfolder.workspace.presets import default_sections
+from objectfolder.yamlfile import read_yaml, yaml_text
 
 REQUIREMENTS = "requirements.txt"
 #: Files that a clone does not have, by the name that they get.
@@ -151,28 +147,18 @@ def first_params() -> str:
 
     A clone's own ``params.yaml`` does not count: it holds that workspace's objects and settings.
     """
-    _, _, settings = _quick().read_text().partition("\n")  # the first line is a comment on the preset
-    rest = {name: first_values()[name] for name in ("benchmarks", *_default_sections())}
-    stream = StringIO()
-    YAML().dump(rest, stream)
-    return f"{(_TEMPLATE / PARAMS_FILE).read_text()}{stream.getvalue()}\n{settings}"
+    head = (_TEMPLATE / PARAMS_FILE).read_text() + yaml_text({"benchmarks": _no_benchmarks()})
+    return f"{head}\n{yaml_text(default_sections())}"
 
 
 def first_values() -> dict[str, Any]:
     """Return the values of `first_params`."""
-    none: dict[str, list[str]] = {name: [] for name in Selection.model_fields}
-    values: dict[str, Any] = read_yaml(_TEMPLATE / PARAMS_FILE) | {"benchmarks": none}
-    return values | _default_sections() | read_yaml(_quick())
+    values: dict[str, Any] = read_yaml(_TEMPLATE / PARAMS_FILE)
+    return values | {"benchmarks": _no_benchmarks()} | default_sections()
 
 
-def _default_sections() -> dict[str, Any]:
-    """Return the sections of benchmarks that presets lack, whose settings have defaults."""
-    lacking = BENCHMARKS.keys() - read_yaml(_quick()).keys()
-    return {name: json.loads(json.dumps(asdict(section_config(name)()))) for name in sorted(lacking)}
-
-
-def _quick() -> Path:
-    return pipeline_files()["params/quick.yaml"]
+def _no_benchmarks() -> dict[str, list[str]]:
+    return {name: [] for name in Selection.model_fields}
 
 
 def first_card(name: str) -> str:

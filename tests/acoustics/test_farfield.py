@@ -5,8 +5,14 @@ import trimesh
 from objectfolder.acoustics.boundary import Boundary
 from objectfolder.acoustics.farfield import FarField, pack_far_field, unpack_far_field
 from objectfolder.acoustics.harmonics import degrees
-from objectfolder.acoustics.meshing import carried, even_surface, finer_surface, interpolated, outward_motion
-from objectfolder.acoustics.radiation import lagrange, of_motion, radiate
+from objectfolder.acoustics.meshing import (
+    even_surface,
+    finer_surface,
+    interpolate_motion,
+    outward_motion,
+    transfer_flow,
+)
+from objectfolder.acoustics.radiation import lagrange, radiate, radiate_motion
 from objectfolder.acoustics.triangles import Triangles
 from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED
 from objectfolder.mesh.topology import face_areas, is_closed, signed_volume
@@ -47,7 +53,7 @@ def test_a_stream_of_another_length_is_refused(some_fields, damage):
     if damage == "orders":
         packed[damage][0] += 1
     if damage == "coefficients":
-        packed[damage] = pack_far_field(some_fields.truncated(7), 100_000)[damage]
+        packed[damage] = pack_far_field(some_fields.truncate(7), 100_000)[damage]
     with pytest.raises(ValueError, match=r"coefficients|shape"):
         unpack_far_field(packed, RADIUS)
 
@@ -86,7 +92,7 @@ def test_modes_share_a_matrix_only_if_alike_and_fields_beyond_a_mesh_keep_their_
     boundary = Boundary(ball.vertices, ball.faces)
     motion = np.ones((len(boundary), 3))
     w = np.array([4.0, 60.0, 60.01]) / RADIUS * SOUND_SPEED
-    field = of_motion(boundary, motion, w, RADIUS)
+    field = radiate_motion(boundary, motion, w, RADIUS)
     power = (abs(field.coefficients) ** 2).sum(1)
     k = w / SOUND_SPEED
     exact = 4 * np.pi * AIR_DENSITY**2 * RADIUS**4 / (1 + (k * RADIUS) ** 2)
@@ -127,9 +133,9 @@ def test_dense_modes_are_interpolated_and_those_near_a_resonance_solved(rng, sol
         boundary = Boundary(ball.vertices, ball.faces)
     motion = rng.normal(size=(len(boundary), 60))
     w = np.sort(rng.uniform(1.0, 5.0, 60)) / RADIUS * SOUND_SPEED
-    field = of_motion(boundary, motion, w, RADIUS)
+    field = radiate_motion(boundary, motion, w, RADIUS)
     matrices = len(solved)
-    alone = [of_motion(boundary, motion[:, m : m + 1], w[m : m + 1], RADIUS) for m in range(60)]
+    alone = [radiate_motion(boundary, motion[:, m : m + 1], w[m : m + 1], RADIUS) for m in range(60)]
     errors = []
     for found, one in zip(field.coefficients, alone, strict=True):
         exact = np.pad(one.coefficients[0], (0, len(found) - one.coefficients.shape[1]))
@@ -164,7 +170,7 @@ def test_interpolation_is_exact_for_rigid_motions_and_on_the_flat(rng):
     points[:250, 2] = 0
     turn = np.cross(points, [0.3, -0.2, 0.5]) + np.array([1.0, 2.0, 3.0])
     places = rng.uniform(-0.5, 0.5, (40, 3)) * [1, 1, 0]
-    found = interpolated(points, turn, places)
+    found = interpolate_motion(points, turn, places)
     np.testing.assert_allclose(
         found, np.cross(places, [0.3, -0.2, 0.5]) + np.array([1.0, 2.0, 3.0]), atol=0.02
     )
@@ -175,7 +181,7 @@ def test_a_coarse_surface_carries_all_of_the_flow_on_its_own_side(rng):
     fine = Triangles.of(*finer_surface(plate.vertices, plate.faces, 0.05))
     coarse = Triangles.of(*finer_surface(plate.vertices, plate.faces, 0.2))
     flow = fine.normal[:, 2:] * fine.area[:, None] * [1.0, -2.0]
-    found = carried(fine, flow, coarse)
+    found = transfer_flow(fine, flow, coarse)
     np.testing.assert_allclose(found.sum(0), flow.sum(0), atol=1e-12)
     top = coarse.normal[:, 2] > 0.5
     np.testing.assert_allclose(found[top].sum(0), [0.8, -1.6], rtol=1e-9)

@@ -31,7 +31,7 @@ def test_a_long_sound_is_made_in_pieces_of_bounded_memory(tuning, monkeypatch, r
     monkeypatch.setattr(module, "PIECE", 1000)
     gains = torch.from_numpy(rng.standard_normal((3, 40))).float()
     kept = Bank(tuning, 16000, 0.3, "velocity", 3e-3)
-    monkeypatch.setattr(module, "KEPT", 0)
+    monkeypatch.setattr(module, "MAX_CACHED_BYTES", 0)
     made_anew = Bank(tuning, 16000, 0.3, "velocity", 3e-3)
     assert (len(kept._pieces), len(made_anew._pieces)) == (5, 0)
     gains = gains[:, kept.heard]
@@ -52,7 +52,7 @@ def test_a_short_sound_is_bit_identical_at_any_place_in_a_batch(tuning, samples,
 
 @pytest.mark.parametrize("kept", [0, 1 << 27])
 def test_nonsense_is_refused_at_once(tuning, kept, monkeypatch):
-    monkeypatch.setattr(module, "KEPT", kept)
+    monkeypatch.setattr(module, "MAX_CACHED_BYTES", kept)
     for nonsense in (
         (0, 1.0, "velocity", 0.0),
         (16000, 1.0, "loudness", 0.0),

@@ -8,7 +8,7 @@ import pytest
 import soundfile
 from taps import MODES, RATE, taps
 
-from objectfolder.audio.recordings import at_one_rate, loudest_channel, read_recording
+from objectfolder.audio.recordings import loudest_channel, read_recording, resample_to_lowest
 from objectfolder.errors import ObjectFolderError
 
 
@@ -139,16 +139,16 @@ def test_a_rate_at_which_modes_would_be_lost_is_refused_by_name():
         "3600 Hz would be lost: leave out recordings of 8000 Hz"
     )
     with pytest.raises(ObjectFolderError, match=f"^{re.escape(message)}$"):
-        at_one_rate(sounds, ["a.wav", "b.wav", "c.wav"])
+        resample_to_lowest(sounds, ["a.wav", "b.wav", "c.wav"])
     with pytest.raises(ObjectFolderError, match=r"^recording 2 has 8000 Hz"):
-        at_one_rate(sounds)
+        resample_to_lowest(sounds)
 
 
 def test_near_rates_are_brought_to_the_lowest():
     tones = [
         (np.sin(2 * np.pi * 500 * np.arange(rate) / rate), float(rate)) for rate in (48000, 44100, 66150)
     ]
-    sounds, rate = at_one_rate(tones)
+    sounds, rate = resample_to_lowest(tones)
     assert rate == 44100
     for sound in sounds:
         np.testing.assert_allclose(sound[2000:40000], tones[1][0][2000:40000], atol=2e-3)

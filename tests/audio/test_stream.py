@@ -3,7 +3,7 @@ import pytest
 import torch
 from scipy.signal import lfilter
 
-from objectfolder.audio.scrape import Scrapes, roughness_of, scrape_force
+from objectfolder.audio.scrape import Scrapes, scrape_force
 from objectfolder.audio.stream import ModalStream, Pulse, pulse_gain
 from objectfolder.audio.synthesis import pulse_phasor, responses
 
@@ -26,9 +26,11 @@ def _strike(duration, start, sizes):
     return np.concatenate([stream.play(size) for size in sizes])
 
 
-@pytest.mark.parametrize("duration", [1e-5, 2.6e-4, 4e-3])
+@pytest.mark.parametrize(
+    "duration", [1e-5, 2.6e-4, 4e-3, np.pi / ANGULAR[2]], ids=["tiny", "short", "long", "in tune"]
+)
 def test_a_pulse_sounds_as_the_offline_synthesis_says(duration):
-    """Shorter than a sample, and longer than a block."""
+    """Shorter than a sample, longer than a block, and in resonance with a mode."""
     sizes = [96] * 20
     heard = _strike(duration, 130, sizes)
     expected = GAINS @ responses(
@@ -36,14 +38,6 @@ def test_a_pulse_sounds_as_the_offline_synthesis_says(duration):
     ).double().numpy()  # fmt: skip
     assert not heard[:130].any()
     assert abs(heard[130:] - expected).max() < 1e-6 * abs(expected).max()
-
-
-def test_a_pulse_in_resonance_with_a_mode_is_accurate():
-    duration = np.pi / ANGULAR[2]
-    expected = GAINS @ responses(
-        torch.from_numpy(ANGULAR), torch.from_numpy(DAMPING), RATE, range(960), "displacement", duration
-    ).double().numpy()  # fmt: skip
-    assert abs(_strike(duration, 0, [96] * 10) - expected).max() < 1e-6 * abs(expected).max()
 
 
 def test_blocks_do_not_matter():
@@ -167,20 +161,6 @@ def test_bodies_sound_together_as_the_sum_of_each(together, rng):
         assert not row[alone.shape[1] :].any()
 
 
-@pytest.mark.parametrize("cutoff", [0.001, 0.02, 0.4])
-def test_noise_has_unit_variance_and_fades_above_the_cutoff(cutoff, rng):
-    noise = _noise(cutoff, rng)
-    assert noise.std() == pytest.approx(1, rel=0.15)
-    power = abs(np.fft.rfft(noise)) ** 2
-    share = power[: int(2 * cutoff * len(power))].sum() / power.sum()
-    assert share > 0.4
-
-
-def _noise(cutoff, rng):
-    scrapes = Scrapes(rng)
-    return np.concatenate([scrapes.play(500, {0: cutoff})[0] for _ in range(400)])
-
-
 def test_noise_does_not_depend_on_blocks():
     one, many = Scrapes(np.random.default_rng(1)), Scrapes(np.random.default_rng(1))
     blocks = [many.play(size, {"a": 0.01})[0] for size in (100, 0, 99, 1, 200)]
@@ -216,4 +196,3 @@ def test_faster_slides_are_brighter_and_rolling_is_quieter():
     assert fast[0] == slow[0]
     assert rolls[0] == pytest.approx(0.1 * fast[0])
     assert scrape_force(2.0, 1.0, 0, 1.0, 0.005, 1e10)[0] == 2.0  # never more than the load
-    assert roughness_of("wood", "steel") == pytest.approx(np.hypot(5e-6, 8e-7))

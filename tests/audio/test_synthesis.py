@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import signal
 from scipy.integrate import solve_ivp
 
-from objectfolder.audio.synthesis import audible, gains, sinusoid_bank
+from objectfolder.audio.synthesis import gains, is_audible, sinusoid_bank
 from objectfolder.errors import ObjectFolderError
 
 RATE = 16000
@@ -37,14 +37,6 @@ def test_a_mode_is_the_impulse_response_of_its_transfer_function(hertz, damping,
     np.testing.assert_allclose(answer, expected, atol=2e-6 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("damping", [1.0, 8.0, 40.0])
-def test_energy_decays_at_twice_the_damping(damping):
-    sound = sinusoid_bank(*mode(1000, damping), RATE, 1.0)[0].double().numpy()
-    energy = (sound.reshape(-1, 160) ** 2).sum(1)  # ten periods each
-    rate = -np.diff(np.log(energy[energy > 1e-12 * energy[0]])) * 100
-    np.testing.assert_allclose(rate, 2 * damping, rtol=1e-3)
-
-
 @pytest.mark.parametrize(("lower", "upper"), [("displacement", "velocity"), ("velocity", "acceleration")])
 def test_each_response_is_the_derivative_of_the_one_before(lower, upper):
     w, c = torch.tensor([2 * np.pi * 300, 2 * np.pi * 2000]), torch.tensor([5.0, 80.0])
@@ -52,13 +44,6 @@ def test_each_response_is_the_derivative_of_the_one_before(lower, upper):
     low, high = (sinusoid_bank(w, c, rate, 0.01, r).double().numpy() for r in (lower, upper))
     difference = (low[:, 2:] - low[:, :-2]) * rate / 2
     np.testing.assert_allclose(difference, high[:, 1:-1], atol=2e-3 * np.abs(high).max())
-
-
-def test_an_impulse_starts_with_the_velocity_of_its_momentum():
-    """A unit impulse gives a mode of unit modal mass unit velocity."""
-    w, c = mode(500, 30)
-    assert sinusoid_bank(w, c)[0, 0] == 0
-    assert sinusoid_bank(w, c, response="velocity")[0, 0] == pytest.approx(1)
 
 
 # Strikes of finite duration
@@ -131,28 +116,6 @@ def test_a_vanishing_contact_is_an_impulse(response):
             assert bank[:, 0].abs().max() <= impulse[:, 0].abs().max() + 1e-6
 
 
-def test_the_impulse_keeps_its_meaning():
-    """A slow mode only feels the momentum: its velocity after the contact is one per unit of modal mass."""
-    w, c = torch.tensor([2 * np.pi * 0.01]), torch.tensor([0.0])
-    velocity = sinusoid_bank(w, c, RATE, 0.1, "velocity", 0.05)[0]
-    np.testing.assert_allclose(velocity[800:], 1, atol=1e-4)
-    assert velocity[0] == 0
-    assert velocity[400] == pytest.approx(0.5, abs=1e-4)
-
-
-def test_a_long_contact_is_a_low_pass():
-    """After the contact a mode rings with the force's spectrum, cos(w T / 2) / (1 - (w T / pi)^2)."""
-    contact = 1e-3
-    hertz = torch.tensor([20.0, 200, 1000, 2300, 3700, 7100], dtype=torch.float64)
-    w, c = 2 * np.pi * hertz, torch.zeros(6, dtype=torch.float64)
-    soft = sinusoid_bank(w, c, 48000, 0.5, "displacement", contact)[:, 48:].abs().amax(1) * w
-    x = (w * contact).numpy()
-    expected = np.abs(np.cos(x / 2) / (1 - (x / np.pi) ** 2))
-    np.testing.assert_allclose(soft, expected, atol=0.01)
-    assert (soft[3:] < 0.1).all()
-    assert soft[0] > 0.99
-
-
 def test_modes_at_or_above_nyquist_are_silent_and_never_alias():
     w = 2 * np.pi * torch.tensor([7990.0, 8000.5, 9000.0, 16100.0])
     c = torch.full((4,), 5.0)
@@ -160,14 +123,8 @@ def test_modes_at_or_above_nyquist_are_silent_and_never_alias():
         bank = sinusoid_bank(w, c, RATE, 0.5, response)
         assert bank[0].abs().max() > 0
         assert not bank[1:].any()
-    assert audible(w, RATE).tolist() == [True, False, False, False]
-    assert audible(w, 44100).all()
-
-
-def test_the_same_sound_at_two_rates():
-    w, c = mode(440, 3)
-    low, high = sinusoid_bank(w, c, 16000)[0], sinusoid_bank(w, c, 48000)[0, ::3]
-    np.testing.assert_allclose(low, high, rtol=1e-6, atol=1e-13)
+    assert is_audible(w, RATE).tolist() == [True, False, False, False]
+    assert is_audible(w, 44100).all()
 
 
 def test_gains_are_linear_in_the_force(rng):
@@ -206,14 +163,3 @@ def test_nonsense_is_refused(rate, duration, response, message):
 def test_a_contact_time_must_be_a_duration(contact):
     with pytest.raises(ObjectFolderError, match=rf"contact time is {contact}( s)?, expected a finite"):
         sinusoid_bank(*mode(440, 3), contact_time=contact)
-
-
-def test_a_contact_longer_than_the_sound_is_quasi_static():
-    """Pushed slowly, a mode follows the force: y = f / (w^2 + c^2)."""
-    w, c = mode(500, 200)
-    time, contact = np.arange(160) / RATE, 10.0
-    bank = sinusoid_bank(w, c, RATE, 0.01, contact_time=contact)[0]
-    force = np.pi / (2 * contact) * np.sin(np.pi * time / contact)
-    stiffness = w.item() ** 2 + c.item() ** 2
-    ramp = np.pi**2 / (2 * contact**2) / stiffness  # its slope: the mode rings by it over w
-    np.testing.assert_allclose(bank, force / stiffness, atol=2 * ramp / w.item())

@@ -8,9 +8,8 @@ from solids import box
 
 from objectfolder.audio.tuning import retune, stored_modes
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import modal_analysis, solved_band
 from objectfolder.materials import material
 
 SOLID = box((1, 0.55, 0.3))

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from objectfolder.cli import app, workspace
 from objectfolder.errors import ObjectFolderError
-from objectfolder.inspection import STAGES
+from objectfolder.report.inspect_stage import STAGES
 from objectfolder.workspace.layout import Build
 
 METRICS = {

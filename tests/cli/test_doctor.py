@@ -29,8 +29,8 @@ def machine(monkeypatch):
 
     def make(packages=(), libraries=(), torch="libtorch_cpu.so", llvm=""):
         versions = dict(packages)
-        monkeypatch.setattr(doctor, "installed", lambda package: versions.get(package, ""))
-        monkeypatch.setattr(doctor, "loads", lambda library: library in libraries)
+        monkeypatch.setattr(doctor, "find_version", lambda package: versions.get(package, ""))
+        monkeypatch.setattr(doctor, "has_library", lambda library: library in libraries)
         monkeypatch.setattr(doctor, "requires", lambda package: REQUIREMENTS)
         monkeypatch.setattr(
             doctor, "distribution", lambda package: SimpleNamespace(files=[Path("torch/lib", torch)])

@@ -1,5 +1,7 @@
 """A small DVC workspace: three objects, and the chain prepare -> solve -> pack for each."""
 
+import json
+import os
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -89,12 +91,7 @@ KEYS = ("bell", "bowl", "mug")
 class Workspace:
     """A workspace and the means to change and inspect it.
 
-    Parameters
-    ----------
-    root : Path
-        Where it is.
-    server : ForkServer
-        Runs its commands.
+    ``root``: where it is; ``server``: runs its commands.
     """
 
     def __init__(self, root: Path, server: ForkServer):
@@ -143,9 +140,32 @@ class Workspace:
         assert "up to date" in self.dvc("status")
         assert verify(root=self.root).findings == ()
 
+    def cached(self, path: str) -> Path:
+        """Cached object of an output, or of a file in one, as dvc.lock has it."""
+        lock = (self.root / "dvc.lock").read_text()
+        folder, _, name = path.rpartition("/")
+        if f"- path: {path}\n" in lock:
+            oid = lock.partition(f"- path: {path}\n")[2].partition("md5: ")[2].split()[0]
+        else:
+            members = json.loads(self.cached(folder).read_text())
+            oid = next(member["md5"] for member in members if member["relpath"] == name)
+        return self.root / ".dvc/cache/files/md5" / oid[:2] / oid[2:]
+
     def locked(self) -> set[str]:
         """Addresses in dvc.lock."""
         return set(YAML(typ="safe").load(self.root / "dvc.lock")["stages"])
+
+
+def spoil(path: Path) -> None:
+    """Flip a bit in place: same size, same inode, same times, same mode."""
+    info = path.stat()
+    path.chmod(0o644)
+    content = path.read_bytes()
+    with path.open("r+b") as stream:
+        stream.write(bytes([content[0] ^ 1]))
+    path.chmod(info.st_mode)
+    os.utime(path, ns=(info.st_atime_ns, info.st_mtime_ns))
+    assert (path.stat().st_ino, path.stat().st_size) == (info.st_ino, info.st_size)
 
 
 def everything(*stages: str) -> list[str]:

@@ -3,7 +3,7 @@ import shutil
 import pytest
 
 from objectfolder.engine.build import BuildOptions, build
-from objectfolder.engine.costs import recall_costs
+from objectfolder.engine.records import recall_costs
 from objectfolder.engine.summary import Finished, Planned, StageOutcome, Started
 from objectfolder.errors import ObjectFolderError
 
@@ -98,7 +98,7 @@ def test_missing_output_and_missing_dependency_are_failures(make_workspace):
         "  orphan: {cmd: 'true', deps: [nowhere.txt], outs: [x.txt]}\n"
     )
     summary = build(root=workspace.root)
-    assert "never.txt" in summary.stages["lazy"].error
+    assert "'never.txt' does not exist" in summary.stages["lazy"].error
     assert "put it there" not in summary.stages["lazy"].error
     assert "nowhere.txt does not exist; put it there" in summary.stages["orphan"].error
     assert not (workspace.root / "dvc.lock").exists()
@@ -149,22 +149,18 @@ def test_targets(workspace, target, expected):
 
 
 @pytest.mark.parametrize(
-    ("target", "suggestion"),
+    ("target", "said"),
     [
-        ("solve@mugg", "solve@mug"),
-        ("sovle", "solve"),
-        ("mog", "mug"),
-        ("build/mug/pack.tx", "build/mug/pack.txt"),
+        ("solve@mugg", "did you mean.*solve@mug"),
+        ("sovle", "did you mean.*solve"),
+        ("mog", "did you mean.*mug"),
+        ("build/mug/pack.tx", "did you mean.*build/mug/pack.txt"),
+        ("zzzz", "; the objects are bell, bowl, mug; `dvc stage list`"),
     ],
 )
-def test_unknown_target_suggests_close_ones(workspace, target, suggestion):
-    with pytest.raises(ObjectFolderError, match=f"unknown target '{target}'.*did you mean.*{suggestion}"):
+def test_unknown_target_suggests_close_ones_or_lists_the_objects(workspace, target, said):
+    with pytest.raises(ObjectFolderError, match=f"unknown target '{target}'.*{said}"):
         build([target], root=workspace.root)
-
-
-def test_an_unknown_target_like_no_other_lists_the_objects(workspace):
-    with pytest.raises(ObjectFolderError, match=r"; the objects are bell, bowl, mug; `dvc stage list`"):
-        build(["zzzz"], root=workspace.root)
 
 
 def test_two_jobs_overlap(workspace):

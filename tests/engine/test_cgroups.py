@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from objectfolder.engine.cgroups import core_quota, memory_left
+from objectfolder.engine.resources import core_quota, memory_left
 
 JOB = "slurm/uid_7/job_42"
 
@@ -17,8 +17,8 @@ def place(monkeypatch, tmp_path):
             path = tmp_path / "trees" / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(f"{text}\n")
-        monkeypatch.setattr("objectfolder.engine.cgroups._OWN", tmp_path / "own")
-        monkeypatch.setattr("objectfolder.engine.cgroups._TREES", tmp_path / "trees")
+        monkeypatch.setattr("objectfolder.engine.resources._OWN", tmp_path / "own")
+        monkeypatch.setattr("objectfolder.engine.resources._TREES", tmp_path / "trees")
 
     return put
 

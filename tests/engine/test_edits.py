@@ -52,18 +52,10 @@ def copying(make_workspace) -> Workspace:
 
 @dataclass
 class Editing:
-    """Builds `PIPELINE`, and edits before and after the stage reads.
+    """Builds `PIPELINE`, and edits before and after the stage reads."""
 
-    Parameters
-    ----------
-    workspace : Workspace
-        The workspace.
-    options : dict
-        Further arguments of `build`.
-    """
-
-    workspace: Workspace
-    options: dict
+    workspace: Workspace  #: the workspace
+    options: dict  #: further arguments of `build`
 
     def build(self, edit, revert=lambda: None):
         """Build; return the summary and the events."""

@@ -17,6 +17,7 @@ from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.summary import StageOutcome
 from objectfolder.io import write_text
 from objectfolder.workspace.code_digests import code_text
+from objectfolder.workspace.layout import MATERIALS, code_list
 from objectfolder.workspace.params import OBJECT_TASKS, TASKS
 
 from . import tiny_project
@@ -80,9 +81,13 @@ TEXTS |= {
     "stages/__init__.py": COMMON,
     "data/objects/bell/mesh.obj": "mesh",
     "dvc.yaml": (ROOT / "dvc.yaml").read_text(),
-    "objectfolder/io.py": tiny_project.IO,
     "objectfolder/objectfile/objectfile.schema.json": "{}",
     "objectfolder/benchmarks/data/objects.csv": "bell",
+    f"{MATERIALS}/README.md": "own materials",
+    **{
+        f"objectfolder/{MATERIALS}/{path.name}": path.read_text()
+        for path in (ROOT / "objectfolder" / MATERIALS).glob("*.yaml")
+    },
     **{f"objectfolder/touch/profiles/{name}.yaml": name for name in tiny_project.PROFILES},
 }
 
@@ -91,9 +96,11 @@ def write_truth(params, root):
     """Write what a build from nothing gives, by calls of the stand-ins in order; return files by stage."""
     for name, text in TEXTS.items():
         write_text(root / name, text)
-    lists = {stage: f"build/.code/{stage}.sha256" for stage in PIPELINE.keys() - {"hash_code"}}
-    for stage, name in lists.items():
-        write_text(root / name, code_text(stage, root) or "")
+    write_text(root / "params.yaml", json.dumps(params))
+    names = [*(PIPELINE.keys() - {"hash_code"}), *(f"{MATERIALS}/{key}" for key in params["objects"])]
+    lists = {name: code_list(name).as_posix() for name in names}
+    for name, path in lists.items():
+        write_text(root / path, code_text(name, root) or "")
     written = {"hash_code": list(lists.values())}
     for stage, spec in PIPELINE.items():
         keys = params

@@ -7,7 +7,7 @@ import shutil
 import signal
 import subprocess
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 
 import psutil
 import pytest
@@ -15,14 +15,14 @@ from disks import mounted, small_disk
 
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.dvc.repository import track
-from objectfolder.engine.failures import LOGS, log_path
 from objectfolder.engine.process import Children, open_log
+from objectfolder.engine.records import LOGS, log_path
 from objectfolder.engine.summary import Finished, StageOutcome
 from objectfolder.engine.verify import verify
 from objectfolder.errors import ObjectFolderError
 from objectfolder.locks import private_path
 
-from .conftest import KEYS, everything
+from .conftest import KEYS, everything, spoil
 from .processes import DIE_AT_A_CHANGE, alive, meanwhile, start, started, wait_for
 
 OTHERS = sorted(set(everything()) - {"solve@mug", "pack@mug"})
@@ -78,7 +78,7 @@ def test_killed_stage_is_said_in_words_and_its_half_output_is_not_taken(workspac
 
 
 def test_a_stage_does_not_start_beside_a_process_of_an_earlier_run(workspace, monkeypatch):
-    monkeypatch.setattr("objectfolder.engine.process.END", 0.3)
+    monkeypatch.setattr("objectfolder.engine.process.END_TIMEOUT", 0.3)
     log = log_path(workspace.root / LOGS, "prepare@mug")
     log.parent.mkdir(parents=True)
     with open_log(log) as stream:
@@ -89,15 +89,6 @@ def test_a_stage_does_not_start_beside_a_process_of_an_earlier_run(workspace, mo
     assert f"processes {left.pid} of an earlier run of it still write to {log}" in failure.error
     assert not workspace.ran()
     assert build(["prepare@mug"], root=workspace.root).ok
-
-
-@pytest.mark.parametrize("name", ["cluster-0a1b.tmp", ".prepare@mug.tmp.failed"])
-def test_half_files_of_a_killed_build_beside_the_logs_are_removed(workspace, name):
-    left = workspace.root / LOGS / name
-    left.parent.mkdir(parents=True)
-    left.touch()
-    build(["prepare@mug"], root=workspace.root)
-    assert not left.exists()
 
 
 CHAIN = """
@@ -167,39 +158,27 @@ def test_engine_killed_at_any_change_of_a_file_loses_nothing_that_has_finished(m
     assert not half_copies(workspace)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "files/md5/.0a1b.tmp",
-        "files/md5/78/.0a1b.tmp",
-        "files/md5/78/6783.dir.0a1b.tmp",
-        "runs/78/6783/.0a1b.tmp",
-    ],
+HALF_FILES = (
+    "build/.logs/cluster-0a1b.tmp",
+    "build/.logs/.prepare@mug.tmp.failed",
+    ".dvc/cache/files/md5/.0a1b.tmp",
+    ".dvc/cache/files/md5/78/.0a1b.tmp",
+    ".dvc/cache/files/md5/78/6783.dir.0a1b.tmp",
+    ".dvc/cache/runs/78/6783/.0a1b.tmp",
+    "build/mug/.VhHhvrvRl79uOAUOjhXoQg.tmp",
 )
-def test_half_copies_of_a_killed_build_are_removed(workspace, name):
-    path = workspace.root / ".dvc/cache" / name
-    path.parent.mkdir(parents=True)
-    path.write_text("half")
-    build(["prepare@mug"], root=workspace.root)
-    assert not path.exists()
 
 
-def test_half_restored_outputs_of_a_killed_build_are_removed(workspace):
+def test_half_files_of_a_killed_build_are_removed_though_nothing_runs(workspace):
     build(["prepare@mug"], root=workspace.root)
-    left = workspace.root / "build/mug/.VhHhvrvRl79uOAUOjhXoQg.tmp"
-    left.write_text("half")
-    mine = left.with_name(".mine.tmp")
-    mine.write_text("of the user")
-    build(["prepare@mug"], root=workspace.root)
-    assert not left.exists()
-    assert mine.exists()
-
-
-def test_a_half_written_lock_file_is_removed_though_nothing_runs(workspace):
-    build(["prepare@mug"], root=workspace.root)
-    private_path(workspace.root / "dvc.lock").write_text("schema: '2.0'\nsta")
+    left = [*(workspace.root / name for name in HALF_FILES), private_path(workspace.root / "dvc.lock")]
+    own = workspace.root / "build/mug/.own.tmp"
+    for path in (*left, own):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("half")
     assert not build(["prepare@mug"], root=workspace.root).with_status(StageOutcome.RAN)
-    assert not list(workspace.root.glob(".*.tmp*"))
+    assert [path for path in left if path.exists()] == []
+    assert own.exists()
 
 
 # Disks
@@ -274,15 +253,20 @@ def test_lock_file_that_does_not_fit_keeps_the_old_one_and_loses_nothing(make_wo
             workspace.check_clean()
 
 
-def test_read_only_build_directory_fails_its_stages_and_keeps_what_is_there(workspace):
-    build(root=workspace.root)
-    before = content(workspace)
-    workspace.params(mug={"material": "glass"})
-    place = workspace.root / "build"
+@contextmanager
+def read_only(place):
     with mounted("--bind", place, place):
         done = subprocess.run(["mount", "-o", "remount,ro,bind", place], capture_output=True, text=True)
         if done.returncode:
             pytest.skip(f"cannot mount read-only here: {done.stderr}")
+        yield
+
+
+def test_read_only_build_directory_fails_its_stages_and_keeps_what_is_there(workspace):
+    build(root=workspace.root)
+    before = content(workspace)
+    workspace.params(mug={"material": "glass"})
+    with read_only(workspace.root / "build"):
         summary = build(root=workspace.root)
     (failure,) = summary.failures
     assert failure.address == "solve@mug"
@@ -299,10 +283,7 @@ def test_read_only_cache_is_named_before_a_stage_runs(workspace):
     build(root=workspace.root)
     workspace.ran()
     place = workspace.root / ".dvc/cache"
-    with mounted("--bind", place, place):
-        done = subprocess.run(["mount", "-o", "remount,ro,bind", place], capture_output=True, text=True)
-        if done.returncode:
-            pytest.skip(f"cannot mount read-only here: {done.stderr}")
+    with read_only(place):
         assert not build(root=workspace.root).with_status(StageOutcome.RAN)
         workspace.params(mug={"material": "glass"})
         with pytest.raises(ObjectFolderError, match=rf"cannot write to {place}.*part of DVC's cache"):
@@ -346,47 +327,25 @@ def test_log_directory_that_cannot_be_made_fails_the_stages_with_its_name(worksp
 # Damaged files
 
 
-def damage(path):
-    """Change a byte of a file, and neither its size, nor its time, nor its permissions."""
-    info = path.stat()
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.chmod(0o644)
-    path.write_bytes(data)
-    path.chmod(info.st_mode)
-    os.utime(path, ns=(info.st_atime_ns, info.st_mtime_ns))
-
-
-def cached(workspace, oid):
-    return workspace.root / ".dvc/cache/files/md5" / oid[:2] / oid[2:]
-
-
 @pytest.mark.parametrize(
-    ("stage", "what", "with_lock"),
+    ("stage", "out", "with_lock"),
     [
-        ("prepare", "file", True),
-        ("solve", "file in a directory", False),
-        pytest.param("solve", "directory", True, marks=pytest.mark.slow),
-        pytest.param("pack", "metric", True, marks=pytest.mark.slow),
+        ("prepare", "build/mug/prepare.txt", True),
+        ("solve", "build/mug/solve/a.txt", False),
+        pytest.param("solve", "build/mug/solve", True, marks=pytest.mark.slow),
+        pytest.param("pack", "metrics/mug.json", True, marks=pytest.mark.slow),
     ],
 )
-def test_damaged_cached_object_is_not_delivered_but_built_again(workspace, stage, what, with_lock, caplog):
-    from dvc.repo import Repo
-
+def test_damaged_cached_object_is_not_delivered_but_built_again(workspace, stage, out, with_lock, caplog):
     build(["mug"], root=workspace.root)
     workspace.ran()
     before = content(workspace)
-    with Repo(str(workspace.root)) as repo:
-        (found,) = (s for s in repo.index.stages if s.addressing.endswith(f"{stage}@mug"))
-        out = found.outs[1 if what == "metric" else 0]
-        (entry,) = out.get_obj() if what == "file in a directory" else [(None, None, out.hash_info)]
-    damage(cached(workspace, entry[2].value))
+    spoil(workspace.cached(out))
     shutil.rmtree(workspace.root / "build/mug")
     shutil.rmtree(workspace.root / "metrics")
     if not with_lock:
         (workspace.root / "dvc.lock").unlink()
-    summary = build(["mug"], root=workspace.root)
-    assert summary.ok
+    assert build(["mug"], root=workspace.root).ok
     assert workspace.ran() == [f"{stage}@mug"]
     assert content(workspace) == before
     assert "is damaged and was removed" in caplog.text
@@ -394,13 +353,9 @@ def test_damaged_cached_object_is_not_delivered_but_built_again(workspace, stage
 
 
 def test_damaged_cached_object_does_not_replace_what_a_stage_wrote(workspace, caplog):
-    from dvc.repo import Repo
-
     build(["prepare@mug"], root=workspace.root)
     before = content(workspace)
-    with Repo(str(workspace.root)) as repo:
-        (found,) = (s for s in repo.index.stages if s.addressing.endswith("prepare@mug"))
-        damage(cached(workspace, found.outs[0].hash_info.value))
+    spoil(workspace.cached("build/mug/prepare.txt"))
     assert build(["prepare@mug"], BuildOptions(force=True), workspace.root).ok
     assert content(workspace) == before
     assert "is damaged and was removed" in caplog.text
@@ -414,7 +369,7 @@ def test_damaged_cached_data_is_an_error_that_names_it(make_workspace, caplog):
     data = workspace.root / "data.txt"
     data.write_text("precious\n")
     workspace.dvc("add", "data.txt")
-    damage(next(path for path in (workspace.root / ".dvc/cache/files/md5").rglob("*") if path.is_file()))
+    spoil(next(path for path in (workspace.root / ".dvc/cache/files/md5").rglob("*") if path.is_file()))
     data.unlink()
     summary = build(root=workspace.root)
     assert names(summary.failures) == ["data.txt.dvc"]
@@ -426,37 +381,30 @@ def test_damaged_cached_data_is_an_error_that_names_it(make_workspace, caplog):
 
 
 @pytest.mark.parametrize(
-    "share",
+    "damaged",
     [
-        0.0,
-        pytest.param(0.01, marks=pytest.mark.slow),
-        pytest.param(0.5, marks=pytest.mark.slow),
-        pytest.param(0.999, marks=pytest.mark.slow),
+        lambda whole: b"",
+        *(
+            pytest.param(lambda whole, share=share: whole[: int(len(whole) * share)], marks=pytest.mark.slow)
+            for share in (0.01, 0.5, 0.999)
+        ),
+        lambda whole: b"\x00" * 5000,
+        lambda whole: b"\xff\xfe garbage",
+        lambda whole: b"stages: 3\n",
     ],
+    ids=["empty", "1 %", "half", "99.9 %", "zeros", "not UTF-8", "other YAML"],
 )
-def test_truncated_lock_file_is_restored(workspace, share, caplog):
+def test_a_damaged_lock_file_is_restored(workspace, damaged, caplog):
     build(root=workspace.root)
     workspace.ran()
     path = workspace.root / "dvc.lock"
     whole = path.read_bytes()
-    path.write_bytes(whole[: int(len(whole) * share)])
+    path.write_bytes(damaged(whole))
     assert build(root=workspace.root).ok
     assert workspace.ran() == []
     assert path.read_bytes() == whole
     assert "dvc.lock is damaged" in caplog.text
     workspace.check_clean()
-
-
-@pytest.mark.parametrize("garbage", [b"\x00" * 5000, b"\xff\xfe garbage", b"stages: 3\n"])
-def test_lock_file_of_garbage_is_restored(workspace, garbage, caplog):
-    build(["mug"], root=workspace.root)
-    workspace.ran()
-    whole = (workspace.root / "dvc.lock").read_bytes()
-    (workspace.root / "dvc.lock").write_bytes(garbage)
-    assert build(["mug"], root=workspace.root).ok
-    assert workspace.ran() == []
-    assert (workspace.root / "dvc.lock").read_bytes() == whole
-    assert "dvc.lock is damaged" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -543,17 +491,6 @@ def test_params_changed_while_a_stage_runs_are_not_taken_for_those_it_has_read(m
 
 
 # Stages that misbehave
-
-
-def test_stage_that_writes_nothing_is_named_with_its_file(make_workspace):
-    workspace = make_workspace(
-        'stages: {lazy: {foreach: [mug, bell], do: {cmd: "true", outs: ["build/${item}/x.txt"]}}}\n'
-    )
-    summary = build(root=workspace.root)
-    assert [(f.stage, f.key) for f in summary.failures] == [("lazy", "bell"), ("lazy", "mug")]
-    for failure in summary.failures:
-        assert f"build/{failure.key}/x.txt" in failure.error
-        assert "does not exist" in failure.error
 
 
 @pytest.mark.slow

@@ -13,13 +13,16 @@ from objectfolder.errors import ObjectFolderError
 from .conftest import everything
 from .processes import alive, start, started, wait_for
 
-ENGINE = "from objectfolder.engine.build import BuildOptions, build; build(options=BuildOptions(jobs=2))"
+ENGINE = """
+from objectfolder.engine.build import BuildOptions, build
+build(options=BuildOptions(jobs=2), on_event=lambda event: print(type(event).__name__, flush=True))
+"""
 
 
-def start_and_hang(workspace, engine=ENGINE):
+def start_and_hang(workspace):
     """Start a build that hangs in solve@mug after everything else is done; give engine and stage."""
     workspace.control("solve@mug", "60")
-    engine = start(workspace, "-c", engine)
+    engine = start(workspace, "-c", ENGINE)
     done = len(everything()) - 2
     wait_for(lambda: started(workspace, "solve@mug"))
     wait_for(lambda: sum(call[1] == "end" for call in workspace.calls()) == done)
@@ -55,34 +58,21 @@ def test_killed_engine_leaves_no_child_and_the_next_build_completes(workspace, s
     ("number", "code"),
     [(signal.SIGINT, -signal.SIGINT), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)],
 )
-def test_interrupted_engine_keeps_what_has_finished(workspace, number, code):
+def test_interrupted_engine_keeps_what_has_finished_and_others_out(workspace, number, code):
     engine, stage = start_and_hang(workspace)
+    with pytest.raises(ObjectFolderError, match=rf"\(process {engine.pid}\) holds the lock"):
+        build(root=workspace.root)
     engine.send_signal(number)
     assert engine.wait(60) == code
     assert not alive(stage)
+    told = (workspace.root / "process.log").read_text().split()
+    assert told.count("Stopping") == (number == signal.SIGINT)
+    assert "Finished" in told
     # The last stage to end may still have been on its way to the lock file.
     finished = set(everything()) - {"solve@mug", "pack@mug"}
     assert workspace.locked() <= finished
     assert len(workspace.locked()) >= len(finished) - 1
     resume(workspace)
-
-
-def test_an_interrupted_engine_tells_that_it_stops(workspace):
-    listener = "on_event=lambda event: print(type(event).__name__, flush=True)"
-    engine, _ = start_and_hang(workspace, ENGINE.replace("jobs=2)", f"jobs=2), {listener}"))
-    engine.send_signal(signal.SIGINT)
-    engine.wait(60)
-    told = (workspace.root / "process.log").read_text().split()
-    assert told.count("Stopping") == 1
-    assert "Finished" in told[: told.index("Stopping")]
-
-
-def test_second_engine_is_kept_out(workspace):
-    engine, _ = start_and_hang(workspace)
-    with pytest.raises(ObjectFolderError, match=rf"\(process {engine.pid}\) holds the lock"):
-        build(root=workspace.root)
-    engine.terminate()
-    engine.wait()
 
 
 def test_running_dvc_repro_keeps_the_engine_out(workspace):
@@ -96,9 +86,3 @@ def test_running_dvc_repro_keeps_the_engine_out(workspace):
         repro.kill()
         repro.wait()
         os.kill(started(workspace, "prepare@mug"), signal.SIGKILL)  # dvc leaves its child running
-
-
-def test_torn_rwlock_file_is_replaced(workspace):
-    (workspace.root / ".dvc/tmp").mkdir(exist_ok=True)
-    (workspace.root / ".dvc/tmp/rwlock").write_text('{"write": {')
-    assert build(["prepare@mug"], root=workspace.root).ok

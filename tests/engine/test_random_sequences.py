@@ -73,14 +73,8 @@ MEANING = {
 class Sequence(RuleBasedStateMachine):
     """A workspace that is edited, damaged and built in any order.
 
-    Parameters
-    ----------
-    template : Path
-        A built workspace, which is copied.
-    home : Path
-        Folder for the copies.
-    server : ForkServer
-        Runs the builds that are killed.
+    ``template``: a built workspace, which is copied; ``home``: folder for the copies; ``server``: runs the
+    builds that are killed.
     """
 
     counts: ClassVar[Counter[str]] = Counter()

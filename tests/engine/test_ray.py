@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from objectfolder.cli import app
 from objectfolder.engine import resources
 from objectfolder.engine.build import BuildOptions, build
-from objectfolder.engine.ray import Node, RayWorkers, fitted, ray_workers
+from objectfolder.engine.ray import Node, RayWorkers, fit_to_nodes, ray_workers
 from objectfolder.engine.resources import Needs
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import install_command
@@ -213,8 +213,7 @@ def test_node_without_the_workspace_is_named(workspace, cluster, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("number", "code"),
-    [(signal.SIGKILL, -9), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)],
+    ("number", "code"), [(signal.SIGKILL, -9), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
 )
 def test_stages_die_with_the_engine_and_the_next_build_completes(located, cluster, number, code):
     located.control("solve@mug", "60")
@@ -251,22 +250,23 @@ def test_stage_whose_node_dies_runs_again_on_another(located, cluster):
     assert "up to date" in located.dvc("status")
 
 
-def test_needs_are_cut_to_the_closest_node():
-    small = Node("1", "small", cpus=64, gpus=0, memory_mb=256_000)
-    large = Node("2", "large", cpus=8, gpus=2, memory_mb=32_000)
-    assert fitted(Needs(cpus=16, gpus=0.0, memory_mb=64_000), [small, large]) == Needs(
-        cpus=16, gpus=0.0, memory_mb=64_000
-    )
-    assert fitted(Needs(cpus=16, gpus=0.5, memory_mb=64_000), [small, large]) == Needs(
-        cpus=8, gpus=0.5, memory_mb=32_000
-    )
-    assert fitted(Needs(cpus=1, gpus=4.0, memory_mb=1000), [small, large]) == Needs(
-        cpus=1, gpus=2.0, memory_mb=1000
-    )
-    assert fitted(Needs(cpus=1, gpus=1.0, memory_mb=1000), [small]) == Needs(cpus=1, gpus=0.0, memory_mb=1000)
-    assert fitted(Needs(cpus=16, gpus=0.0, memory_mb=1000), [small], jobs=4) == Needs(
-        cpus=4, gpus=0.0, memory_mb=1000
-    )
+SMALL = Node("1", "small", cpus=64, gpus=0, memory_mb=256_000)
+LARGE = Node("2", "large", cpus=8, gpus=2, memory_mb=32_000)
+
+
+@pytest.mark.parametrize(
+    ("given", "nodes", "jobs", "expected"),
+    [
+        ((16, 0.0, 64_000), (SMALL, LARGE), None, (16, 0.0, 64_000)),
+        ((16, 0.5, 64_000), (SMALL, LARGE), None, (8, 0.5, 32_000)),
+        ((1, 4.0, 1000), (SMALL, LARGE), None, (1, 2.0, 1000)),
+        ((1, 1.0, 1000), (SMALL,), None, (1, 0.0, 1000)),
+        ((16, 0.0, 1000), (SMALL,), 4, (4, 0.0, 1000)),
+    ],
+)
+def test_needs_are_cut_to_the_closest_node(given, nodes, jobs, expected):
+    given, expected = (Needs(cpus=c, gpus=g, memory_mb=m) for c, g, m in (given, expected))
+    assert fit_to_nodes(given, nodes, jobs) == expected
 
 
 def test_what_runs_on_a_node_needs_no_dvc():

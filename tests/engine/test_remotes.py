@@ -4,7 +4,7 @@ import importlib.util
 import shutil
 import subprocess
 import sys
-from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 from dvc.repo import Repo
@@ -27,21 +27,9 @@ signal.pause()
 """
 
 
-class Server:
-    """An S3 server on loopback, in a process of its own."""
-
-    def __init__(self):
-        self.process = subprocess.Popen([sys.executable, "-c", SERVER], stdout=subprocess.PIPE, text=True)
-        self.url = f"http://127.0.0.1:{self.process.stdout.readline().strip()}"
-
-    def stop(self):
-        self.process.kill()
-        self.process.wait()
-        self.process.stdout.close()
-
-
-@contextmanager
-def s3_server(monkeypatch):
+@pytest.fixture
+def server(monkeypatch):
+    """An S3 server on loopback, in a process of its own; ``stop`` ends it."""
     for name in ("dvc_s3", "moto", "flask"):
         if importlib.util.find_spec(name) is None:
             pytest.skip(f"{name} is not installed: pip install -e '.[dev]'")
@@ -49,17 +37,14 @@ def s3_server(monkeypatch):
         monkeypatch.setenv(name, "testing")
     monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")  # else an outage is believed after ten seconds
-    server = Server()
-    try:
-        yield server
-    finally:
-        server.stop()
+    with subprocess.Popen([sys.executable, "-c", SERVER], stdout=subprocess.PIPE, text=True) as process:
 
+        def stop():
+            process.kill()
+            process.wait()
 
-@pytest.fixture
-def server(monkeypatch):
-    with s3_server(monkeypatch) as server:
-        yield server
+        yield SimpleNamespace(url=f"http://127.0.0.1:{process.stdout.readline().strip()}", stop=stop)
+        stop()
 
 
 def git(root, *arguments):

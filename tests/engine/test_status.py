@@ -109,10 +109,6 @@ def test_outputs_that_are_all_lost_are_known_to_come_back(workspace, lost):
     assert workspace.ran() == []
 
 
-def empty(entry):
-    entry.unlink()
-
-
 @pytest.mark.parametrize(
     "harm",
     [
@@ -120,7 +116,7 @@ def empty(entry):
         lambda entry: entry.write_text(entry.read_text().replace("steps pack", "steps  pack")),
         lambda entry: entry.write_bytes(b"\xff"),
         lambda entry: entry.write_bytes(bytes(100)),
-        empty,
+        Path.unlink,
     ],
     ids=["cut off", "changed", "not UTF-8", "zeros", "gone"],
 )
@@ -233,17 +229,19 @@ def test_changed_and_missing_data(make_workspace):
     check_prediction(workspace)
 
 
+def printed(show, found, width=100, **options):
+    console = Console(file=io.StringIO(), width=width, no_color=True, **options)
+    show(found, console)
+    return console.file.getvalue()
+
+
 @pytest.mark.parametrize("terminal", [False, True])
 def test_printed(workspace, terminal):
     build(root=workspace.root)
     workspace.params(mug={"material": "glass"})
     found = status((), workspace.root)
-    texts = []
-    for show in (print_table, print_details, print_outlook):
-        console = Console(file=io.StringIO(), force_terminal=terminal, no_color=True, width=100)
-        show(found, console)
-        texts.append(console.file.getvalue())
-    table, details, outlook = texts
+    shows = (print_table, print_details, print_outlook)
+    table, details, outlook = (printed(show, found, force_terminal=terminal) for show in shows)
     assert "mug" in table
     assert "bowl" not in table
     assert "7 stages fresh, 1 stale, 1 upstream stale; 2 of 3 objects complete\n" in table
@@ -259,10 +257,8 @@ def test_printed(workspace, terminal):
 
 def test_splits_of_benchmarks_are_no_objects():
     addresses = ("pack@mug", "evaluate@mug", "pack@bell", "recognize@seen")
-    found = [StageStatus(address, State.FRESH, Outlook.SKIP, (), (), "") for address in addresses]
-    console = Console(file=io.StringIO(), width=100)
-    print_table(found, console)
-    assert console.file.getvalue() == "4 stages fresh; 2 of 2 objects complete\n"
+    found = [StageStatus(address, State.FRESH, Outlook.SKIP) for address in addresses]
+    assert printed(print_table, found) == "4 stages fresh; 2 of 2 objects complete\n"
 
 
 @pytest.mark.parametrize(
@@ -283,33 +279,27 @@ def test_a_source_is_no_stage(states, counts):
     """The last one is the .dvc file of an added mesh."""
     addresses = [*(f"stage_{i}@mug" for i in range(len(states) - 1)), "data/objects/mug.dvc"]
     found = [StageStatus(address, State(state), Outlook.SKIP) for address, state in zip(addresses, states)]
-    console = Console(file=io.StringIO(), width=100)
-    print_table(found, console)
-    assert counts in console.file.getvalue().splitlines()
+    assert counts in printed(print_table, found).splitlines()
 
 
 def test_a_dry_run_counts_no_source_that_is_up_to_date():
     states = {"data/objects/mug.dvc": Outlook.SKIP, "hash_code": Outlook.RUN, "pack@mug": Outlook.SKIP}
     found = [StageStatus(address, State.FRESH, outlook) for address, outlook in states.items()]
-    console = Console(file=io.StringIO(), width=100)
-    print_outlook(found, console)
-    assert console.file.getvalue().endswith("\n1 up to date, 1 to run\n")
-    print_outlook([StageStatus("data/objects/mug.dvc", State.STALE, Outlook.RUN)], console)
-    assert console.file.getvalue().endswith("\n1 to run\n")
+    assert printed(print_outlook, found).endswith("\n1 up to date, 1 to run\n")
+    found = [StageStatus("data/objects/mug.dvc", State.STALE, Outlook.RUN)]
+    assert printed(print_outlook, found).endswith("\n1 to run\n")
 
 
 def test_what_is_of_no_object_is_no_row_of_the_table():
     addresses = ("hash_code", "pack@anvil", "pack@mug")
-    console = Console(file=io.StringIO(), width=100)
-    print_table([StageStatus(address, State.NEVER, Outlook.RUN) for address in addresses], console)
-    lines = [line.split() for line in console.file.getvalue().splitlines()]
+    text = printed(print_table, [StageStatus(address, State.NEVER, Outlook.RUN) for address in addresses])
+    lines = [line.split() for line in text.splitlines()]
     assert lines[:4] == [["-", "hash_code", "never", "built"], ["pack"], ["anvil", "-"], ["mug", "-"]]
 
 
 def test_without_objects_it_says_how_to_add_one():
-    console = Console(file=io.StringIO(), width=60)
-    print_table([StageStatus("hash_code", State.NEVER, Outlook.RUN)], console)
-    assert console.file.getvalue().splitlines() == [
+    found = [StageStatus("hash_code", State.NEVER, Outlook.RUN)]
+    assert printed(print_table, found, width=60).splitlines() == [
         "- hash_code  never built",
         "1 stage never built; no objects yet: `objectfolder add MESH --name NAME --material MATERIAL`",
     ]

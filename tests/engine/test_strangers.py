@@ -57,11 +57,7 @@ def test_folders_that_are_links_are_refused(workspace, place, tmp_path):
 
 
 def test_logs_and_records_that_are_links_are_replaced(workspace, tmp_path):
-    names = (
-        "build/.logs/prepare@mug.log",
-        "build/.logs/prepare@mug.cost",
-        f"{COPIES}/dvc.lock.json",
-    )
+    names = ("build/.logs/prepare@mug.log", "build/.logs/prepare@mug.cost", f"{COPIES}/dvc.lock.json")
     for i, name in enumerate(names):
         path = workspace.root / name
         path.parent.mkdir(parents=True, exist_ok=True)

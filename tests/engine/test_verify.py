@@ -1,6 +1,5 @@
 """`verify` finds every way in which bytes can go bad, and `--repair` brings them back and loses nothing."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -11,7 +10,7 @@ import pytest
 from objectfolder.engine.build import build
 from objectfolder.engine.verify import verify
 
-from .conftest import KEYS, PIPELINE
+from .conftest import KEYS, PIPELINE, spoil
 
 SIZES = {key: {"size": size} for size, key in enumerate(KEYS)}
 
@@ -29,25 +28,6 @@ def built(tmp_path_factory, make):
 @pytest.fixture
 def workspace(built, tmp_path):
     return built.copy(tmp_path / "workspace")
-
-
-def cached(workspace, path):
-    """Cached object of an output, as the lock file has it."""
-    lock = (workspace.root / "dvc.lock").read_text()
-    oid = lock.partition(f"- path: {path}\n")[2].partition("md5: ")[2].split()[0]
-    return workspace.root / ".dvc/cache/files/md5" / oid[:2] / oid[2:]
-
-
-def spoil(path):
-    """Flip a bit in place: same size, same inode, same times, same mode."""
-    info, mode = path.stat(), path.stat().st_mode
-    path.chmod(0o644)
-    content = path.read_bytes()
-    with path.open("r+b") as stream:
-        stream.write(bytes([content[0] ^ 1]))
-    path.chmod(mode)
-    os.utime(path, ns=(info.st_atime_ns, info.st_mtime_ns))
-    assert (path.stat().st_ino, path.stat().st_size) == (info.st_ino, info.st_size)
 
 
 def outputs(workspace):
@@ -93,7 +73,7 @@ def test_a_sound_workspace_is_read_once_and_not_changed(workspace):
 def test_dvc_does_not_see_what_verify_finds_and_repairs(workspace):
     before = outputs(workspace), objects(workspace)
     workspace.dvc("status")  # notes times and sizes
-    spoil(cached(workspace, "build/mug/prepare.txt"))
+    spoil(workspace.cached("build/mug/prepare.txt"))
     spoil(workspace.root / "build/bowl/prepare.txt")
     assert "up to date" in workspace.dvc("status")
     report = verify((), workspace.root)
@@ -141,7 +121,7 @@ def test_a_bad_or_missing_file_comes_back(workspace, path, how):
 def test_what_is_bad_in_both_places_is_rebuilt(workspace, how):
     before = outputs(workspace), objects(workspace)
     for path in ("build/mug/prepare.txt", "build/bell/prepare.txt"):
-        how(cached(workspace, path))
+        how(workspace.cached(path))
         how(workspace.root / path)
     check_repaired(workspace, before, ran=["prepare@bell", "prepare@mug"])
 
@@ -150,7 +130,7 @@ def test_hardlinked_copies_go_bad_together_and_are_rebuilt(workspace):
     workspace.dvc("config", "cache.type", "hardlink")
     workspace.dvc("checkout", "--relink")
     path = workspace.root / "build/mug/prepare.txt"
-    assert path.stat().st_ino == cached(workspace, "build/mug/prepare.txt").stat().st_ino
+    assert path.stat().st_ino == workspace.cached("build/mug/prepare.txt").stat().st_ino
     before = outputs(workspace), objects(workspace)
     spoil(path)
     assert len(verify(("prepare@mug",), workspace.root).findings) == 2
@@ -161,10 +141,10 @@ def test_hardlinked_copies_go_bad_together_and_are_rebuilt(workspace):
 @pytest.mark.parametrize("how", [spoil, Path.unlink])
 def test_a_bad_list_of_a_directory_is_written_again_or_the_directory_rebuilt(workspace, how):
     before = outputs(workspace), objects(workspace)
-    how(cached(workspace, "build/mug/solve"))
+    how(workspace.cached("build/mug/solve"))
     assert found(workspace) == {("solve@mug", "build/mug/solve")}
     check_repaired(workspace, before)
-    how(cached(workspace, "build/mug/solve"))
+    how(workspace.cached("build/mug/solve"))
     spoil(workspace.root / "build/mug/solve/a.txt")
     check_repaired(workspace, before, ran=["solve@mug"])
 
@@ -177,11 +157,11 @@ def test_a_stray_file_in_an_output_is_found_and_removed(workspace):
 
 
 def test_what_only_earlier_states_refer_to_is_read_too_and_not_brought_back_bad(workspace):
-    old = cached(workspace, "build/mug/prepare.txt")
+    old = workspace.cached("build/mug/prepare.txt")
     workspace.params(mug={"size": 7})
     build(root=workspace.root)
     workspace.ran()
-    assert cached(workspace, "build/mug/prepare.txt") != old
+    assert workspace.cached("build/mug/prepare.txt") != old
     spoil(old)
     (finding,) = verify((), workspace.root).findings
     assert (finding.address, finding.path) == ("", str(old.relative_to(workspace.root)))
@@ -192,7 +172,7 @@ def test_what_only_earlier_states_refer_to_is_read_too_and_not_brought_back_bad(
     workspace.params(**SIZES)
     assert build(root=workspace.root).ok
     assert workspace.ran() == ["prepare@mug"]
-    assert cached(workspace, "build/mug/prepare.txt") == old
+    assert workspace.cached("build/mug/prepare.txt") == old
     assert found(workspace) == set()
 
 
@@ -255,9 +235,9 @@ sys.exit(bool(verify((), ".", repair=True).findings))
 def kill_repair(workspace, steps):
     """Kill a repair before it removes, renames or protects its n-th file; whether it got that far."""
     before = outputs(workspace), objects(workspace)
-    spoil(cached(workspace, "build/mug/prepare.txt"))
+    spoil(workspace.cached("build/mug/prepare.txt"))
     spoil(workspace.root / "build/bowl/pack.txt")
-    cached(workspace, "build/bell/solve").unlink()
+    workspace.cached("build/bell/solve").unlink()
     done = subprocess.run([sys.executable, "-c", KILLED, str(steps)], cwd=workspace.root)
     assert verify((), workspace.root, repair=True).findings == ()
     assert workspace.ran() == []  # all that is good was still somewhere

@@ -19,7 +19,7 @@ from dvc.repo import Repo
 
 from objectfolder.mesh.procedural import GENERATORS
 from objectfolder.workspace import params
-from objectfolder.workspace.code_digests import source_digest
+from objectfolder.workspace.code_digests import imported_files, source_digest
 from objectfolder.workspace.params import SECTIONS
 
 ROOT = Path(__file__).parents[2]
@@ -151,19 +151,6 @@ own = read_values(params, "recognize", "")
 write("benchmarks/recognize.json", f'"{VERSION} {SHAPE} ({own}, {", ".join(texts)})"', VERSION)
 """,
 }
-IO = """
-import hashlib
-from pathlib import Path
-
-
-def file_digest(path):
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
-def write_text(path, text):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-"""
 
 
 Names = tuple[str | int, ...]
@@ -230,28 +217,16 @@ def parameters() -> dict[Names, list[Any]]:
 
 @dataclass(frozen=True)
 class Sources:
-    """All that the outputs depend on.
+    """All that the outputs depend on."""
 
-    Parameters
-    ----------
-    versions, prose : dict of str to str
-        Statement and docstring of every stage and library module.
-    values : dict
-        params.yaml.
-    profiles : dict of str to str
-        Content of the sensors' files.
-    mesh : str
-        Content of the tracked mesh.
-    keys : tuple of str
-        Objects in params.yaml.
-    """
-
+    #: Statement and docstring of every stage and library module.
     versions: dict[str, str] = field(default_factory=lambda: dict.fromkeys((*STAGES, *LIBRARY), "1"))
     prose: dict[str, str] = field(default_factory=lambda: dict.fromkeys((*STAGES, *LIBRARY), "1"))
-    values: dict[str, Any] = field(default_factory=start)
+    values: dict[str, Any] = field(default_factory=start)  #: params.yaml
+    #: Content of the sensors' files.
     profiles: dict[str, str] = field(default_factory=lambda: dict.fromkeys(PROFILES, "1"))
-    mesh: str = "mesh 1"
-    keys: tuple[str, ...] = KEYS
+    mesh: str = "mesh 1"  #: content of the tracked mesh
+    keys: tuple[str, ...] = KEYS  #: objects in params.yaml
 
     def with_one(self, name: str, key: str, value: str) -> "Sources":
         """Copy with another value of one entry of a mapping."""
@@ -295,6 +270,7 @@ def outputs(sources: Sources) -> dict[str, dict[str, str] | None]:
 
     found: dict[str, dict[str, str] | None] = {
         "hash_code": {f"build/.code/{stage}.sha256": listing(stage) for stage in STAGES}
+        | {f"build/.code/materials/{key}.sha256": "" for key in sources.keys}  # the project has no material
     }
     texts = []
     for key in sources.keys:
@@ -331,7 +307,7 @@ def outputs(sources: Sources) -> dict[str, dict[str, str] | None]:
 
 def make(root: Path) -> None:
     """Make a workspace with the project in it."""
-    texts = {**Sources().files(), "stages/__init__.py": COMMON, "objectfolder/io.py": IO}
+    texts = {**Sources().files(), "stages/__init__.py": COMMON}
     texts |= {"dvc.yaml": PIPELINE, "params.yaml": Sources().params()}
     make_workspace(root, texts | {"data/objects/bell/mesh.obj": Sources().mesh})
 
@@ -344,11 +320,8 @@ def make_workspace(root: Path, texts: dict[str, str]) -> None:
         config["remote"]["store"] = {"url": str(root.parent / "store")}
     shutil.copy(ROOT / ".dvcignore", root)
     shutil.copy(ROOT / ".gitignore", root)
-    texts = dict(texts)
-    for name in ("errors", "text", "workspace/code_digests", "workspace/installed", "workspace/layout"):
-        texts[f"objectfolder/{name}.py"] = (ROOT / "objectfolder" / f"{name}.py").read_text()
-    texts["stages/hash_code.py"] = (ROOT / "stages/hash_code.py").read_text()
-    texts |= {"objectfolder/__init__.py": "", "objectfolder/workspace/__init__.py": ""}
+    real = {name: (ROOT / name).read_text() for name in imported_files("stages/hash_code.py", ROOT)}
+    texts = texts | real | {"objectfolder/__init__.py": "", "objectfolder/workspace/__init__.py": ""}
     for name, text in texts.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)

@@ -7,12 +7,11 @@ from solids import box, join, sphere
 from objectfolder.envs.body import RigidBody, add_body, density, rigid_body
 from objectfolder.envs.hulls import convex_hulls
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import MATERIALS
+from objectfolder.materials import material
 from objectfolder.mesh.gridcodec import pack_grid
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import format_name
-from objectfolder.touch.friction import FRICTION
 
 SCALE = 0.2
 
@@ -69,7 +68,7 @@ def bracket():
 
 
 def test_mass_of_a_bracket(bracket):
-    rho = MATERIALS["wood"].density * SCALE**3
+    rho = material("wood").density * SCALE**3
     foot = cuboid(np.array([0.6, 0.4, 0.2]) * SCALE, np.array([0, 0, -0.4]) * SCALE, 0.048 * rho)
     post = cuboid(np.array([0.2, 0.4, 0.8]) * SCALE, np.array([-0.2, 0, 0.1]) * SCALE, 0.064 * rho)
     centre, mass, inertia = together(foot, post)
@@ -78,7 +77,7 @@ def test_mass_of_a_bracket(bracket):
     np.testing.assert_allclose(body.centre, centre, atol=1e-3 * SCALE)
     np.testing.assert_allclose(body.inertia, inertia, atol=0.01 * inertia.max())
     assert abs(inertia[0, 2]) > 0.1 * inertia.max()
-    assert body.friction == FRICTION["wood"]
+    assert body.friction == material("wood").friction
     np.testing.assert_array_equal(body.bounds, bracket.bounds)
 
 
@@ -155,11 +154,6 @@ def test_object_without_geometry_has_no_mass(brick):
     header = {name: value for name, value in brick.header.items() if name != "geometry"}
     with pytest.raises(ObjectFolderError, match="brick: the file holds no geometry"):
         rigid_body(ObjectFile(header, brick.tensors), [brick.to_mesh().convex_hull])
-
-
-def test_every_material_has_a_friction():
-    assert FRICTION.keys() == MATERIALS.keys()
-    assert all(0 < friction < 1 for friction in FRICTION.values())
 
 
 def test_body_in_mujoco_is_the_same():
@@ -250,12 +244,7 @@ def test_the_defaults_of_a_scene_do_not_change_a_body():
 
 @pytest.mark.parametrize(
     ("setting", "told"),
-    [
-        ("inertiafromgeom", "true"),
-        ("settotalmass", "2"),
-        ("boundmass", "0.31"),
-        ("boundinertia", "1e-3"),
-    ],
+    [("inertiafromgeom", "true"), ("settotalmass", "2"), ("boundmass", "0.31"), ("boundinertia", "1e-3")],
 )
 def test_settings_that_change_a_body_are_refused(setting, told):
     spec = mujoco.MjSpec.from_string(SCENE.format(f'{setting}="{told}"'))

@@ -5,8 +5,9 @@ import pytest
 from brick import felt_by
 from solids import box
 
+from objectfolder.envs.body import turn_poses
 from objectfolder.envs.fingers import (
-    LEAST_DEPTH,
+    MIN_DEPTH,
     Presses,
     TrueSurface,
     pad_presses,
@@ -14,7 +15,6 @@ from objectfolder.envs.fingers import (
     sensor_angles,
     tactile_images,
 )
-from objectfolder.envs.poses import turn_poses
 from objectfolder.touch.contact import sensor_frames
 
 
@@ -80,7 +80,7 @@ def test_pads_may_face_away_from_the_surface(brick, on_faces):
     depths = np.array([0.0012, 0.0008])
     implicit, explicit = tactile_images(brick, away, depths), truth.tactile_images(away, depths)
     assert np.abs(implicit.astype(int) - explicit).mean() < 1
-    limits = LEAST_DEPTH, brick.sensor_profile.max_indentation
+    limits = MIN_DEPTH, brick.sensor_profile.max_indentation
     found = press_depths(brick, away, np.array([1.0, 10.0]))
     assert ((found >= limits[0] * (1 - 1e-9)) & (found <= limits[1] * (1 + 1e-9))).all()
 

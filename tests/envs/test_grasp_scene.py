@@ -2,12 +2,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from objectfolder.envs.body import RigidBody, rigid_body
-from objectfolder.envs.grasp_phases import LIFT
-from objectfolder.envs.grasp_scene import GraspScene, Physics, lowest_hand
-from objectfolder.envs.gripper import SIDES, STROKE, add_gripper
+from objectfolder.envs.body import RigidBody, rigid_body, rotation, turn_poses
+from objectfolder.envs.grasp_scene import LIFT, GraspScene, Physics, lowest_hand
+from objectfolder.envs.gripper import SIDES, STROKE, add_gripper, hand_axes
 from objectfolder.envs.hulls import convex_hulls
-from objectfolder.envs.poses import hand_axes, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
 
 GRAVITY = 9.81

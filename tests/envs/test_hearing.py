@@ -1,11 +1,8 @@
-import copy
-import pickle
-
 import mujoco
 import numpy as np
 import pytest
 
-from objectfolder.audio import scrape
+from objectfolder.envs import hearing
 from objectfolder.envs.body import add_body, rigid_body, scaled_body
 from objectfolder.envs.export import write_mjcf
 from objectfolder.envs.hearing import Hearing
@@ -62,8 +59,7 @@ def offline(file, strikes, listeners, samples):
 @pytest.fixture
 def smooth(monkeypatch):
     """Surfaces without roughness, whose contacts make no noise."""
-    for name in scrape.ROUGHNESS:
-        monkeypatch.setitem(scrape.ROUGHNESS, name, 0.0)
+    monkeypatch.setattr(hearing, "scrape_force", lambda load, *_: (0 * load, load))
 
 
 def test_a_dropped_bell_sounds_as_the_same_strikes_asked_of_its_file(bell, smooth):
@@ -218,18 +214,6 @@ def test_a_file_without_radiation_is_heard_by_plane_waves(brick):
     assert -3 < levels[1] - levels[0] < 25
 
 
-def test_a_copy_goes_on_as_the_original_does(brick):
-    model = scene([brick])
-    data, hearing = mujoco.MjData(model), Hearing(model, [brick], "ear")
-    hearing.simulate(data, 80)
-    copies = [
-        (copy.deepcopy(data), copy.deepcopy(hearing)),
-        pickle.loads(pickle.dumps((data, hearing))),
-    ]
-    expected = hearing.simulate(data, 60).tobytes()
-    assert [other.simulate(state, 60).tobytes() for state, other in copies] == [expected] * 2
-
-
 @pytest.mark.parametrize("reference", [(0.02, 1.0), (0.02, 0.3), (0.02, 2.0), (-2500.0, -40.0)])
 def test_restitution_is_that_of_a_spring_and_a_damper_that_cannot_pull(reference):
     first, second = reference
@@ -247,9 +231,6 @@ def test_restitution_is_that_of_a_spring_and_a_damper_that_cannot_pull(reference
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"objects": []}, "objects is empty"),
-        ({"objects": ["brick"]}, r"is of type str, expected an ObjectFile"),
-        ({"objects": {"cup": None}}, r"'cup' is of type NoneType"),
         ({"listener": ["ear", "brick_ear"]}, r"expected one; .*two ears need a Hearing each"),
         ({"listener": [[0, 0, 1], [0, 1, 1]]}, r"expected one place.*two ears need a Hearing each"),
         ({"listener": [0, 0, np.nan]}, "three finite numbers"),
@@ -287,7 +268,7 @@ def test_scenes_that_cannot_be_heard_are_refused(brick, bell):
         Hearing(model, [brick], "ear")
 
 
-def test_a_simulation_that_jumps_or_diverges_is_refused(brick):
+def test_a_simulation_that_jumps_is_refused(brick):
     model = scene([brick])
     data, hearing = mujoco.MjData(model), Hearing(model, [brick], "ear")
     hearing.simulate(data, 3)
@@ -296,14 +277,6 @@ def test_a_simulation_that_jumps_or_diverges_is_refused(brick):
         hearing.hear(data)
     hearing.reset(data)
     hearing.simulate(data, 3)
-    mujoco.mj_step(model, data)
-    data.qpos[:] = np.nan
-    with pytest.raises(ObjectFolderError, match=r"body 'brick': qpos\[0\] is nan at 0\.0\d+ s"):
-        hearing.hear(data)
-    data.qpos[:] = 0
-    data.xpos[1] = np.nan
-    with pytest.raises(ObjectFolderError, match=r"body 'brick': xpos\[1\] is \[nan, nan, nan\]"):
-        hearing.hear(data)
 
 
 @pytest.mark.parametrize("speed", [1e30, np.nan])

@@ -176,10 +176,7 @@ def test_a_copy_and_a_reset_amid_an_impact(samples):
         scene.step()
     scene.step()
     state, hearing = scene.data, scene.hearing
-    copies = [
-        (copy.deepcopy(state), copy.deepcopy(hearing)),
-        pickle.loads(pickle.dumps((state, hearing))),
-    ]
+    copies = [(copy.deepcopy(state), copy.deepcopy(hearing)), pickle.loads(pickle.dumps((state, hearing)))]
     expected = hearing.simulate(state, 40).tobytes()
     assert [other.simulate(data, 40).tobytes() for data, other in copies] == [expected] * 2
     sounds = []

@@ -1,6 +1,7 @@
 """Objects that MuJoCo and PyBullet load."""
 
 import sys
+from importlib.util import find_spec
 from xml.etree import ElementTree
 
 import mujoco
@@ -9,27 +10,20 @@ import pytest
 from typer.testing import CliRunner
 
 from objectfolder.cli import app
-from objectfolder.envs import export, visual
-from objectfolder.envs.body import rigid_body
+from objectfolder.envs import visual
 from objectfolder.envs.export import write_mjcf, write_urdf
-from objectfolder.envs.hulls import convex_hulls
+from objectfolder.envs.gltf import write_glb
+from objectfolder.envs.usd import write_usd
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import install_command
 from objectfolder.objectfile.file import ObjectFile
 
-WRITERS = pytest.mark.parametrize("write", [write_mjcf, write_urdf])
+WITH_USD = pytest.mark.skipif(not find_spec("pxr"), reason="usd-core is not installed")
+WRITERS = pytest.mark.parametrize(
+    "write", [write_mjcf, write_urdf, write_glb, pytest.param(write_usd, marks=WITH_USD)]
+)
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _small_textures():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(visual, "TEXELS", 64)
-        yield
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, convex_hulls(brick.to_mesh()))
+pytestmark = pytest.mark.usefixtures("small_textures")
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +64,9 @@ def test_detailed_surfaces_are_simplified_until_they_fit_their_texture(monkeypat
     bell = ObjectFile.sample("bell")
     monkeypatch.setattr(visual, "TEXELS", 288)  # the first tolerance leaves 16,650 triangles, 3190 have room
     drawn = visual.visual_mesh(bell)
-    assert 1500 < len(drawn.faces) <= 288**2 // visual._ROOM
+    assert 1500 < len(drawn.faces) <= 288**2 // visual._TEXELS_PER_FACE
     assert drawn.area == pytest.approx(bell.to_mesh().area, rel=0.005)
-    assert visual.texture_of(drawn).size == (288, 288)
+    assert visual.texture_image(drawn).size == (288, 288)
 
 
 def test_surfaces_that_never_fit_their_texture_are_refused(brick, monkeypatch):
@@ -162,11 +156,6 @@ def test_texture_has_the_base_colours(brick, mjcf):
     )
 
 
-def test_the_same_object_gives_the_same_bytes(brick, body, mjcf, tmp_path):
-    again = write_mjcf(brick, tmp_path, hulls=body.hulls)
-    assert content(again.parent) == content(mjcf.parent)
-
-
 def test_object_without_a_look_is_grey(brick, body, tmp_path):
     header = {name: value for name, value in brick.header.items() if name != "vision"}
     path = write_mjcf(ObjectFile(header, brick.tensors), tmp_path, hulls=body.hulls)
@@ -185,6 +174,12 @@ def test_a_model_that_mujoco_refuses_is_named(brick, body, tmp_path):
 
 
 @WRITERS
+def test_the_same_object_gives_the_same_bytes(brick, body, tmp_path, write):
+    first, again = (write(brick, tmp_path / name, hulls=body.hulls).parent for name in ("first", "again"))
+    assert content(first) == content(again)
+
+
+@WRITERS
 def test_existing_folder_is_refused(brick, tmp_path, write):
     (tmp_path / "brick").mkdir()
     with pytest.raises(ObjectFolderError, match=f"{tmp_path}/brick exists already"):
@@ -196,7 +191,7 @@ def test_what_is_broken_off_leaves_nothing(brick, body, tmp_path, write, monkeyp
     def fail(file):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(export, "visual_mesh", fail)
+    monkeypatch.setattr(sys.modules[write.__module__], "visual_mesh", fail)
     with pytest.raises(KeyboardInterrupt):
         write(brick, tmp_path, hulls=body.hulls)
     assert list(tmp_path.iterdir()) == []

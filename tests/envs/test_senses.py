@@ -4,18 +4,12 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from objectfolder.envs.body import rigid_body
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.reach import SUBSTEPS, ReachEnv
 from objectfolder.envs.senses import Senses
 from objectfolder.errors import ObjectFolderError
 
 EAR = [0.0, 0.4, 0.4]
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, [brick.to_mesh().convex_hull])
 
 
 def lifted(env):
@@ -25,8 +19,11 @@ def lifted(env):
     mujoco.mj_forward(inner.model, inner.data)
 
 
-def test_the_checker_passes(body, brick):
-    env = Senses(ReachEnv(body, horizon=5), {"object": brick}, EAR, seconds=0.05)
+@pytest.mark.parametrize("by_name", [False, True])
+def test_the_checker_passes(body, brick, by_name):
+    name = "objectfolder.envs:ObjectFolder/Reach-v0"
+    made = gymnasium.make(name, file=body, horizon=5) if by_name else ReachEnv(body, horizon=5)
+    env = Senses(made, {"object": brick}, EAR, seconds=0.05)
     with pytest.warns(UserWarning, match="different from the unwrapped version"):  # it is a wrapper
         check_env(env, skip_render_check=True)
     observation, _ = env.reset(seed=0)
@@ -35,11 +32,9 @@ def test_the_checker_passes(body, brick):
     assert observation["audio"].shape == (2400,)
 
 
-def test_the_checker_passes_with_an_environment_made_by_name(body, brick):
+def test_a_wrapped_environment_is_made_again_from_its_spec(body, brick):
     made = gymnasium.make("objectfolder.envs:ObjectFolder/Reach-v0", file=body, horizon=5)
     env = Senses(made, {"object": brick}, EAR, seconds=0.05)
-    with pytest.warns(UserWarning, match="different from the unwrapped version"):
-        check_env(env, skip_render_check=True)
     again = gymnasium.make(env.spec)
     assert again.reset(seed=3)[0]["observation"].tobytes() == env.reset(seed=3)[0]["observation"].tobytes()
 
@@ -50,9 +45,9 @@ def test_two_ears_have_two_names(body, brick):
     with pytest.raises(ObjectFolderError, match="an entry 'audio' already; give another name by audio="):
         Senses(env, objects, right)
     with pytest.raises(ObjectFolderError, match="an entry 'x' already"):
-        Senses(still(brick), [brick], EAR, audio="x")
+        Senses(still(brick), [brick], EAR, audio="x", intercept=True)
     with pytest.raises(ObjectFolderError, match="an entry 'both' already"):
-        Senses(still(brick), [brick], EAR, ["left_pad"], audio="both", touch="both")
+        Senses(still(brick), [brick], EAR, ["left_pad"], audio="both", touch="both", intercept=True)
     env = Senses(env, objects, right, seconds=0.5, audio="right")
     assert {*env.reset(seed=1)[0]} == {*env.observation_space.spaces} == {"observation", "audio", "right"}
     lifted(env)
@@ -74,12 +69,11 @@ def test_every_step_of_the_simulation_is_heard(body, brick):
     mujoco.mj_getState(inner.model, inner.data, state, kind)
     mujoco.mj_setState(inner.model, other, state, kind)
     hearing.reset(other)
-    step = mujoco.mj_step
     for _ in range(40):
         observation, *_ = env.step(np.zeros(4, np.float32))
     other.ctrl[:] = inner.data.ctrl
     heard = hearing.simulate(other, 40 * SUBSTEPS)
-    assert mujoco.mj_step is step
+    assert "mj_step" not in vars(inner)
     assert np.abs(heard).max() > 1e-3
     assert observation["audio"].tobytes() == heard[-24000:].tobytes()
     assert not env.reset(seed=1)[0]["audio"].any()
@@ -138,6 +132,32 @@ def test_pads_add_touch(brick):
     assert (abs(after["touch"].astype(int) - first["touch"]).max((1, 2, 3)) > 5).all()
 
 
+def test_mujoco_is_as_before_unless_an_environment_without_a_step_of_its_own_steps(body, brick):
+    made, seen = mujoco.mj_step, []
+
+    def watched(env):
+        env.step = lambda action, step=env.step: (seen.append(mujoco.mj_step), step(action))[1]
+        return env
+
+    with pytest.raises(ObjectFolderError, match="Still has no mj_step by which it could be heard"):
+        Senses(still(brick), [brick], EAR)
+    own = Senses(watched(ReachEnv(body)), {"object": brick}, EAR)
+    own.reset(seed=0)
+    own.step(np.zeros(4, np.float32))
+    assert seen.pop() is made
+    other = Senses(watched(still(brick)), [brick], EAR, intercept=True)
+    other.reset(seed=0)
+    assert mujoco.mj_step is made
+    heard = other.step(0)[0]["audio"]
+    assert seen.pop() is not made
+    assert mujoco.mj_step is made
+    assert heard.any()
+    other.env.step = lambda action: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        other.step(0)
+    assert mujoco.mj_step is made
+
+
 def test_what_has_no_senses_is_refused(body, brick):
     with pytest.raises(ObjectFolderError, match="CartPoleEnv has no model and data of MuJoCo"):
         Senses(gymnasium.make("CartPole-v1"), [brick], EAR)
@@ -159,7 +179,7 @@ def test_what_has_no_senses_is_refused(body, brick):
 
 
 def test_one_pad_has_one_picture(brick):
-    env = Senses(still(brick), (one for one in [brick]), [0, 0.4, 0.4], pads="left_pad", seconds=0.01)
+    env = Senses(still(brick), (one for one in [brick]), EAR, pads="left_pad", seconds=0.01, intercept=True)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     assert observation["touch"].shape[0] == 1
@@ -175,5 +195,5 @@ def test_steps_that_are_not_heard_are_refused(body, brick):
 
     env = Senses(Deaf(body), {"object": brick}, EAR)
     env.reset(seed=0)
-    with pytest.raises(ObjectFolderError, match=r"Deaf simulated 0\.\d+ s that were not heard: step with mu"):
+    with pytest.raises(ObjectFolderError, match=r"Deaf simulated 0\.\d+ s that were not heard: step by its"):
         env.step(np.zeros(4, np.float32))

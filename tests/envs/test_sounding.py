@@ -4,18 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from objectfolder.envs.body import add_body, rigid_body, scaled_body
+from objectfolder.envs.body import add_body, scaled_body
 from objectfolder.envs.feeling import Feeling
 from objectfolder.envs.hearing import Hearing
-from objectfolder.envs.sounding import Sounding, named_objects
+from objectfolder.envs.sounding import Sounding, name_objects
 from objectfolder.errors import ObjectFolderError
 
 EAR = [0.5, 0, 0.3]
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, [brick.to_mesh().convex_hull])
 
 
 def scene(body, *names):
@@ -35,12 +30,13 @@ def scene(body, *names):
         (3, "objects is 3, expected Object Files"),
         ([], "objects is empty"),
         (["brick"], "'brick' is of type str, expected an ObjectFile"),
+        ({"cup": None}, "'cup' is of type NoneType"),
         ({1: None}, "objects: 1 is no name of a body"),
     ],
 )
 def test_what_is_no_object_is_named(given, message):
     with pytest.raises(ObjectFolderError, match=message):
-        named_objects(given)
+        name_objects(given)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from objectfolder.envs import feeling, hearing, impacts, sounding, state
-from objectfolder.envs.body import add_body, rigid_body
+from objectfolder.envs.body import add_body
 from objectfolder.envs.feeling import Feeling
 from objectfolder.envs.hearing import Hearing
 from objectfolder.envs.senses import Senses
@@ -23,11 +23,6 @@ CALLED = {"mj_step": (), "mj_jac": ("cdof", "subtree_com"), "mj_solveM": ("qLD",
           "mj_contactForce": ("efc_force",)}  # fmt: skip
 #: Sizes and names of a model, and functions of its arrays, which MuJoCo keeps from being changed.
 SIZES = {"nbody", "nsite", "nv", "nmocap", "opt", "body", "geom", "pair", "site"}
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, [brick.to_mesh().convex_hull])
 
 
 def scene(body):
@@ -205,10 +200,10 @@ def test_what_may_change_is_checked_as_at_first(stepped, field, factor, message)
 
 def test_gravity_may_change(stepped):
     model, data, sense, ask = stepped("Hearing")
-    before = sense._reader.slowest
+    before = sense._reader.min_speed
     model.opt.gravity *= 2
     ask(data)
-    assert sense._reader.slowest == pytest.approx(2 * before)
+    assert sense._reader.min_speed == pytest.approx(2 * before)
 
 
 @pytest.mark.parametrize(
@@ -263,6 +258,7 @@ class Pressed(gymnasium.Env):
 
     observation_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
     action_space = gymnasium.spaces.Discrete(1)
+    mj_step = staticmethod(mujoco.mj_step)
 
     def __init__(self, body):
         self.body, self.model = body, scene(body)
@@ -273,7 +269,7 @@ class Pressed(gymnasium.Env):
         return np.zeros(1, np.float32), {}
 
     def step(self, action):
-        mujoco.mj_step(self.model, self.data, nstep=3)
+        self.mj_step(self.model, self.data, nstep=3)
         return np.zeros(1, np.float32), 0.0, False, False, {}
 
 

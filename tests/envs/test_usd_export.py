@@ -9,24 +9,12 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from objectfolder.cli import app
-from objectfolder.envs import visual
-from objectfolder.envs.body import density, rigid_body
-from objectfolder.envs.hulls import convex_hulls
+from objectfolder.envs.body import density
 from objectfolder.installation import install_command
 
 WITH_USD = pytest.mark.skipif(not find_spec("pxr"), reason="usd-core is not installed")
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _small_textures():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(visual, "TEXELS", 64)
-        yield
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    return rigid_body(brick, convex_hulls(brick.to_mesh()))
+pytestmark = pytest.mark.usefixtures("small_textures")
 
 
 @pytest.fixture(scope="module")
@@ -101,14 +89,6 @@ def test_usd_texture_is_found_beside_the_file(stage, path):
     assert uv.shape[1] == 2
     assert (uv >= 0).all()
     assert (uv <= 1).all()
-
-
-@WITH_USD
-def test_the_same_object_gives_the_same_usd(brick, body, path, tmp_path):
-    from objectfolder.envs.usd import write_usd
-
-    again = write_usd(brick, tmp_path, hulls=body.hulls)
-    assert again.read_bytes() == path.read_bytes()
 
 
 def test_without_the_library_the_usd_export_says_what_to_install(brick_path, tmp_path, monkeypatch):

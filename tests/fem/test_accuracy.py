@@ -7,7 +7,7 @@ import pytest
 from solids import box
 
 from objectfolder.fem.accuracy import Discretisation, discretisation_error, resolved_frequency
-from objectfolder.fem.blocks import halved, merge_full_blocks
+from objectfolder.fem.blocks import halve_cells, merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.materials import Material
@@ -99,7 +99,7 @@ def test_quick_frequencies_are_those_of_the_full_solve():
 
 def test_no_estimate_where_there_is_no_coarser_grid_or_no_mode():
     odd = cut_cells(*box((1, 0.5, 0.5)), 5, 4)
-    assert halved(odd) is None
+    assert halve_cells(odd) is None
     assert Discretisation(odd, BAR, 1.0).errors(np.array([1e6])) is None
     assert Discretisation(cut_cells(*box((1, 0.5, 0.5)), 4, 4), BAR, 1.0).errors(np.empty(0)) is None
 

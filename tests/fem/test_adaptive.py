@@ -2,18 +2,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from solids import box, join, sphere
+from solids import STUFF, box, join, sphere
 
 from objectfolder.fem import adaptive
 from objectfolder.fem.accuracy import Discretisation
-from objectfolder.fem.adaptive import adaptive_cut_cells, refined
+from objectfolder.fem.adaptive import adaptive_cut_cells, refine_grid
 from objectfolder.fem.blocks import merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.settings import FineGrids
 from objectfolder.fem.voxel import voxels
-from objectfolder.materials import Material
 
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 FINE = FineGrids(resolutions=(12, 16), subdivisions=4, max_degrees_of_freedom=10**6, max_error=0.02)
 SHEET = box((1, 1, 0.03))  # 0.24 cells of eight
 THICK = box((1, 1, 0.06))
@@ -21,8 +19,8 @@ THICK = box((1, 1, 0.06))
 
 @pytest.fixture(autouse=True)
 def no_grid_is_small_and_none_too_coarse(monkeypatch):
-    monkeypatch.setattr(adaptive, "_CHEAP", 0)
-    monkeypatch.setattr(adaptive, "_REACH", np.inf)
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 0)
+    monkeypatch.setattr(adaptive, "_MAX_COARSENESS", np.inf)
 
 
 def fine(size, max_error):
@@ -39,7 +37,7 @@ def frame():
 
 
 def refine(surface, fine=FINE, resolution=8):
-    return refined(cut_cells(*surface, resolution, 4), surface, fine, STUFF, 1.0).solid
+    return refine_grid(cut_cells(*surface, resolution, 4), surface, fine, STUFF, 1.0).solid
 
 
 def estimating(monkeypatch, errors):
@@ -99,11 +97,11 @@ def test_a_step_leads_to_the_coarsest_grid_that_should_suffice(monkeypatch):
 
 
 def test_small_grids_are_refined_until_a_third_of_the_error_is_accepted(monkeypatch):
-    monkeypatch.setattr(adaptive, "_CHEAP", 1)
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 1)
     asked = estimating(monkeypatch, {8: 0.01, 12: 0.006})
     assert refine(THICK).resolution == 12
     assert asked == [8, 12]
-    monkeypatch.setattr(adaptive, "_CHEAP", 1e-4)
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 1e-4)
     estimating(monkeypatch, {8: 0.01})
     assert refine(THICK).resolution == 8
 
@@ -149,4 +147,4 @@ def test_nothing_finer_is_tried_where_there_is_none(monkeypatch):
     monkeypatch.setattr(Discretisation, "lowest_frequencies", no_solve)
     assert refine(SHEET, resolution=16).resolution == 16
     other = voxels(*box((1, 1, 0.3)), 8, incompatible=False)
-    assert refined(other, THICK, FINE, STUFF, 1.0).solid is other
+    assert refine_grid(other, THICK, FINE, STUFF, 1.0).solid is other

@@ -1,13 +1,10 @@
 import numpy as np
 import pytest
-from solids import box, sphere
+from solids import STUFF, box, sphere
 
-from objectfolder.fem.blocks import halved, merge_full_blocks
+from objectfolder.fem.blocks import halve_cells, merge_full_blocks
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import rigid_motions, solve_modes
-from objectfolder.materials import Material
-
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +68,7 @@ def test_a_thin_solid_has_nothing_to_merge():
 
 @pytest.mark.parametrize("merge", [False, True])
 def test_halving_gives_the_moments_of_the_coarse_grid(ball, merged, merge):
-    coarse = halved(merged if merge else ball)
+    coarse = halve_cells(merged if merge else ball)
     direct = cut_cells(*sphere(0.5, 4), 4, 8)
     order = [np.lexsort(c.index.T) for c in (coarse, direct)]
     np.testing.assert_array_equal(coarse.index[order[0]], direct.index[order[1]])
@@ -83,9 +80,5 @@ def test_halving_gives_the_moments_of_the_coarse_grid(ball, merged, merge):
 def test_a_rod_thinner_than_the_coarse_cells_cannot_be_halved():
     rod = cut_cells(*box((1, 1 / 200, 1 / 200)), 32, 8)
     while rod is not None:
-        size, rod = rod.resolution, halved(rod)
+        size, rod = rod.resolution, halve_cells(rod)
     assert size == 16
-
-
-def test_an_odd_grid_cannot_be_halved():
-    assert halved(cut_cells(*box((1, 1, 0.5)), 5, 4)) is None

@@ -3,17 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import legint, legval
-from solids import TURN, box, full_cells, join, sphere
+from solids import STUFF, TURN, box, full_cells, join, sphere
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.cutcell import cut_cells, node_count
+from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import rigid_motions, solve_modes
 from objectfolder.fem.elasticity import elasticity
-from objectfolder.fem.elements import solid_arrays, solid_from_arrays
 from objectfolder.fem.occupancy import _columns, facing_axis, measure
-from objectfolder.materials import Material
 
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 SIDES = (0.83, 0.57, 0.41)
 CENTRE = (0.021, -0.013, 0.037)  # off the grid
 
@@ -134,26 +131,6 @@ def test_the_volume_is_corrected_without_changing_the_frequencies(off_grid):
     )
 
 
-def test_a_solid_in_two_pieces_is_refused_by_name_with_their_volumes():
-    pair = join(box((0.3, 0.3, 0.3), (-0.3, 0, 0)), box((0.3, 0.3, 0.3), (0.3, 0, 0)))
-    with pytest.raises(
-        ObjectFolderError,
-        match=r"^lamp: the solid is in 2 separate pieces.*\(50\.00%, 50\.00% of the volume\)",
-    ):
-        cut_cells(*pair, 8, 4, "lamp")
-
-
-def test_stored_cells_come_back(off_grid):
-    again = solid_from_arrays({name: np.asarray(value) for name, value in solid_arrays(off_grid).items()})
-    assert again.volume == off_grid.volume
-    np.testing.assert_array_equal(again.occupancy, off_grid.occupancy)
-
-
-def test_mass_is_density_times_volume(off_grid, elements):
-    ones = np.ones(elements.nodal_mass.shape[0])
-    assert ones @ elements.nodal_mass @ ones == pytest.approx(1000 * off_grid.volume * 0.2**3, rel=1e-5)
-
-
 def test_moments_of_inertia_of_the_mass_matrix_are_those_of_the_box():
     sides = np.array([1.0, 0.5, 0.25])
     cells = cut_cells(*box(sides), resolution=8, subdivisions=8)
@@ -213,7 +190,7 @@ def test_interpolation_outside_every_element_stays_within_the_nearest_one(off_gr
 
 def test_nodes_are_shared_between_neighbours():
     cells = full_cells(np.array([[0, 0, 0], [1, 0, 0]]), 4)
-    assert node_count(cells) == 20 + 20 - 8
+    assert cells.degrees_of_freedom == 3 * (20 + 20 - 8)
 
 
 def test_a_speck_that_touches_nothing_is_dropped_and_reported():

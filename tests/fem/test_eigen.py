@@ -3,16 +3,15 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 from scipy.optimize import brentq
-from solids import box, full_cells, sphere
+from solids import STUFF, box, full_cells, sphere
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.eigen import canonical, rigid_motions, solve_modes
+from objectfolder.fem.eigen import canonicalise, rigid_motions, solve_modes
 from objectfolder.fem.elasticity import FiniteElements
 from objectfolder.materials import Material
 
 BAR = Material("bar", 1000.0, 1e9, 0.0, 0.0, 0.0)  # no Poisson effect: a bar is one-dimensional
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 THICK = 0.1
 
 
@@ -53,17 +52,6 @@ def timoshenko_lowest(material):
     return np.sqrt(scipy.linalg.eigh(stiffness, mass, eigvals_only=True)[2]) / (2 * np.pi)
 
 
-def euler_bernoulli_lowest(material):
-    root = brentq(lambda x: np.cos(x) * np.cosh(x) - 1, 4, 5)
-    stiffness, mass = material.youngs_modulus * THICK**4 / 12, material.density * THICK**2
-    return root**2 / (2 * np.pi) * np.sqrt(stiffness / mass)
-
-
-def test_the_analytic_references_agree_in_the_slender_limit():
-    assert timoshenko_lowest(STUFF) < euler_bernoulli_lowest(STUFF)
-    assert timoshenko_lowest(STUFF) == pytest.approx(euler_bernoulli_lowest(STUFF), rel=0.05)
-
-
 def test_bending_of_a_free_beam_converges_to_timoshenko():
     exact = timoshenko_lowest(STUFF)
     errors = [abs(hertz(solve_modes(beam(r), 150, 4))[0] / exact - 1) for r in (5, 10, 20)]
@@ -76,12 +64,6 @@ def test_frequencies_follow_the_size_from_millimetres_to_kilometres(scale):
     cells = cut_cells(*box((1, 0.31, 0.13)), 6, 4)
     one, other = (solve_modes(cells.assemble(STUFF, size), 300 / size, 6) for size in (1.0, scale))
     np.testing.assert_allclose(hertz(other) * scale, hertz(one), rtol=1e-9)
-
-
-def test_bending_comes_as_a_pair():
-    f = hertz(solve_modes(beam(10), 150, 4))
-    assert len(f) == 2
-    assert f[1] == pytest.approx(f[0], rel=1e-4)
 
 
 def test_longitudinal_frequencies_of_a_bar():
@@ -183,8 +165,8 @@ def test_repeated_eigenvalues_are_found_and_get_the_same_basis_from_any_other(sq
         angle = rng.uniform(0, 2 * np.pi)
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         mixed[:, i : i + 2] = mixed[:, i : i + 2] @ turn
-    np.testing.assert_allclose(canonical(values, mixed, fem), shapes, atol=1e-8 * np.abs(shapes).max())
-    np.testing.assert_allclose(canonical(values, shapes, fem), shapes, atol=1e-8 * np.abs(shapes).max())
+    np.testing.assert_allclose(canonicalise(values, mixed, fem), shapes, atol=1e-8 * np.abs(shapes).max())
+    np.testing.assert_allclose(canonicalise(values, shapes, fem), shapes, atol=1e-8 * np.abs(shapes).max())
 
 
 def test_nearly_repeated_eigenvalues_are_solved_as_well_as_others(square_bar):
@@ -210,17 +192,6 @@ def test_two_solves_from_different_start_vectors_agree(square_bar, monkeypatch, 
     other = solve_modes(fem, 1500, kept)
     expected = modes.shapes[:, :kept]
     np.testing.assert_allclose(other.shapes, expected, atol=1e-6 * np.abs(expected).max())
-
-
-def test_frequency_scales_as_one_over_size_and_with_the_speed_of_sound():
-    cells = cut_cells(*box((1, 0.62, 0.2)), 5, 4)
-    lowest = {}
-    for scale, modulus in ((1.0, 1e9), (0.1, 1e9), (1.0, 4e9)):
-        material = Material("m", 1000.0, modulus, 0.3, 0, 0)
-        lowest[scale, modulus] = hertz(solve_modes(cells.assemble(material, scale), 1000 / scale, 5))[0]
-    reference = lowest[1.0, 1e9]
-    assert lowest[0.1, 1e9] == pytest.approx(10 * reference, rel=1e-6)
-    assert lowest[1.0, 4e9] == pytest.approx(2 * reference, rel=1e-6)
 
 
 def test_a_solid_in_two_pieces_is_refused_by_name():

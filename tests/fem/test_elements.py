@@ -4,7 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from solids import TURN, box, join
+from solids import STUFF, TURN, box, join
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
@@ -13,9 +13,7 @@ from objectfolder.fem.elasticity import elasticity
 from objectfolder.fem.elements import discretize, solid_arrays, solid_from_arrays
 from objectfolder.fem.tetrahedra import quadratic
 from objectfolder.fem.voxel import voxels
-from objectfolder.materials import Material
 
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 SIDES = np.array([1.0, 0.6, 0.4])
 KINDS = ("cut_cell_hex20", "hex8", "hex8_incompatible", "tet10")
 
@@ -74,7 +72,7 @@ def test_interpolation_holds_a_few_nodal_values_at_once(element, rng, monkeypatc
     divided, fem = element
     points, values = rng.uniform(-0.2, 0.2, (2000, 3)), rng.random((len(fem.nodes), 300))
     whole = divided.interpolate(values, points)
-    monkeypatch.setattr("objectfolder.fem.elasticity.GATHERED", 20_000)
+    monkeypatch.setattr("objectfolder.fem.elasticity.MAX_GATHERED_VALUES", 20_000)
     tracemalloc.start()
     pieces = divided.interpolate(values, points)
     peak = tracemalloc.get_traced_memory()[1]

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
-from solids import box
+from solids import STUFF, box
 
 from objectfolder.fem import factorisation
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import solve_modes
 from objectfolder.fem.factorisation import Cholmod, Pardiso, SuperLU, factorise, nested_dissection
-from objectfolder.materials import Material
 
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 INSTALLED = {
     Pardiso: factorisation.PyPardisoSolver is not None,
     Cholmod: factorisation.cholmod is not None,

@@ -69,11 +69,6 @@ def test_the_wanted_number_may_depend_on_what_is_found(strings):
     limit = values[40] * 1.0001
     factor = sla.splu((stiffness + 1e-5 * mass).tocsc())
     found, _ = lowest_modes(
-        stiffness,
-        nodal,
-        factor.solve,
-        -1e-5,
-        vectors[:, :3],
-        lambda ritz: int((ritz < limit).sum()) + 1,
+        stiffness, nodal, factor.solve, -1e-5, vectors[:, :3], lambda ritz: int((ritz < limit).sum()) + 1
     )
     assert (found < limit).sum() == (values[3:] < limit).sum()

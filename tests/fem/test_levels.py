@@ -1,15 +1,12 @@
 import numpy as np
 import pytest
-from solids import box, join, sphere
+from solids import STUFF, box, join, sphere
 
 from objectfolder.fem.accuracy import Discretisation, coarser
-from objectfolder.fem.blocks import halved
+from objectfolder.fem.blocks import halve_cells
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.eigen import rigid_motions
 from objectfolder.fem.levels import Levels
-from objectfolder.materials import Material
-
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +73,8 @@ def test_more_elements_never_raise_a_frequency(egg, levels, mixed):
 
 def test_the_coarser_mesh_has_elements_twice_as_large(levels):
     masks = levels.uniform(1)
-    mesh = levels.mesh(masks, levels.mesh(levels.coarsened(masks)))
-    expected = frequencies(halved(halved(levels.grids[0])))
+    mesh = levels.mesh(masks, levels.mesh(levels.coarsen(masks)))
+    expected = frequencies(halve_cells(halve_cells(levels.grids[0])))
     np.testing.assert_allclose(frequencies(coarser(mesh)), expected, rtol=1e-3)
     assert coarser(coarser(mesh)) is None
 

@@ -1,16 +1,14 @@
 import numpy as np
 import pytest
-from solids import box, join
+from solids import STUFF, box, join
 
 from objectfolder.fem import adaptive
 from objectfolder.fem.accuracy import Discretisation, coarser
-from objectfolder.fem.adaptive import refined
+from objectfolder.fem.adaptive import refine_grid
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.local import locally_refined
+from objectfolder.fem.local import refine_locally
 from objectfolder.fem.settings import FineGrids
-from objectfolder.materials import Material
 
-STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 LIMIT = 6_000
 #: two blocks that a bar of 1.3 cells joins
 DUMBBELL = join(
@@ -25,7 +23,7 @@ def finest():
 
 @pytest.fixture(scope="module")
 def mixed(finest):
-    return locally_refined(finest, LIMIT, STUFF, 1.0)
+    return refine_locally(finest, LIMIT, STUFF, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -54,16 +52,16 @@ def test_few_unknowns_suffice_and_the_estimate_holds(finest, mixed, truth):
 
 
 def test_a_grid_that_cannot_be_halved_twice_is_left():
-    assert locally_refined(cut_cells(*DUMBBELL, 30, 4), LIMIT, STUFF, 1.0) is None
+    assert refine_locally(cut_cells(*DUMBBELL, 30, 4), LIMIT, STUFF, 1.0) is None
 
 
 def test_sizes_are_mixed_where_uniform_grids_do_not_reach(monkeypatch):
-    monkeypatch.setattr(adaptive, "_FINEST", (32,))
+    monkeypatch.setattr(adaptive, "_MIXED_RESOLUTIONS", (32,))
     fine = FineGrids(resolutions=(10, 12), subdivisions=4, max_degrees_of_freedom=LIMIT, max_error=0.02)
 
     def found(bulk):
-        monkeypatch.setattr(adaptive, "_BULK", bulk)
-        return refined(cut_cells(*DUMBBELL, 8, 4), DUMBBELL, fine, STUFF, 1.0).solid
+        monkeypatch.setattr(adaptive, "_MIN_BULK_SHARE", bulk)
+        return refine_grid(cut_cells(*DUMBBELL, 8, 4), DUMBBELL, fine, STUFF, 1.0).solid
 
     assert found(1.0).resolution <= 12
     mixed = found(-1.0)

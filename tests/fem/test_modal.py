@@ -1,11 +1,14 @@
+import re
+
 import numpy as np
 import pytest
 from solids import box
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem import modal
+from objectfolder.fem.certainty import solver_warning, uncertainty_warning
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis, shape_points, solver_warning, uncertainty_warning
+from objectfolder.fem.modal import modal_analysis, shape_points
 from objectfolder.materials import Material, material
 
 SOLID = box((1, 0.5, 0.2))
@@ -83,12 +86,30 @@ def test_the_uncertainty_is_the_largest_estimated_error(cells):
     assert silent["frequency_uncertainty"] is None
 
 
-@pytest.mark.parametrize(("error", "said"), [(0.1, None), (0.11, "11%"), (0.3, "30%")])
-def test_uncertain_frequencies_are_warned_of(error, said):
-    warning = uncertainty_warning(
-        {"frequency_uncertainty": error, "discretisation_error": [error], "resolution": 32}, False, "cabinet"
-    )
-    assert warning is None if said is None else f"cabinet: frequencies may be {said} wrong" in warning
+@pytest.mark.parametrize(
+    ("changes", "said", "refused"),
+    [
+        ({"discretisation_error": [0.1]}, None, False),
+        ({"discretisation_error": [0.11]}, "frequencies may be 11% wrong, mode 1 most", False),
+        ({"discretisation_error": [0.3]}, "30% wrong", False),
+        ({"discretisation_error": [0.1, 0.31, 0.2]}, "31% wrong, mode 2 most", True),
+        ({}, r"too thin for the 32\^3 grid to say how much", True),
+        ({"element": "tet10"}, None, False),
+        ({"modes": 0}, None, False),
+    ],
+)
+def test_uncertain_frequencies_are_warned_of_or_refused(changes, said, refused):
+    """Cut cells without an estimate are as uncertain as can be."""
+    report = {"discretisation_error": None, "resolution": 32, "element": "hex20 cut cells", "modes": 3}
+    report |= changes
+    report["frequency_uncertainty"] = max(report["discretisation_error"] or [None])
+    allowed = uncertainty_warning(report, True, "cabinet")
+    assert allowed is None if said is None else re.search(rf"^cabinet: .*{said}", allowed)
+    if refused:
+        with pytest.raises(ObjectFolderError, match=rf"^cabinet: .*{said}.*; thicken .*allow_uncertain"):
+            uncertainty_warning(report, False, "cabinet")
+    else:
+        assert uncertainty_warning(report, False, "cabinet") == allowed
 
 
 def test_a_solve_whose_checks_fail_is_warned_of(cells):
@@ -96,24 +117,6 @@ def test_a_solve_whose_checks_fail_is_warned_of(cells):
     report |= {"residuals_ok": True, "rigid_modes_ok": True}
     assert solver_warning(report, "plate") is None
     assert "plate: the solver is less exact" in solver_warning(report | {"residuals_ok": False}, "plate")
-
-
-def test_cut_cells_without_an_estimate_are_as_uncertain_as_can_be():
-    report = {"frequency_uncertainty": None, "resolution": 32, "element": "hex20 cut cells", "modes": 3}
-    assert "too thin for the 32^3 grid to say how much" in uncertainty_warning(report, True, "cabinet")
-    with pytest.raises(
-        ObjectFolderError, match=r"cabinet: .*too thin.*; thicken them, .*modal\.allow_uncertain"
-    ):
-        uncertainty_warning(report, False, "cabinet")
-    for certain in ({"element": "tet10"}, {"modes": 0}):
-        assert uncertainty_warning(report | certain, False, "cabinet") is None
-
-
-def test_very_uncertain_frequencies_are_refused_unless_allowed():
-    report = {"frequency_uncertainty": 0.31, "discretisation_error": [0.1, 0.31, 0.2], "resolution": 32}
-    assert "31%" in uncertainty_warning(report, True, "cabinet")
-    with pytest.raises(ObjectFolderError, match=r"cabinet: .*31% wrong, mode 2 most.*modal\.allow_uncertain"):
-        uncertainty_warning(report, False, "cabinet")
 
 
 def test_shapes_are_stored_at_a_bounded_number_of_vertices(monkeypatch):

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from solids import box
 
-from objectfolder.fem.band import solved_band
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import modal_analysis, solved_band
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.fem.similarity import similarity
 from objectfolder.materials import material
@@ -184,19 +183,14 @@ def test_a_problem_is_all_that_scaling_leaves(tmp_path):
     solid.write_text("solid")
     code.write_text("sources")
     files, hexahedra = (solid, code), {"element": "hex20"}
-    first = problem_digest(files, points, 0.2, hexahedra)
-    assert first == problem_digest(files, points.copy(), 0.2, hexahedra)
+    first = problem_digest(files, "code", points, 0.2, hexahedra)
+    assert first == problem_digest(files, "code", points.copy(), 0.2, hexahedra)
     others = [
-        problem_digest((solid,), points, 0.2, hexahedra),
-        problem_digest(files, points + 1e-9, 0.2, hexahedra),
-        problem_digest(files, points, 0.21, hexahedra),
-        problem_digest(files, points, 0.2, {"element": "tet10"}),
+        problem_digest((solid,), "code", points, 0.2, hexahedra),
+        problem_digest(files, "code", points + 1e-9, 0.2, hexahedra),
+        problem_digest(files, "code", points, 0.21, hexahedra),
+        problem_digest(files, "code", points, 0.2, {"element": "tet10"}),
     ]
     code.write_text("other sources, of meshes, too")
-    others.append(problem_digest(files, points, 0.2, hexahedra))
+    others.append(problem_digest(files, "code", points, 0.2, hexahedra))
     assert len({first, *others}) == 6
-
-
-def test_requests_survive_json():
-    again = Request.from_dict(json.loads(json.dumps(dataclasses.asdict(BASE))))
-    assert again == BASE

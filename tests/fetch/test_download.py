@@ -8,7 +8,7 @@ import pytest
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import download as module
-from objectfolder.fetch.download import SPARE, WAITS, UnreachableError, download
+from objectfolder.fetch.download import RESERVE, WAITS, UnreachableError, download
 
 CONTENT = bytes(range(256)) * 1000
 
@@ -190,7 +190,7 @@ def test_a_byte_at_a_time_ends_and_keeps_what_came(publisher, tmp_path, no_waits
 
 
 def test_a_byte_for_each_attempt_ends(publisher, page, tmp_path, no_waits, monkeypatch):
-    monkeypatch.setattr(module, "LEAST", 1 << 40)
+    monkeypatch.setattr(module, "MIN_BYTES", 1 << 40)
     publisher.drops["/file"] = [1] * 1000
     with pytest.raises(ObjectFolderError, match="broke off"):
         download(page, tmp_path / "file")
@@ -234,7 +234,7 @@ def test_a_length_over_the_limit_is_refused_before_a_byte(publisher, page, tmp_p
 
 @pytest.mark.parametrize("lengths", [True, False])
 def test_a_download_leaves_space_on_the_disk(publisher, tmp_path, monkeypatch, lengths):
-    monkeypatch.setattr(module, "free_bytes", lambda path: SPARE + 500_000)
+    monkeypatch.setattr(module, "free_bytes", lambda path: RESERVE + 500_000)
     length = [b"Content-Length: 67108864"] if lengths else []
     publisher.scripts["/file"] = endless(b"HTTP/1.1 200 OK", *length)
     with pytest.raises(ObjectFolderError, match=r"no space in .* make room"):

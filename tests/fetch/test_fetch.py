@@ -17,10 +17,9 @@ from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch import run as run_module
 from objectfolder.fetch.catalogue import read_catalogue
-from objectfolder.fetch.checksums import read_checksums
 from objectfolder.fetch.download import WAITS, download_to
-from objectfolder.fetch.local import find_local
-from objectfolder.fetch.run import SIZE_TOLERANCE, FetchStatus, fetch_all, fetch_object
+from objectfolder.fetch.files import find_local
+from objectfolder.fetch.run import SIZE_TOLERANCE, FetchStatus, fetch_all, fetch_object, read_checksums
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_all
@@ -105,11 +104,7 @@ def test_every_layout_is_fetched_added_and_tracked(published, publisher):
 
 
 def test_a_gltf_without_scenes_is_measured_as_it_is_read(published, publisher, tmp_path):
-    home = tmp_path / "mine" / "Barrel_01"
-    (home / "textures").mkdir(parents=True)
-    for path, content in polyhaven(publisher, "Barrel_01").items():
-        if path.startswith("/dl/1k/"):
-            (home / path.removeprefix("/dl/1k/")).write_bytes(content)
+    home = barrel_folder(tmp_path / "mine" / "Barrel_01", publisher)
     gltf = json.loads((home / "Barrel_01_1k.gltf").read_text())
     del gltf["scene"], gltf["scenes"]
     gltf["nodes"][0]["scale"] = [2, 2, 2]
@@ -318,6 +313,15 @@ def test_a_changed_archive_is_refused_until_accepted(published, publisher):
     assert fetch_object("ycb_mug", published).status is FetchStatus.ADDED
 
 
+def barrel_folder(home, publisher):
+    """Files of Poly Haven's barrel, as a user has them in a folder."""
+    (home / "textures").mkdir(parents=True)
+    for path, content in polyhaven(publisher, "Barrel_01").items():
+        if path.startswith("/dl/1k/"):
+            (home / path.removeprefix("/dl/1k/")).write_bytes(content)
+    return home
+
+
 def forget(key):
     """Remove an object by hand, as a user would."""
     shutil.rmtree(Path("data/objects") / key)
@@ -342,7 +346,7 @@ def test_a_damaged_record_is_named(published):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "message"),  # of the entry of the glTF, or another page
     [
         (
             lambda gltf: gltf["include"].update({"../../evil": gltf["include"]["Barrel_01.bin"]}),
@@ -355,12 +359,17 @@ def test_a_damaged_record_is_named(published):
         (lambda gltf: gltf["include"]["Barrel_01.bin"].update(size="1" * 5000), "lists no glTF at 1k"),
         (lambda gltf: gltf["include"].pop("Barrel_01.bin"), "Barrel_01"),
         (lambda gltf: gltf.pop("md5"), "lists no glTF at 1k.*md5"),
+        (b"no json", "/files/Barrel_01 lists no glTF at 1k"),
+        (b"[]", "/files/Barrel_01 lists no glTF at 1k"),
+        (b'{"gltf": {"4k": {}}}', "/files/Barrel_01 lists no glTF at 1k"),
+        (b"[" * 100_000, "/files/Barrel_01 lists no glTF at 1k"),
     ],
 )
 def test_a_bad_list_of_files_leaves_nothing(published, publisher, change, message):
     listing = json.loads(publisher.pages["/files/Barrel_01"])
-    change(listing["gltf"]["1k"]["gltf"])
-    publisher.pages["/files/Barrel_01"] = json.dumps(listing).encode()
+    if callable(change):
+        change(listing["gltf"]["1k"]["gltf"])
+    publisher.pages["/files/Barrel_01"] = json.dumps(listing).encode() if callable(change) else change
     before = state()
     with pytest.raises(ObjectFolderError, match=message):
         fetch_object("polyhaven_barrel_01", published)
@@ -368,19 +377,9 @@ def test_a_bad_list_of_files_leaves_nothing(published, publisher, change, messag
     assert leftovers() == set()
 
 
-@pytest.mark.parametrize("page", [b"no json", b"[]", b'{"gltf": {"4k": {}}}', b"[" * 100_000])
-def test_a_list_of_another_kind_is_said(published, publisher, page):
-    publisher.pages["/files/Barrel_01"] = page
-    with pytest.raises(ObjectFolderError, match="/files/Barrel_01 lists no glTF at 1k"):
-        fetch_object("polyhaven_barrel_01", published)
-
-
 def test_objects_come_from_a_directory_without_a_request(published, publisher, tmp_path):
     mine = tmp_path / "mine"
-    (mine / "Barrel_01" / "textures").mkdir(parents=True)
-    for path, content in polyhaven(publisher, "Barrel_01").items():
-        if path.startswith("/dl/1k/"):
-            (mine / "Barrel_01" / path.removeprefix("/dl/1k/")).write_bytes(content)
+    barrel_folder(mine / "Barrel_01", publisher)
     (mine / "025_mug_google_16k.tgz").write_bytes(ycb("025_mug"))
     (mine / "bunny racer.zip").write_bytes(gso())
     before = {p: p.read_bytes() for p in mine.rglob("*") if p.is_file()}
@@ -421,6 +420,12 @@ def test_what_is_not_writable_is_said_before_downloading(published, publisher):
     assert publisher.requests == []
 
 
+needs_objects = pytest.mark.skipif(
+    not OBJECTS.exists(), reason="the development set of real objects is not here"
+)
+
+
+@needs_objects
 @pytest.mark.parametrize(
     "key",
     [
@@ -429,8 +434,6 @@ def test_what_is_not_writable_is_said_before_downloading(published, publisher):
     ],
 )
 def test_real_meshes_come_from_their_folders(workspace, key):
-    if not OBJECTS.exists():
-        pytest.skip("the development set of real objects is not here")
     result = fetch_object(key, read_catalogue(CATALOGUE), OBJECTS)
     assert result.status is FetchStatus.ADDED
     # Where the published size was a slip, ours is the mesh's own: nothing is scaled.
@@ -439,9 +442,8 @@ def test_real_meshes_come_from_their_folders(workspace, key):
     assert {p.name for p in Path(f"data/objects/{key}").iterdir()} == files | {"SOURCE.txt"}
 
 
+@needs_objects
 def test_real_folders_are_found_and_only_those(workspace):
-    if not OBJECTS.exists():
-        pytest.skip("the development set of real objects is not here")
     catalogue = read_catalogue(CATALOGUE)
     found = set()
     for key in catalogue.objects:
@@ -453,9 +455,8 @@ def test_real_folders_are_found_and_only_those(workspace):
     assert found == {(name, name) for name in there if not name.startswith("polyhaven")}
 
 
+@needs_objects
 def test_sizes_are_those_of_the_meshes_within_the_tolerance(workspace):
-    if not OBJECTS.exists():
-        pytest.skip("the development set of real objects is not here")
     catalogue = read_catalogue(CATALOGUE)
     checked = 0
     for path in sorted(OBJECTS.glob("*/mesh.obj")):

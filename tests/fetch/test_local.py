@@ -6,7 +6,7 @@ import pytest
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fetch.catalogue import read_catalogue
-from objectfolder.fetch.local import find_local
+from objectfolder.fetch.files import find_local
 
 OTHERS = ("024_bowl", "Barrel_02", "notes.txt", ".hidden", "025_mug.png", "gso_mug_white")
 
@@ -54,23 +54,20 @@ def test_the_directory_may_be_the_object(tmp_path, catalogue):
     assert find_local(tmp_path / "025_mug", catalogue, "ycb_mug").name == "025_mug"
 
 
-def test_two_candidates_are_named(tmp_path, catalogue):
-    fill(tmp_path, ["025_mug", "ycb_mug", *OTHERS])
-    with pytest.raises(ObjectFolderError, match=r"2 candidates for ycb_mug \(025_mug\): 025_mug, ycb_mug;"):
-        find_local(tmp_path, catalogue, "ycb_mug")
-
-
-def test_what_is_not_there_brings_near_names(tmp_path, catalogue):
-    fill(tmp_path, [*OTHERS, "026_mug"])
-    with pytest.raises(
-        ObjectFolderError, match=r"no archive or folder of ycb_mug.*similar: 026_mug"
-    ) as error:
-        find_local(tmp_path, catalogue, "ycb_mug")
-    assert "025_mug_google_16k.tgz" in str(error.value)
-
-
-def test_an_empty_or_missing_directory_is_said(tmp_path, catalogue):
-    with pytest.raises(ObjectFolderError, match="found: nothing"):
-        find_local(tmp_path, catalogue, "ycb_mug")
-    with pytest.raises(ObjectFolderError, match=r"--from .*gone is not a directory"):
-        find_local(tmp_path / "gone", catalogue, "ycb_mug")
+@pytest.mark.parametrize(
+    ("names", "folder", "said"),
+    [
+        (
+            ["025_mug", "ycb_mug", *OTHERS],
+            "",
+            r"2 candidates for ycb_mug \(025_mug\): 025_mug, ycb_mug; keep",
+        ),
+        ([*OTHERS, "026_mug"], "", "no archive or folder of ycb_mug.*025_mug_google_16k.*similar: 026_mug"),
+        ([], "", "found: nothing"),
+        ([], "gone", "--from .*gone is not a directory"),
+    ],
+)
+def test_what_is_not_found_is_said(tmp_path, catalogue, names, folder, said):
+    fill(tmp_path, names)
+    with pytest.raises(ObjectFolderError, match=said):
+        find_local(tmp_path / folder, catalogue, "ycb_mug")

@@ -13,8 +13,9 @@ from objectfolder.mesh.gridcodec import BAND_VOXELS, BOUND, band_width, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
-from objectfolder.mesh.sdf import VOLUME_ERROR, WALL_VOXELS, distance_grid, fitting_grid, kept_volume
+from objectfolder.mesh.sdf import VOLUME_ERROR, WALL_VOXELS, distance_grid, fit_grid, kept_volume
 from objectfolder.mesh.settings import FINEST
+from objectfolder.mesh.topology import distance
 from objectfolder.touch.contact import NORMAL_RADIUS
 
 RESOLUTION = 64
@@ -163,7 +164,7 @@ def test_no_sign_of_a_real_object_is_wrong(name, rng):
     step = grid.band / 127
 
     points = rng.uniform(-0.5, 0.5, (10_000, 3)) * np.ptp(vertices, axis=0)
-    far = distance_to_mesh(points, vertices, faces) > 3**0.5 / 2 * grid.spacing + step
+    far = distance((vertices, faces), points) > 3**0.5 / 2 * grid.spacing + step
     assert far.sum() > 7000
     answer = grid.distance(torch.from_numpy(points)).numpy() < 0
     np.testing.assert_array_equal(answer[far], winding(points, vertices, faces)[far] > 0.5)
@@ -174,11 +175,7 @@ def test_no_sign_of_a_real_object_is_wrong(name, rng):
     points = -BOUND + grid.spacing * index
     signed = values != 0
     np.testing.assert_array_equal((values < 0)[signed], winding(points, vertices, faces)[signed] > 0.5)
-    assert distance_to_mesh(points[~signed], vertices, faces).max(initial=0) <= step / 2 * (1 + 1e-6)
-
-
-def distance_to_mesh(points, vertices, faces):
-    return np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
+    assert distance((vertices, faces), points[~signed]).max(initial=0) <= step / 2 * (1 + 1e-6)
 
 
 def winding(points, vertices, faces):
@@ -231,7 +228,7 @@ def test_walls_keep_their_volume_on_the_grid_that_fits_them(voxels):
     """A hollow ball; thickness in voxels of the grid that is asked for, which may become twice as fine."""
     wall = voxels * 2 * BOUND / (RESOLUTION - 1)
     shell = join(sphere(0.45, 4), flipped(sphere(0.45 - wall, 4)))
-    grid = fitting_grid(*shell, RESOLUTION)
+    grid = fit_grid(*shell, RESOLUTION)
     resolution = len(grid.values)
     assert grid.wall == pytest.approx(wall, rel=0.01)
     assert grid.wall >= WALL_VOXELS * 2 * BOUND / (resolution - 1)
@@ -255,14 +252,14 @@ def test_an_edge_of_little_volume_asks_for_a_finer_grid():
     """Walls have five voxels, but most of the volume is near edges."""
     bar = box((0.9, 0.09, 0.09), (0, 0, 0), TURN)
     coarse = kept_volume(distance_grid(*bar, RESOLUTION)[0], *bar)
-    grid = fitting_grid(*bar, RESOLUTION)
+    grid = fit_grid(*bar, RESOLUTION)
     assert abs(coarse - 1) > VOLUME_ERROR >= abs(grid.kept - 1)
     assert len(grid.values) > RESOLUTION
 
 
 def test_a_sheet_between_the_samples_of_the_finest_grid_is_kept():
     plate = box((1, 1, 0.006))  # centred: no sample of an even grid lies inside a thin one
-    grid = fitting_grid(*plate, RESOLUTION, "plate")
+    grid = fit_grid(*plate, RESOLUTION, "plate")
     assert grid.values.min() > 0
     assert grid.kept == pytest.approx(1, abs=0.01)
     assert grid.kept == kept_volume(grid.values, *plate, grid.features)
@@ -273,7 +270,7 @@ def test_a_sheet_between_the_samples_of_the_finest_grid_is_kept():
 def test_a_needle_between_the_samples_of_the_finest_grid_is_refused():
     needle = box((1, 0.003, 0.003))  # it crosses no edge of the grid
     with pytest.raises(ObjectFolderError, match="needle: walls are too thin for the 128\\^3 distance grid"):
-        fitting_grid(*needle, RESOLUTION, "needle")
+        fit_grid(*needle, RESOLUTION, "needle")
 
 
 @pytest.mark.parametrize("resolution", [192, 256, FINEST])

@@ -1,6 +1,5 @@
 """Sharp edges beside a distance grid: found, encoded, and put into the mesh."""
 
-import igl
 import numpy as np
 import pytest
 from solids import TURN, box, isosurface, join, sharp_isosurface, sphere
@@ -13,7 +12,7 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.mesh.topology import is_closed, signed_volume
+from objectfolder.mesh.topology import distance, is_closed, signed_volume
 
 RESOLUTION = 64
 VOXEL = 2 * BOUND / (RESOLUTION - 1)
@@ -35,7 +34,7 @@ def distances(solid, surface):
     along = np.linspace(0, 1, 40)[:, None, None, None]
     edges = (corners * along + np.roll(corners, 1, axis=1) * (1 - along)).reshape(-1, 3)
     points = np.concatenate([edges, sample_surface(*solid, 4000, np.random.default_rng(0))])
-    return np.sqrt(igl.point_mesh_squared_distance(points, surface.vertices, surface.faces)[0]) / VOXEL
+    return distance((surface.vertices, surface.faces), points) / VOXEL
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -4,7 +4,14 @@ from gltf_scene import Scene
 from solids import box, sphere
 
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.normals import area_vectors, averaged, creased, split_vertices, unit_vectors, usable
+from objectfolder.mesh.normals import (
+    area_vectors,
+    average_normals,
+    crease_normals,
+    replace_bad_normals,
+    split_vertices,
+    unit_vectors,
+)
 from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
@@ -35,7 +42,7 @@ def test_smooth_normals_of_a_sphere_converge_to_the_true_ones():
     errors = []
     for level in (2, 3, 4):
         vertices, faces = sphere(0.5, level)
-        errors.append(degrees(creased(vertices, faces), unit_vectors(vertices)[faces]).max())
+        errors.append(degrees(crease_normals(vertices, faces), unit_vectors(vertices)[faces]).max())
     assert errors[-1] < 0.5
     np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 2, rtol=0.25)
 
@@ -44,23 +51,25 @@ def test_averaged_normals_are_means_with_the_neighbours():
     """On a tetrahedron everyone is everyone's neighbour; beside a flat face there is nothing to average."""
     faces = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
     normals = unit_vectors(np.random.default_rng(0).normal(size=(4, 3)))
-    np.testing.assert_array_equal(averaged(normals, faces, 0), normals)
-    np.testing.assert_allclose(averaged(normals, faces, 1), np.tile(unit_vectors(normals.mean(0)), (4, 1)))
+    np.testing.assert_array_equal(average_normals(normals, faces, 0), normals)
+    np.testing.assert_allclose(
+        average_normals(normals, faces, 1), np.tile(unit_vectors(normals.mean(0)), (4, 1))
+    )
     up = np.tile([0.0, 0, 1], (4, 1))
-    np.testing.assert_allclose(averaged(up, faces, 3), up)
+    np.testing.assert_allclose(average_normals(up, faces, 3), up)
 
 
 def test_a_box_keeps_its_edges_and_a_cylinder_its_rims():
     vertices, faces = box((1, 2, 3))
     flat = unit_vectors(area_vectors(vertices, faces))
-    np.testing.assert_array_equal(creased(vertices, faces), flat[:, None].repeat(3, 1))
+    np.testing.assert_array_equal(crease_normals(vertices, faces), flat[:, None].repeat(3, 1))
     around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.stack([np.cos(around), np.sin(around)], 1)
     vertices = np.concatenate([np.c_[ring, np.zeros(24)], np.c_[ring, np.ones(24)], [[0, 0, 1.0]]])
     i, j = np.arange(24), (np.arange(24) + 1) % 24
     side = np.concatenate([np.stack([i, j, j + 24], 1), np.stack([i, j + 24, i + 24], 1)])
     top = np.stack([i + 24, j + 24, np.full(24, 48)], 1)
-    normals = creased(vertices, np.concatenate([side, top]))
+    normals = crease_normals(vertices, np.concatenate([side, top]))
     np.testing.assert_array_equal(normals[48:], np.broadcast_to([0.0, 0, 1], (24, 3, 3)))
     radial = vertices[side] * [1, 1, 0]
     assert degrees(normals[:48], radial).max() < 4  # half of the angle between sides is 7.5
@@ -69,19 +78,19 @@ def test_a_box_keeps_its_edges_and_a_cylinder_its_rims():
 def test_the_creases_of_a_mesh_do_not_depend_on_its_texture_seams():
     vertices, faces = sphere(0.5, 2)
     apart = vertices[faces].reshape(-1, 3)
-    cut = creased(apart, np.arange(len(apart)).reshape(-1, 3))
-    np.testing.assert_allclose(cut, creased(vertices, faces), atol=1e-12)
+    cut = crease_normals(apart, np.arange(len(apart)).reshape(-1, 3))
+    np.testing.assert_allclose(cut, crease_normals(vertices, faces), atol=1e-12)
 
 
 def test_a_face_without_area_gets_a_unit_normal():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2.0, 0, 0]])
-    normals = creased(vertices, np.array([[0, 1, 2], [0, 1, 3], [3, 3, 3]]))
+    normals = crease_normals(vertices, np.array([[0, 1, 2], [0, 1, 3], [3, 3, 3]]))
     np.testing.assert_allclose(np.linalg.norm(normals, axis=2), 1)
 
 
 def test_copies_for_creases_follow_the_vertices_and_keep_every_corner():
     vertices, faces = box((1, 2, 3))
-    corners = creased(vertices, faces)
+    corners = crease_normals(vertices, faces)
     vertex, split_faces, normals = split_vertices(faces, corners, len(vertices))
     np.testing.assert_array_equal(vertex[:8], np.arange(8))
     assert len(vertex) == 24  # three sides meet in each corner
@@ -92,7 +101,7 @@ def test_copies_for_creases_follow_the_vertices_and_keep_every_corner():
 def test_smoothing_keeps_what_belongs_to_the_vertices():
     vertices, faces = box((1, 2, 3))
     uv, colors = vertices[:, :2], np.arange(24, dtype=np.uint8).reshape(8, 3)
-    mesh = TexturedMesh(vertices, faces, uv, np.zeros((2, 2, 3), np.uint8), colors).smoothed()
+    mesh = TexturedMesh(vertices, faces, uv, np.zeros((2, 2, 3), np.uint8), colors).with_smooth_normals()
     for before, after in ((vertices, mesh.vertices), (uv, mesh.uv), (colors, mesh.vertex_colors)):
         np.testing.assert_array_equal(after[mesh.faces], before[faces])
 
@@ -102,7 +111,7 @@ def test_a_bad_normal_gives_way_to_its_faces(bad):
     mesh = ball()
     normals = 3 * mesh.normals
     normals[7] = -normals[7] if bad == "against" else bad
-    corners, fraction = usable(mesh.vertices, mesh.faces, normals)
+    corners, fraction = replace_bad_normals(mesh.vertices, mesh.faces, normals)
     hit = mesh.faces == 7
     assert fraction == pytest.approx(hit.mean())
     np.testing.assert_allclose(corners[~hit], corner_normals(mesh)[~hit])
@@ -112,7 +121,7 @@ def test_a_bad_normal_gives_way_to_its_faces(bad):
 
 def test_normals_that_mostly_point_inwards_are_left_out(tmp_path):
     mesh = ball()
-    corners, fraction = usable(mesh.vertices, mesh.faces, -mesh.normals)
+    corners, fraction = replace_bad_normals(mesh.vertices, mesh.faces, -mesh.normals)
     assert corners is None
     assert fraction == 1
     TexturedMesh(mesh.vertices, mesh.faces, normals=-mesh.normals).write_glb(tmp_path / "m.glb")

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.io import read_safetensors, write_safetensors
+from objectfolder.io import read_safetensors, safetensors_bytes, write_safetensors
 from objectfolder.metrics import gain_errors
-from objectfolder.nets import int8
-from objectfolder.nets.audio_config import GainsConfig
+from objectfolder.nets import audio_gains_training
 from objectfolder.nets.audio_gains import INT8, GainsNet, energy_weights
-from objectfolder.nets.audio_gains_training import WeightedRows, feature_count, train_gains
+from objectfolder.nets.audio_gains_training import ModeSamples, count_features, train_gains
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import GainsConfig
 
 CONFIG = GainsConfig(
     modes=3,
@@ -39,12 +40,13 @@ def field():
     return points, np.stack([one, 30 * two, 0.1 * three], 2)
 
 
+def samples(points, shapes):
+    return ModeSamples(points, shapes, FREQUENCY, DAMPING, np.arange(1000), np.arange(1000, 1100))
+
+
 def train(field, seed=0):
     points, shapes = field
-    generator = torch.Generator().manual_seed(seed)
-    return train_gains(
-        points, shapes, FREQUENCY, DAMPING, np.arange(1000), np.arange(1000, 1100), CONFIG, 256, generator
-    )
+    return train_gains(samples(points, shapes), CONFIG, 256, Session(torch.Generator().manual_seed(seed)))
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,7 @@ def trained(field):
 def test_shapes_that_have_little_in_common_get_more_features():
     config = replace(CONFIG, features=2, most_features=6)
     few, many = torch.tensor([1e-6, 1e-6, 1e-6, 1.0]), torch.ones(5)
-    counts = [feature_count(power, config) for power in (few, many, torch.ones(9), torch.zeros(0))]
+    counts = [count_features(power, config) for power in (few, many, torch.ones(9), torch.zeros(0))]
     assert counts == [2, 5, 6, 2]
 
 
@@ -68,25 +70,16 @@ def test_held_out_gains_are_close(field, trained):
     assert len(trained[1]) == 20
 
 
-def test_two_runs_are_equal_to_the_byte(tmp_path, field, trained):
-    again = train(field)
-    for i, (net, _) in enumerate((trained, again)):
-        write_safetensors(tmp_path / f"{i}.safetensors", *net.to_tensors())
-    assert (tmp_path / "0.safetensors").read_bytes() == (tmp_path / "1.safetensors").read_bytes()
-    assert [(p.train_loss, p.val_loss) for p in trained[1]] == [(p.train_loss, p.val_loss) for p in again[1]]
-
-
-def test_the_global_random_state_is_neither_read_nor_moved(field):
+def test_two_runs_are_equal_to_the_byte_and_leave_the_global_random_state(field):
     config = replace(CONFIG, width=8, features=8, steps=2)
     nets = []
     for seed in (1, 2):
         torch.manual_seed(seed)
         before = torch.random.get_rng_state()
-        rows = np.arange(1000), np.arange(1000, 1100)
-        net, _ = train_gains(*field, FREQUENCY, DAMPING, *rows, config, 16, torch.Generator().manual_seed(7))
+        net, _ = train_gains(samples(*field), config, 16, Session(torch.Generator().manual_seed(7)))
         assert torch.equal(torch.random.get_rng_state(), before)
-        nets.append(net.output.weight)
-    assert torch.equal(*nets)
+        nets.append(safetensors_bytes(*net.to_tensors()))
+    assert nets[0] == nets[1]
 
 
 def test_what_is_stored_is_what_was_trained_to_the_bit(tmp_path, field, trained):
@@ -106,8 +99,8 @@ def test_what_is_stored_is_what_was_trained_to_the_bit(tmp_path, field, trained)
 
 def test_rounding_the_net_costs_little(field, trained, monkeypatch):
     """Against the same training with nothing rounded."""
-    monkeypatch.setattr(int8, "round_to_codes", lambda matrix: matrix)
-    monkeypatch.setattr(int8, "rounded_with", lambda matrix, gram: matrix)
+    monkeypatch.setattr(audio_gains_training, "round_to_codes", lambda matrix: matrix)
+    monkeypatch.setattr(audio_gains_training, "round_with", lambda matrix, gram: matrix)
     points, shapes = field
     errors = [
         gain_errors(
@@ -124,9 +117,7 @@ def test_rounding_the_net_costs_little(field, trained, monkeypatch):
 def test_every_mode_has_its_own_scale(field, trained):
     """Shapes a thousand times larger give the same net but for its amplitudes."""
     points, shapes = field
-    rows = np.arange(1000), np.arange(1000, 1100)
-    generator = torch.Generator().manual_seed(0)
-    loud, _ = train_gains(points, 1024 * shapes, FREQUENCY, DAMPING, *rows, CONFIG, 256, generator)
+    loud, _ = train((points, 1024 * shapes))
     assert torch.equal(loud.output.weight, trained[0].output.weight)
     torch.testing.assert_close(loud.amplitude, 1024 * trained[0].amplitude)
 
@@ -143,17 +134,8 @@ def test_rows_do_not_depend_on_their_batch(trained, count):
 
 
 def test_an_object_without_modes(tmp_path):
-    net, curve = train_gains(
-        np.zeros((4, 3)),
-        np.zeros((4, 3, 0)),
-        np.zeros(0),
-        np.zeros(0),
-        np.arange(2),
-        np.arange(2, 4),
-        CONFIG,
-        256,
-        torch.Generator().manual_seed(0),
-    )
+    still = np.zeros((4, 3)), np.zeros((4, 3, 0)), np.zeros(0), np.zeros(0)
+    net, curve = train_gains(ModeSamples(*still, np.arange(2), np.arange(2, 4)), CONFIG, 256, Session())
     assert curve == []
     write_safetensors(tmp_path / "n.safetensors", *net.to_tensors())
     back = GainsNet.from_tensors(*read_safetensors(tmp_path / "n.safetensors"))
@@ -174,17 +156,3 @@ def test_energy_weight_is_the_energy_of_the_displacement(c):
     t = np.linspace(0, 20 / c, 2_000_001)
     energy = np.trapezoid((np.exp(-c * t) * np.sin(w * t) / w) ** 2, t)
     assert energy_weights(np.array([w]), np.array([c]))[0] == pytest.approx(energy, rel=1e-6)
-
-
-def test_sums_of_rows_have_the_derivative_of_their_formula():
-    generator = torch.Generator().manual_seed(0)
-    table = torch.randn(40, 3, generator=generator, requires_grad=True)
-    rows = torch.randint(
-        0, 30, (200, 27), generator=generator
-    )  # some repeat within a sum, some are never taken
-    weights, ahead = torch.randn(200, 27, generator=generator), torch.randn(200, 3, generator=generator)
-    sums = WeightedRows.apply(table, rows, weights)
-    expected = torch.einsum("pk,pkc->pc", weights, table[rows])
-    torch.testing.assert_close(sums, expected)
-    (found,), (true,) = (torch.autograd.grad(value, table, ahead) for value in (sums, expected))
-    torch.testing.assert_close(found, true, atol=1e-4, rtol=1e-4)

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from torch import nn
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.fit import fit, minibatches
+from objectfolder.nets.fit import FitSettings, Session, fit, minibatches, sum_in_parts
+from objectfolder.nets.optimizers import make_papers_adam
 
 
 def test_the_net_is_left_at_its_best_validation_loss():
@@ -20,7 +21,7 @@ def test_the_net_is_left_at_its_best_validation_loss():
         seen.append((abs(net.weight.item() - 0.5), net.weight.item()))
         return seen[-1][0]
 
-    curve = fit(net, lambda: (net.weight - 2).square().sum(), val_loss, steps=200, learning_rate=0.05)
+    curve = fit(net, lambda: (net.weight - 2).square().sum(), val_loss, FitSettings(200, 0.05), Session())
     assert len(curve) == len(seen) == 20
     best = min(seen)
     assert seen.index(best) < 19
@@ -39,7 +40,7 @@ def test_it_minimises():
         return (net(x) - y).square().mean()
 
     reported = []
-    fit(net, loss, lambda: loss().item(), steps=500, learning_rate=0.05, report=reported.append)
+    fit(net, loss, lambda: loss().item(), FitSettings(500, 0.05), Session(report=reported.append))
     assert loss().item() < 1e-5
     assert len(reported) == 20
 
@@ -47,13 +48,13 @@ def test_it_minimises():
 def test_a_training_that_diverges_says_so():
     net = nn.Linear(1, 1)
     with pytest.raises(ObjectFolderError, match=r"diverged: the loss of step \d+ of 100 is (inf|nan); lower"):
-        fit(net, lambda: net.weight.square().sum(), lambda: 1.0, steps=100, learning_rate=1e30)
+        fit(net, lambda: net.weight.square().sum(), lambda: 1.0, FitSettings(100, 1e30), Session())
 
 
 @pytest.mark.parametrize("steps", [1, 3, 19])
 def test_few_steps_end_with_an_evaluation(steps):
     net = nn.Linear(1, 1)
-    curve = fit(net, lambda: net.weight.square().sum(), lambda: 1.0, steps=steps, learning_rate=0.1)
+    curve = fit(net, lambda: net.weight.square().sum(), lambda: 1.0, FitSettings(steps, 0.1), Session())
     assert curve[-1].step == steps
 
 
@@ -66,3 +67,31 @@ def test_an_epoch_takes_no_sample_twice(count, size, seed):
         assert len(epoch) == per_epoch * min(size, count)
         assert len(epoch.unique()) == len(epoch)
         assert epoch.max() < count
+
+
+def test_gradients_of_a_batch_in_parts_are_those_of_the_whole():
+    torch.manual_seed(0)
+    net, x, y = nn.Linear(3, 1).double(), torch.randn(10, 3).double(), torch.randn(10, 1).double()
+
+    def loss(x, y):
+        return (net(x) - y).square().mean()
+
+    loss(x, y).backward()
+    expected, net.weight.grad = net.weight.grad, None
+    total = sum_in_parts(loss, 4, x, y)
+    total.backward()
+    torch.testing.assert_close(net.weight.grad, expected)
+    assert total.item() == pytest.approx(loss(x, y).item())
+
+
+def test_a_constant_rate_is_constant_from_the_first_step():
+    net = nn.Linear(1, 1)
+    adam, rates = make_papers_adam(net), []
+    assert (adam.betas, adam.eps) == ((0.9, 0.999), 1e-7)  # supplementary E
+
+    def loss():
+        rates.append(adam.param_groups[0]["lr"])
+        return net.weight.square().sum()
+
+    fit(net, loss, lambda: 0.0, FitSettings(60, 5e-4, final_rate=1.0), Session(), adam)
+    assert rates == [5e-4] * 60

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.nets.hashgrid import HashGrid, scattered_product, transposed_product
+from objectfolder.nets.hashgrid import HashGrid, WeightedRows, scattered_product, transposed_product
 
 
 def naive(grid, x):
@@ -95,8 +95,22 @@ def test_no_points(grid):
 
 def test_both_ways_to_the_gradient_agree():
     generator = torch.Generator().manual_seed(0)
-    rows = torch.randint(30, (400,), generator=generator).int()
-    weights, gradient = torch.rand(400, generator=generator), torch.rand(50, 3, generator=generator)
+    rows = torch.randint(30, (50, 8), generator=generator).int()
+    weights, gradient = torch.rand(50, 8, generator=generator), torch.rand(50, 3, generator=generator)
     a, b = (product(rows, weights, gradient, 32) for product in (transposed_product, scattered_product))
     assert a.shape == (32, 3)
     torch.testing.assert_close(a, b)
+
+
+def test_sums_of_rows_have_the_derivative_of_their_formula():
+    generator = torch.Generator().manual_seed(0)
+    table = torch.randn(40, 3, generator=generator, requires_grad=True)
+    rows = torch.randint(
+        0, 30, (200, 27), generator=generator
+    )  # some repeat within a sum, some are never taken
+    weights, ahead = torch.randn(200, 27, generator=generator), torch.randn(200, 3, generator=generator)
+    sums = WeightedRows.apply(table, rows, weights)
+    expected = torch.einsum("pk,pkc->pc", weights, table[rows])
+    torch.testing.assert_close(sums, expected)
+    (found,), (true,) = (torch.autograd.grad(value, table, ahead) for value in (sums, expected))
+    torch.testing.assert_close(found, true, atol=1e-4, rtol=1e-4)

@@ -8,29 +8,22 @@ import pytest
 import released_files as released
 import torch
 from pretend_device import pretend_device
+from small_trainings import train_sounds, train_touches, train_views
 
 from objectfolder import ObjectFile
-from objectfolder.nets.audio_config import SpectrogramConfig
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
-from objectfolder.nets.audio_spectrogram_training import train_spectrogram
+from objectfolder.nets.fit import Session
 from objectfolder.nets.released.network import Frame
-from objectfolder.nets.touch_config import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
-from objectfolder.nets.touch_image_training import train_image
-from objectfolder.nets.vision_config import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet
-from objectfolder.nets.vision_osf_training import train_osf
-from objectfolder.released.audio import gains_net, spectrogram_net
 from objectfolder.released.checkpoint import read_released
-from objectfolder.released.touch import depth_net, image_net
-from objectfolder.released.vision import configured_net
+from objectfolder.released.nets import configured_net, depth_net, gains_net, image_net, spectrogram_net
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, look_at
 
 POSE = look_at(np.array([2.0, -1.0, 0.7]))[0]
 LIGHT = np.array([2.0, 0.0, 1.0])
 FRAME = Frame((0.01, -0.02, 0.03), 0.2)
-TRAINING = {"steps": 3, "batch": 32, "learning_rate": 0.01, "final_rate": 0.01, "precision": "float32"}
 POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (3, 3)).astype(np.float32)
 
 
@@ -61,7 +54,7 @@ def _read(values, part, tmp_path):
 NETS = {
     "osf": (lambda tmp: _osf(), see),
     "image": (
-        lambda tmp: _vivid(ImageTouch("digit", (6, 8), 0.001, 0.0, 16, 2, 3, 3)),
+        lambda tmp: _vivid(ImageTouch("digit", (6, 8), (0.001, 0.0), 16, 2, 3, 3)),
         lambda net: net.images(POINTS),
     ),
     "spectrogram": (
@@ -140,57 +133,11 @@ def test_an_object_file_on_a_device_answers_as_on_the_cpu(brick_path):
         np.testing.assert_allclose(there[name], here[name], rtol=1e-5, atol=1e-6, err_msg=name)
 
 
-def small_views():
-    """Two noisy pictures, in the arrays of `render_views`."""
-    rng = np.random.default_rng(1)
-    return {
-        "rgba": np.concatenate([rng.uniform(0, 1, (2, 8, 8, 3)), np.ones((2, 8, 8, 1))], 3).astype(
-            np.float16
-        ),
-        "camera_to_world": np.stack([POSE, POSE]),
-        "light": np.stack([LIGHT, LIGHT]),
-        "focal": np.float64(9.0),
-        "center": np.full((2, 2), 4.0),
-    }
-
-
-def train_a_view(device):
-    config = OsfConfig(
-        **{"width": 16, "depth": 2, "branch_width": 16, "branch_depth": 2, "point_octaves": 2},
-        **{"direction_octaves": 1, "coarse_samples": 8, "fine_samples": 8, "hull_cells": 4},
-        **TRAINING,
-    )
-    return train_osf(small_views(), small_views(), config, torch.Generator().manual_seed(0), device=device)
-
-
-def train_a_sound(device):
-    points, shapes = POINTS[:, :3], np.random.default_rng(2).standard_normal((3, 3, 2))
-    config = SpectrogramConfig(width=16, depth=2, point_octaves=1, bin_octaves=3, loud=0.5, **TRAINING)
-    rows = np.arange(2), np.arange(2, 3)
-    frequency, damping = 2 * np.pi * np.array([400.0, 900.0]), np.array([3.0, 4.0])
-    return train_spectrogram(
-        points, shapes, frequency, damping, *rows, config, torch.Generator().manual_seed(0), device=device
-    )
-
-
-def train_a_touch(device):
-    contacts = {
-        "images": np.random.default_rng(3).integers(0, 255, (3, 6, 8, 3), dtype=np.uint8),
-        "points": POINTS.astype(float),
-        "depths": np.full(3, 0.001),
-        "angles": np.zeros(3),
-    }
-    config = ImageConfig(width=16, depth=2, point_octaves=3, pixel_octaves=3, **TRAINING)
-    return train_image(
-        contacts, contacts, 0.2, "digit", config, torch.Generator().manual_seed(0), device=device
-    )
-
-
-@pytest.mark.parametrize("train", [train_a_view, train_a_sound, train_a_touch])
+@pytest.mark.parametrize("train", [train_views, train_sounds, train_touches])
 def test_training_on_a_device_gives_the_net_of_the_cpu(train):
-    here, _ = train("cpu")
+    here, _ = train(Session(torch.Generator().manual_seed(0)), steps=3, final_rate=0.01)
     with pretend_device() as device:
-        there, curve = train(device)
+        there, curve = train(Session(torch.Generator().manual_seed(0), device), steps=3, final_rate=0.01)
     assert len(curve) > 0
     for (name, a), b in zip(here.state_dict().items(), there.state_dict().values(), strict=True):
         assert b.device.type == "cpu", name

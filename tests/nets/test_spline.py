@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from objectfolder.nets.spline import SplineGrid, touched
+from objectfolder.nets.spline import SplineGrid, mark_touched
 
 
 def grid(resolution=5, channels=2, used=None):
@@ -43,7 +43,7 @@ def test_features_are_smooth_across_cells():
 
 def test_only_touched_nodes_have_features(points):
     near = points[points.norm(dim=1) < 0.2]
-    used = touched(near, 5)
+    used = mark_touched(near, 5)
     assert 27 <= used.sum() < 343
     part, whole = grid(used=used), grid()
     with torch.no_grad():

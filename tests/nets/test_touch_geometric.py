@@ -103,7 +103,8 @@ def test_a_stored_background_stays_with_the_stored_profile(surface, points):
 
 
 def test_the_renderer_of_the_stored_sensor_is_stored(surface):
-    net = GeometricTouch(surface, SCALE, load_profile("tacto_digit"), 1e-5, "tacto", smoothing=2)
+    net = GeometricTouch(surface, SCALE, load_profile("tacto_digit"), 1e-5, "tacto")
+    net.smooth(2)
     back = GeometricTouch.from_tensors(surface, SCALE, *net.to_tensors())
     assert (back.renderer, back.depth_offset, back.smoothing) == ("tacto", 1e-5, 2)
     other = back.with_sensor(load_profile("digit"))

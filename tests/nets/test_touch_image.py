@@ -1,11 +1,10 @@
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.touch_config import ImageConfig
+from objectfolder.nets.fit import Session
+from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.touch_image_training import train_image
 
@@ -40,8 +39,8 @@ def dots(count, seed):
 
 
 def train(contacts, config=CONFIG):
-    generator = torch.Generator().manual_seed(3)
-    return train_image(contacts, contacts, SCALE, "digit", config, generator)
+    session = Session(torch.Generator().manual_seed(3))
+    return train_image(contacts, contacts, SCALE, "digit", config, session)
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +65,13 @@ def test_it_memorises_contacts_far_better_than_their_mean_image(learnt):
 
 def test_the_papers_network():
     """Eight layers of 256 channels, 105 inputs from (x, y, z, w, h) with ten octaves each, RGB out."""
-    net = ImageTouch("digit", (160, 120), 0.001, 0.0, 256, 8, 10, 10).network
+    net = ImageTouch("digit", (160, 120), (0.001, 0.0), 256, 8, 10, 10).network
     sizes = [tuple(layer.weight.shape) for layer in (*net.hidden, net.output)]
     assert sizes == [(256, 105), *[(256, 256)] * 4, (256, 361), *[(256, 256)] * 2, (3, 256)]
 
 
 def test_pixels_are_columns_and_rows_from_left_and_top():
-    net = ImageTouch("digit", (4, 3), 0.001, 0.0, 8, 2, 0, 0)
+    net = ImageTouch("digit", (4, 3), (0.001, 0.0), 8, 2, 0, 0)
     seen = []
     net.network.register_forward_hook(lambda module, inputs, output: seen.append(inputs[0]))
     net.images(np.array([[0.1, 0.2, 0.3]]))
@@ -93,12 +92,6 @@ def test_stored_weights_answer_nearly_alike(learnt):
     points = contacts["points"] / SCALE
     assert np.abs(back.images(points).astype(int) - net.images(points)).max() <= 3
     assert (back.press_depth, back.angle, back.image_size) == (0.001, 0.3, (16, 12))
-
-
-def test_equal_seeds_give_equal_nets():
-    config = dataclasses.replace(CONFIG, steps=25)
-    nets = [train(dots(3, 1), config)[0].state_dict() for _ in range(2)]
-    assert all(torch.equal(a, b) for a, b in zip(nets[0].values(), nets[1].values()))
 
 
 @pytest.mark.parametrize(("name", "field"), [("depths", "depth"), ("angles", "angle")])

@@ -9,7 +9,9 @@ from solids import isosurface, sphere
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.nets.vision_config import SurfaceConfig
+from objectfolder.nets.fit import Session
+from objectfolder.nets.hashgrid import HashGrid
+from objectfolder.nets.settings import SurfaceConfig
 from objectfolder.nets.vision_surface import ALIKE, SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.vision.appearance import appearance_at
@@ -20,14 +22,14 @@ from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
 from objectfolder.vision.view import SQUARE, draw
 
-SIZE = {"levels": 3, "features": 2, "table_bits": 12, "coarsest": 4, "finest": 24, "width": 16}
-LOOK = {"roughness": 0.4, "metallic": 0.1}
+GRID = {"levels": 3, "features": 2, "table_bits": 12, "coarsest": 4, "finest": 24}
+LOOK = {"width": 16, "roughness": 0.4, "metallic": 0.1}
 LIGHT = torch.tensor([0.5, 0.5, 1.0])
 
 
 def training(points: int, point_steps: int, pixels: int, steps: int) -> SurfaceConfig:
     size = {"points": points, "point_steps": point_steps, "pixels": pixels, "steps": steps}
-    return SurfaceConfig(**SIZE, **size, point_batch=1024, batch=1024, learning_rate=0.02)
+    return SurfaceConfig(**GRID, width=16, **size, point_batch=1024, batch=1024, learning_rate=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +47,7 @@ def samples(ball):
 @pytest.fixture
 def net():
     torch.manual_seed(0)
-    net = SurfaceNet(**SIZE, **LOOK).eval()
+    net = SurfaceNet(HashGrid(**GRID), **LOOK).eval()
     for grid in (net.grid, net.transport):
         torch.nn.init.normal_(grid.table, std=0.3)
     return net
@@ -162,8 +164,8 @@ def views(ball, painted):
 def test_training_explains_a_painted_ball_and_is_deterministic(tmp_path, ball, painted, views):
     config = training(points=20_000, point_steps=150, pixels=8000, steps=150)
     for name in "ab":
-        generator = torch.Generator().manual_seed(3)
-        trained, curve = train_surface(ball, painted, *views, config, generator)
+        session = Session(torch.Generator().manual_seed(3))
+        trained, curve = train_surface(ball, painted, *views, config, session)
         write_safetensors(tmp_path / name, *trained.to_tensors())
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
     assert curve[0].val_loss > 2 * min(p.val_loss for p in curve)
@@ -188,7 +190,9 @@ def test_a_mesh_that_is_turned_inside_out_looks_the_same(ball, painted, views):
         )
     )
     a, b = (
-        train_surface(ball, scene, *views, config, torch.Generator().manual_seed(3))[0].bake(ball).look
+        train_surface(ball, scene, *views, config, Session(torch.Generator().manual_seed(3)))[0]
+        .bake(ball)
+        .look
         for scene in (painted, turned)
     )
     assert (a[:, 3:] * b[:, 3:]).sum(1).min() > 0.9
@@ -200,10 +204,10 @@ def test_views_that_show_nothing_are_passed_over_unless_all_do(ball, painted, vi
     train, val = views
     empty = {**train, "rgba": train["rgba"] * (np.arange(len(train["rgba"])) % 2)[:, None, None, None]}
     empty["rgba"][2, 16, 16] = 1  # one pixel
-    train_surface(ball, painted, empty, val, config, torch.Generator().manual_seed(3))
+    train_surface(ball, painted, empty, val, config, Session(torch.Generator().manual_seed(3)))
     nothing = {**train, "rgba": np.zeros_like(train["rgba"])}
     with pytest.raises(ObjectFolderError, match="none of 24 images shows"):
-        train_surface(ball, painted, nothing, val, config, torch.Generator().manual_seed(3))
+        train_surface(ball, painted, nothing, val, config, Session(torch.Generator().manual_seed(3)))
 
 
 def test_tiles_teach_what_the_views_teach_that_they_are_cut_from(ball, painted, views):
@@ -223,7 +227,7 @@ def test_tiles_teach_what_the_views_teach_that_they_are_cut_from(ball, painted, 
         for view in views
     ]
     losses = [
-        train_surface(ball, painted, *data, config, torch.Generator().manual_seed(3))[1][-1].val_loss
+        train_surface(ball, painted, *data, config, Session(torch.Generator().manual_seed(3)))[1][-1].val_loss
         for data in (views, tiles)
     ]
     assert losses[1] == pytest.approx(losses[0], rel=0.15)
@@ -240,7 +244,7 @@ def test_noise_does_not_choose_the_pixels(ball, painted, views):
     shade, light = [], np.array([0.0, 0, -1.0])
     pose = look_at(np.array([[0.0, 1.0, 2.2]]))[0]
     for data in (train, noisy):
-        net, _ = train_surface(ball, painted, data, val, config, torch.Generator().manual_seed(3))
+        net, _ = train_surface(ball, painted, data, val, config, Session(torch.Generator().manual_seed(3)))
         rgba = draw(ball, net.shader(ball), pose, light, Intrinsics.square(32)).rgba
         shade.append(rgba[rgba[..., 3] == 1][:, :3].mean())
     assert shade[1] == pytest.approx(shade[0], rel=0.1)

@@ -135,7 +135,7 @@ def test_strikes_are_heard_in_batches(brick, struck, monkeypatch):
     options = {"duration": 0.02, "striker": "rubber", "listener": listener}
     ways = [options | {"delay": delay} for delay in (False, True)]
     whole = [brick.impact(points, UP, **way) for way in ways]
-    monkeypatch.setattr("objectfolder.objectfile.audio._BATCH", 4)
+    monkeypatch.setattr("objectfolder.objectfile.audio_senses._BATCH", 4)
     places, pressure = [], Radiation.pressure
     monkeypatch.setattr(
         Radiation, "pressure", lambda self, *given: places.append(len(given[1])) or pressure(self, *given)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from objectfolder.fem.cutcell import CUT_CELLS
+from objectfolder.fem.certainty import CUT_CELLS
 from objectfolder.objectfile.packing import ESTIMATING, certainty
 
 

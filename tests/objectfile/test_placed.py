@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from objectfolder.objectfile import placed
+from objectfolder.objectfile import file
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,6 @@ def test_the_vision_net_chooses_the_device(monkeypatch, header, gpu, device):
     def load(path, device="cpu"):
         return SimpleNamespace(header=header, device=device)
 
-    monkeypatch.setattr(placed.ObjectFile, "load", load)
+    monkeypatch.setattr(file.ObjectFile, "load", load)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: gpu)
-    assert placed.load_placed("a").device == device
+    assert file.load_placed("a").device == device

@@ -2,7 +2,6 @@ import dataclasses
 import hashlib
 import json
 import logging
-import re
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
@@ -15,14 +14,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from objectfolder import ObjectFile
-from objectfolder.audio.contact import STRIKERS, contact_time
+from objectfolder.audio.contact import contact_time, load_striker
 from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material, material
-from objectfolder.nets.audio_gains import GainsNet
-from objectfolder.objectfile.audio import ModalSense
+from objectfolder.nets.audio_gains import GainsNet, GainsShape
+from objectfolder.objectfile.audio import SoundSettings, Strikes
+from objectfolder.objectfile.audio_senses import ModalSense
 from objectfolder.objectfile.parts import StoredParts
 from objectfolder.objectfile.reading import StoredNet
-from objectfolder.objectfile.sound_settings import SoundSettings
 from objectfolder.objectfile.surface import ObjectSurface
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.profiles import load_profile
@@ -68,14 +67,15 @@ def test_a_sound_does_not_depend_on_a_large_batch(brick, rng):
 def test_a_sound_of_many_modes_does_not_depend_on_its_batch(brick, modes, rng):
     torch.manual_seed(modes)
     damped, damping = torch.rand(modes) * 4e4 + 1e3, torch.rand(modes) * 50 + 1
-    net = GainsNet(damped, damping, torch.rand(modes), torch.ones(6**3, dtype=torch.bool), 4, 8, 96, 96, 5.0)
+    used, shape = torch.ones(6**3, dtype=torch.bool), GainsShape(4, 8, 96, 96, 5.0)
+    net = GainsNet(damped, damping, torch.rand(modes), used, shape)
     points, forces = brick.sample_surface(50) / SCALE, rng.standard_normal((50, 3))
     surface = ObjectSurface(lambda: brick.surface, 1.0)
     sense = ModalSense(net, StoredNet("audio", brick.header, {}, surface, torch.device("cpu")))
     played = SoundSettings(16000, 0.1, "velocity", 0.0, None, None)
 
     def sounds(p, f):
-        return sense.impact(p, f, played, 0.02)
+        return sense.impact(Strikes(p, f, 0.02), played, lambda: None)
 
     whole, order = sounds(points, forces), rng.permutation(50)
     np.testing.assert_array_equal(sounds(points[order], forces[order]), whole[order])
@@ -185,12 +185,6 @@ def test_a_camera_inside_the_object_sees_no_background(brick):
     assert (image < 1).any()
 
 
-@pytest.mark.parametrize("resolution", [0, -3])
-def test_pictures_without_pixels_are_refused(brick, resolution):
-    with pytest.raises(ObjectFolderError, match=f"resolution is {resolution}, expected a whole number"):
-        brick.view([2, 0, 0], [1, 0, 0], resolution)
-
-
 NONSENSE = [
     (np.zeros((2, 4)), [1, 0, 0], r"camera has shape \(2, 4\), expected \(N, 3\) or \(N, 4, 4\)"),
     (np.zeros(4), [1, 0, 0], "camera has shape"),
@@ -205,6 +199,7 @@ NONSENSE = [
 ]
 OTHERS = [
     ({"resolution": 0}, "resolution is 0, expected a whole number"),
+    ({"resolution": -3}, "resolution is -3, expected a whole number"),
     ({"resolution": 10**6}, "needs .* bytes, this machine has"),
     ({"intrinsics": Intrinsics(np.int32(10**6), np.int32(10**6))}, "needs .* bytes, this machine has"),
     ({"intrinsics": 3}, "intrinsics is of type int"),
@@ -214,12 +209,6 @@ OTHERS = [
     ({"light": None}, "there is no light"),
     ({"environment": np.zeros((4, 8, 3))}, "environment is black"),
 ]
-
-
-@pytest.mark.parametrize(("camera", "light", "message"), NONSENSE)
-def test_a_view_of_nonsense_is_refused(brick, camera, light, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        brick.view(camera, light, 8)
 
 
 @pytest.mark.parametrize("question", ["view", "render"])
@@ -248,12 +237,6 @@ def test_a_sound_is_linear_in_the_force_and_keeps_its_scale(brick, rng):
     assert not brick.impact(points, 0 * a).any()
 
 
-def test_one_force_serves_all_points(brick):
-    points = brick.sample_surface(3)
-    np.testing.assert_array_equal(brick.impact(points, UP), brick.impact(points, UP.repeat(3, 0)))
-    np.testing.assert_array_equal(brick.impact(points[0], UP[0]), brick.impact(points[:1], UP))
-
-
 def test_a_sound_holds_the_objects_frequencies(brick):
     sound = brick.impact(TOP, UP, sample_rate=48000, duration=1.0)[0]
     spectrum = np.abs(np.fft.rfft(sound * np.hanning(len(sound))))
@@ -270,7 +253,7 @@ def test_a_point_near_the_surface_is_snapped(brick):
     np.testing.assert_allclose(brick.impact(above, UP), expected, rtol=0, atol=1e-2 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("question", ["impact", "touch"])
+@pytest.mark.parametrize("question", ["impact", "mode_shapes", "touch", "press", "contact_normals"])
 def test_a_point_off_the_surface_is_refused_with_row_and_distance(brick, question):
     points = brick.sample_surface(6)
     points[4] = [0, 0, SCALE]
@@ -281,30 +264,6 @@ def test_a_point_off_the_surface_is_refused_with_row_and_distance(brick, questio
     ):
         getattr(brick, question)(*arguments)
     getattr(brick, question)(*arguments, tolerance=0.9)
-
-
-@pytest.mark.parametrize(
-    ("points", "forces", "message"),
-    [
-        (np.zeros((2, 2)), UP, r"points has shape \(2, 2\), expected \(N, 3\)"),
-        (np.zeros((1, 1, 3)), UP, "points has shape"),
-        (0.0, UP, "points has shape"),
-        ([[0, np.nan, 0]], UP, r"points: row 0 is \[0.0, nan, 0.0\], expected finite"),
-        (TOP.repeat(3, 0), np.ones((2, 3)), "points has 3 rows, forces 2"),
-        (TOP, [[0, 0, np.inf]], r"forces: row 0 is"),
-        (TOP, [[0, 0]], "forces has shape"),
-    ],
-)
-def test_an_impact_of_nonsense_is_refused(brick, points, forces, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        brick.impact(points, forces)
-
-
-def test_unknown_responses_and_rates_are_refused(brick):
-    with pytest.raises(ObjectFolderError, match="'loud' is not one of"):
-        brick.impact(TOP, UP, response="loud")
-    with pytest.raises(ObjectFolderError, match="must be positive"):
-        brick.impact(TOP, UP, sample_rate=0)
 
 
 def test_an_object_that_falls_silent_says_so(brick, caplog):
@@ -350,12 +309,6 @@ def test_impulses_too_large_for_the_format_are_refused_and_give_no_nan(brick):
             brick.impact(TOP, [[size, -size, size]], duration=0.1, response="acceleration")
 
 
-@pytest.mark.parametrize("tolerance", [np.nan, -0.01])
-def test_a_tolerance_must_be_a_distance(brick, tolerance):
-    with pytest.raises(ObjectFolderError, match="tolerance is"):
-        brick.impact(TOP, UP, tolerance=tolerance)
-
-
 def test_a_soft_strike_keeps_its_momentum_and_loses_its_treble(brick):
     hard, soft = (brick.impact(TOP, UP, 48000, 0.5, contact_time=t)[0] for t in (0.0, 1e-3))
     spectra = [np.abs(np.fft.rfft(sound)) for sound in (hard, soft)]
@@ -366,14 +319,14 @@ def test_a_soft_strike_keeps_its_momentum_and_loses_its_treble(brick):
 
 def test_a_strike_lasts_as_long_as_its_striker_touches_the_object(brick):
     plastic, mass = material("plastic"), 1070 * 0.18 * SCALE**3
-    assert brick.contact_time() == pytest.approx(contact_time(STRIKERS["steel"], plastic, mass), rel=1e-4)
-    iron = contact_time(STRIKERS["wood"], material("iron"), mass * 8000 / 1070 * 8)
+    assert brick.contact_time() == pytest.approx(contact_time(load_striker("steel"), plastic, mass), rel=1e-4)
+    iron = contact_time(load_striker("wood"), material("iron"), mass * 8000 / 1070 * 8)
     assert brick.contact_time("wood", "iron", 2 * SCALE) == pytest.approx(iron, rel=1e-4)
     for striker, named in (("steel", {}), ("finger", {"striker": "finger"})):
         by_hand = brick.impact(TOP, UP, duration=0.1, contact_time=brick.contact_time(striker))
         np.testing.assert_array_equal(brick.impact(TOP, UP, duration=0.1, **named), by_hand)
     without = ObjectFile({k: v for k, v in brick.header.items() if k != "solid"}, brick.tensors)
-    assert without.contact_time() == contact_time(STRIKERS["steel"], plastic, np.inf)
+    assert without.contact_time() == contact_time(load_striker("steel"), plastic, np.inf)
 
 
 def test_an_object_of_another_size_and_material_sounds_as_its_modes(brick, caplog):
@@ -416,6 +369,13 @@ def test_another_poisson_ratio_is_warned_of(brick, caplog):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        ({"points": np.zeros((2, 2))}, r"points has shape \(2, 2\), expected \(N, 3\)"),
+        ({"points": np.zeros((1, 1, 3))}, "points has shape"),
+        ({"points": 0.0}, "points has shape"),
+        ({"points": [[0, np.nan, 0]]}, r"points: row 0 is \[0.0, nan, 0.0\], expected finite"),
+        ({"points": TOP.repeat(3, 0), "forces": np.ones((2, 3))}, "points has 3 rows, forces 2"),
+        ({"forces": [[0, 0, np.inf]]}, r"forces: row 0 is"),
+        ({"forces": [[0, 0]]}, "forces has shape"),
         ({"material": "gold"}, "unknown material 'gold'"),
         ({"scale": 0.0}, "scale is 0.0, expected the object's longest side"),
         ({"scale": np.nan}, "scale is nan"),
@@ -424,11 +384,15 @@ def test_another_poisson_ratio_is_warned_of(brick, caplog):
         ({"duration": 0.0}, "both must be positive"),
         ({"duration": np.nan}, "duration is nan, expected a finite number"),
         ({"sample_rate": np.nan}, "sample rate is nan, expected a finite number"),
+        ({"response": "loud"}, "'loud' is not one of"),
+        ({"sample_rate": 0}, "must be positive"),
+        ({"tolerance": np.nan}, "tolerance is"),
+        ({"tolerance": -0.01}, "tolerance is"),
     ],
 )
-def test_a_sound_of_nonsense_is_refused(brick, arguments, message):
+def test_an_impact_of_nonsense_is_refused(brick, arguments, message):
     with pytest.raises(ObjectFolderError, match=message):
-        brick.impact(TOP, UP, **arguments)
+        brick.impact(**{"points": TOP, "forces": UP} | arguments)
 
 
 UNDAMPED = Material("brass", 8500.0, 1.0e11, 0.34)
@@ -439,7 +403,7 @@ UNDAMPED = Material("brass", 8500.0, 1.0e11, 0.34)
     [
         ({"delay": True}, "delay=True needs a listener; give listener, or leave delay out"),
         ({"contact_time": 1e-3, "striker": "steel"}, "striker is 'steel', but contact_time says .*leave one"),
-        ({"contact_time": 0.0, "striker": STRIKERS["wood"]}, r"striker is Striker\(.*, but contact_time"),
+        ({"contact_time": 0.0, "striker": load_striker("wood")}, r"striker is Striker\(.*, but contact_time"),
         ({"material": UNDAMPED}, "material 'brass': an undamped object rings for ever; give alpha, beta or"),
     ],
 )
@@ -531,25 +495,6 @@ def test_contact_normals_are_those_of_a_touch(brick):
     assert brick.contact_normals(np.zeros((0, 3))).shape == (0, 3)
 
 
-def test_a_contact_normal_off_the_surface_is_refused_in_metres(brick):
-    points = brick.sample_surface(4)
-    points[1] *= 3
-    at, distance = re.escape(str(points[1].round(6).tolist())), brick.nearest(points)[1][1]
-    message = f"1 of 4 points are off the surface, the first is row 1 at {at} m, {distance:.3g} m away"
-    with pytest.raises(ObjectFolderError, match=message):
-        brick.contact_normals(points)
-    assert np.isfinite(brick.contact_normals(points, tolerance=3.0)).all()
-
-
-def test_a_point_off_the_surface_is_named(brick):
-    points = TOP.repeat(3, 0)
-    points[2, 2] += 0.004
-    with pytest.raises(
-        ObjectFolderError, match=r"1 of 3 points .* row 2 at \[0.01, 0.005, 0.019\] m, 0.004 m away"
-    ):
-        brick.press(points)
-
-
 def test_everything_about_a_touch_in_one_answer(brick):
     """On a flat face, against what the definitions say."""
     points = TOP.repeat(3, 0)
@@ -631,15 +576,6 @@ def test_queries_leave_their_arguments_and_the_random_state_alone(brick):
     np.testing.assert_array_equal(np.random.get_state()[1], legacy)  # noqa: NPY002
 
 
-def test_one_row_serves_all_of_the_others(brick):
-    point, forces = brick.sample_surface(1), np.eye(3)
-    sounds = brick.impact(point, forces)
-    np.testing.assert_array_equal(sounds, brick.impact(point.repeat(3, 0), forces))
-    lights = np.array([[1.0, 0, 0], [0, 0, 1.0]])
-    images = brick.view([2.5, 0, 0], lights, resolution=16)
-    np.testing.assert_array_equal(images, brick.view([[2.5, 0, 0]] * 2, lights, resolution=16))
-
-
 def test_tensors_in_tensors_out(brick, rng):
     points, forces = brick.sample_surface(3), rng.standard_normal((3, 3))
     cameras, lights = sphere_points(2, 2.5, rng), sphere_points(2, 1.0, rng)
@@ -673,13 +609,6 @@ def test_the_nearest_points_bounds_and_mesh_of_a_brick(brick, rng):
     nearest, distance = brick.nearest(points)
     assert distance.max() < 0.25 * brick.surface.grid.spacing * SCALE
     np.testing.assert_allclose(np.linalg.norm(nearest - points, axis=1), distance, atol=1e-12)
-
-
-def test_a_large_batch_of_strikes_takes_no_more_than_its_answer(brick, rng):
-    points = np.repeat(brick.sample_surface(10), 300, axis=0)
-    forces = rng.standard_normal((3000, 3))
-    whole = brick.impact(points, forces, duration=0.01)
-    np.testing.assert_array_equal(brick.impact(points[1500:], forces[1500:], duration=0.01), whole[1500:])
 
 
 def _mixed(file, count, seed):
@@ -774,9 +703,16 @@ def test_a_point_beyond_the_range_of_numbers_has_no_nearest_one(brick):
     assert abs(distance[0] - 1e4) < SCALE
 
 
-def test_one_point_serves_all_depths_and_shears(brick):
-    point = brick.sample_surface(1)
+def test_one_row_serves_all_of_the_others(brick):
+    point, forces = brick.sample_surface(1), np.eye(3)
     both, depths = np.repeat(point, 2, 0), [0.0005, 0.001]
+    sounds = brick.impact(point, forces)
+    np.testing.assert_array_equal(sounds, brick.impact(point.repeat(3, 0), forces))
+    np.testing.assert_array_equal(sounds[2:], brick.impact(point[0], UP[0]))
+    np.testing.assert_array_equal(brick.impact(both, UP), brick.impact(both, UP.repeat(2, 0)))
+    lights = np.array([[1.0, 0, 0], [0, 0, 1.0]])
+    images = brick.view([2.5, 0, 0], lights, resolution=16)
+    np.testing.assert_array_equal(images, brick.view([[2.5, 0, 0]] * 2, lights, resolution=16))
     np.testing.assert_array_equal(brick.touch(point, depths), brick.touch(both, depths))
     np.testing.assert_array_equal(brick.press(point, depths).force, brick.press(both, depths).force)
     shears = [[0.0, 0.0], [1e-4, 0.0]]

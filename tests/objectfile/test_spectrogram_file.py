@@ -8,7 +8,7 @@ from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile.evaluation import Strikes, evaluate_sounds
+from objectfolder.objectfile.evaluate_sound import UnitStrikes, score_spectrograms
 
 
 @pytest.fixture
@@ -74,8 +74,8 @@ def test_its_scores_stand_beside_silence(file, brick):
         "damped_frequency": brick._parts.audio.net.damped_frequency.numpy(),
         "damping": brick._parts.audio.net.damping.numpy(),
     }
-    strikes = Strikes.random(np.arange(10, 20), 2, np.random.default_rng(0))
-    scores = evaluate_sounds(file, modes, strikes, np.random.default_rng(0))
+    strikes = UnitStrikes.random(np.arange(10, 20), 2, np.random.default_rng(0))
+    scores = score_spectrograms(file, modes, strikes, np.random.default_rng(0))
     assert (scores["impacts"], scores["modes"]) == (2, len(brick.frequencies))
     assert scores["psnr"] < scores["baseline_silence"]
     # Silence's score, from the sounds themselves.

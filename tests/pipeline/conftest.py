@@ -2,6 +2,8 @@
 
 import shutil
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -11,171 +13,48 @@ from sharing import once
 
 ROOT = Path(__file__).parents[2]
 
-TINY = {
-    "normalize": {"texture_size": 64},
-    "voxelize": {
-        "resolutions": [8],
-        "subdivisions": 4,
-        "max_degrees_of_freedom": 20000,
-        "sdf_resolution": 48,
-    },
-    "modal": {
-        "fine": {"resolutions": [12], "subdivisions": 4, "max_degrees_of_freedom": 20000, "max_error": 0.5},
-        "max_modes": 12,
-        "surface_points": 300,
-        "allow_uncertain": True,
-    },
-    "radiation": {"triangles": 200},
-    "render_views": {
-        "resolution": 32,
-        "tile": 12,
-        "train": 40,
-        "val": 6,
-        "test": 2,
-        "train_samples": 4,
-        "test_samples": 4,
-    },
-    "render_touch": {"train": 4, "val": 2, "test": 3},
-    "train_vision": {
-        "table_bits": 10,
-        "levels": 4,
-        "finest": 64,
-        "width": 16,
-        "point_steps": 20,
-        "point_batch": 1024,
-        "steps": 40,
-        "batch": 512,
-        "osf": {
-            "width": 16,
-            "depth": 2,
-            "branch_width": 8,
-            "branch_depth": 1,
-            "point_octaves": 2,
-            "direction_octaves": 1,
-            "coarse_samples": 8,
-            "fine_samples": 8,
-            "hull_cells": 16,
-            "steps": 150,
-            "batch": 128,
-            "learning_rate": 0.01,
-            "final_rate": 0.01,
-            "precision": "float32",
-        },
-    },
-    "train_audio": {
-        "sizes": [
-            {
-                "modes": 100,
-                "resolution": 6,
-                "channels": 4,
-                "width": 32,
-                "features": 32,
-                "most_features": 32,
-                "frequency": 6.0,
-                "steps": 60,
-                "learning_rate": 0.005,
-                "grid_rate": 3.0,
-            }
-        ],
-        "spectrogram": {
-            "width": 16,
-            "depth": 2,
-            "point_octaves": 1,
-            "bin_octaves": 3,
-            "steps": 40,
-            "batch": 256,
-            "learning_rate": 0.001,
-            "final_rate": 0.01,
-            "loud": 0.5,
-            "precision": "float32",
-        },
-    },
-    "train_touch": {
-        "rounds": 1,
-        "contacts": 2,
-        "image": {
-            "width": 16,
-            "depth": 2,
-            "point_octaves": 2,
-            "pixel_octaves": 2,
-            "steps": 60,
-            "batch": 512,
-            "learning_rate": 0.005,
-            "final_rate": 0.01,
-            "precision": "float32",
-        },
-    },
-    "evaluate": {"impacts": 4},
-    "observe": {"observations": 10, "resolution": 32},
-    "encode": {
-        "image": 28,
-        "spectrogram": [33, 26],
-        "touch": [40, 30],
-        "subtract": True,
-        "shift": 1,
-        "flip": True,
-    },
-    "recognize": {"seeds": 1, "epochs": 1, "fusion_epochs": 1, "batch": 8, "schedule": "one_cycle"},
-    "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 16},
-    "reconstruct": {
-        "seeds": 1,
-        "epochs": 1,
-        "batch": 8,
-        "points": 64,
-        "width": 16,
-        "blocks": 1,
-        "frequencies": 1,
-        "pretrain_epochs": 1,
-        "naming": 1.0,
-        "resolution": 16,
-        "score_points": 500,
-        "views": 1,
-        "touches": 2,
-    },
-    "decompose": {"hulls": 2},
-    "grasp_data": {"grasps": 10, "perturbations": 0, "image": 16, "touch": [16, 12]},
-    "grasp_policy": {
-        "seeds": 1,
-        "episodes": 8,
-        "environments": 2,
-        "rollout": 4,
-        "updates": 1,
-        "batch": 8,
-        "width": 8,
-        "rollouts": 4,
-        "presses": 4,
-    },
-    "reach": {
-        "steps": 256,
-        "goals": 2,
-        "horizon": 5,
-        "environments": 2,
-        "rollout": 8,
-        "batch": 8,
-        "width": 8,
-    },
-}
-CLOSING = {"wall": None, "bridge": "all"}
+TINY = YAML(typ="safe").load("""
+normalize: {texture_size: 64}
+voxelize: {resolutions: [8], subdivisions: 4, max_degrees_of_freedom: 20000, sdf_resolution: 48}
+modal: {fine: {resolutions: [12], subdivisions: 4, max_degrees_of_freedom: 20000, max_error: 0.5},
+  max_modes: 12, surface_points: 300, allow_uncertain: true}
+radiation: {triangles: 200}
+render_views: {resolution: 32, tile: 12, train: 40, val: 6, test: 2, train_samples: 4, test_samples: 4}
+render_touch: {train: 4, val: 2, test: 3}
+train_vision: {table_bits: 10, levels: 4, finest: 64, width: 16, point_steps: 20, point_batch: 1024,
+  steps: 40, batch: 512, osf: {width: 16, depth: 2, branch_width: 8, branch_depth: 1, point_octaves: 2,
+  direction_octaves: 1, coarse_samples: 8, fine_samples: 8, hull_cells: 16, steps: 150,
+  batch: 128, learning_rate: 0.01, final_rate: 0.01, precision: float32}}
+train_audio: {sizes: [{modes: 100, resolution: 6, channels: 4, width: 32, features: 32, most_features: 32,
+  frequency: 6.0, steps: 60, learning_rate: 0.005, grid_rate: 3.0}], spectrogram: {width: 16,
+  depth: 2, point_octaves: 1, bin_octaves: 3, steps: 40, batch: 256, learning_rate: 0.001,
+  final_rate: 0.01, loud: 0.5, precision: float32}}
+train_touch: {rounds: 1, contacts: 2, image: {width: 16, depth: 2, point_octaves: 2, pixel_octaves: 2,
+  steps: 60, batch: 512, learning_rate: 0.005, final_rate: 0.01, precision: float32}}
+evaluate: {impacts: 4}
+observe: {observations: 10, resolution: 32}
+encode: {image: 28, spectrogram: [33, 26], touch: [40, 30], subtract: true, shift: 1, flip: true}
+recognize: {seeds: 1, epochs: 1, fusion_epochs: 1, batch: 8, schedule: one_cycle}
+retrieve: {seeds: 1, epochs: 2, batch: 8, embedding: 16}
+reconstruct: {seeds: 1, epochs: 1, batch: 8, points: 64, width: 16, blocks: 1, frequencies: 1,
+  pretrain_epochs: 1,
+  naming: 1.0, resolution: 16, score_points: 500, views: 1, touches: 2}
+decompose: {hulls: 2}
+grasp_data: {grasps: 10, perturbations: 0, image: 16, touch: [16, 12]}
+grasp_policy: {seeds: 1, episodes: 8, environments: 2, rollout: 4,
+  updates: 1, batch: 8, width: 8, rollouts: 4,
+  presses: 4}
+reach: {steps: 256, goals: 2, horizon: 5, environments: 2, rollout: 8, batch: 8, width: 8}
+""")
+CLOSING_FIELDS = {"up": "y", "wall": None, "bridge": "all"}
 TINY_OBJECTS = {
     "procedural": {
         "cube": {"generator": "die", "edge": 0.16, "fillet": 0.02, "texture_size": 64},
         "bell": {"generator": "bell", "texture_size": 64},
     },
     "objects": {
-        "cube": {
-            "mesh": "data/objects/cube/mesh.glb",
-            "material": "wood",
-            "scale": 0.16,
-            "up": "y",
-            **CLOSING,
-        },
-        "bell": {
-            "mesh": "data/objects/bell/mesh.glb",
-            "material": "steel",
-            "scale": 0.09,
-            "up": "y",
-            **CLOSING,
-        },
+        key: {"mesh": f"data/objects/{key}/mesh.glb", "material": material, "scale": scale, **CLOSING_FIELDS}
+        for key, material, scale in (("cube", "wood", 0.16), ("bell", "steel", 0.09))
     },
 }
 
@@ -183,12 +62,7 @@ TINY_OBJECTS = {
 class Workspace:
     """A copy of the pipeline with tiny parameters, in a git and DVC repository of its own.
 
-    Parameters
-    ----------
-    root : Path
-        Where it is.
-    server : ForkServer
-        Runs its commands.
+    ``root``: where it is; ``server``: runs its commands.
     """
 
     def __init__(self, root: Path, server: ForkServer):
@@ -197,7 +71,7 @@ class Workspace:
 
     def create(self) -> "Workspace":
         self.root.mkdir(parents=True)
-        for name in ("objectfolder", "stages", "params"):
+        for name in ("materials", "objectfolder", "stages", "params"):
             shutil.copytree(ROOT / name, self.root / name, ignore=shutil.ignore_patterns("__pycache__"))
         for name in ("dvc.yaml", ".dvcignore", "params.yaml", ".gitignore"):
             shutil.copy(ROOT / name, self.root)
@@ -210,8 +84,27 @@ class Workspace:
             values.update(TINY_OBJECTS)
         return self
 
-    def edit(self):
-        return _Edit(self.root / "params.yaml")
+    @contextmanager
+    def edit(self) -> Iterator[dict]:
+        """Edit params.yaml in the block."""
+        path = self.root / "params.yaml"
+        values = YAML(typ="safe").load(path.read_text())
+        yield values
+        with path.open("w") as stream:
+            YAML().dump(values, stream)
+
+    @contextmanager
+    def edited(self, **sections: object) -> Iterator[None]:
+        """Have other values in params.yaml, in the block; mappings are merged into those that are there."""
+        path = self.root / "params.yaml"
+        before = path.read_text()
+        with self.edit() as values:
+            for name, value in sections.items():
+                values[name] = values[name] | value if isinstance(value, dict) else value
+        try:
+            yield
+        finally:
+            path.write_text(before)
 
     def run(self, *command: str, ok: bool = True) -> subprocess.CompletedProcess:
         """Run `objectfolder ...` or `python -m stages...` in the workspace, with its own copy of the code."""
@@ -235,19 +128,6 @@ class Workspace:
             for p in files
             if p.is_file() and not any(part.startswith(".") for part in p.relative_to(self.root).parts)
         }
-
-
-class _Edit:
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __enter__(self) -> dict:
-        self.values = YAML(typ="safe").load(self.path.read_text())
-        return self.values
-
-    def __exit__(self, *error) -> None:
-        with self.path.open("w") as stream:
-            YAML().dump(self.values, stream)
 
 
 @pytest.fixture(scope="session")

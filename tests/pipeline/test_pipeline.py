@@ -13,7 +13,7 @@ import igl
 import numpy as np
 import pytest
 import torch
-from conftest import Workspace
+from conftest import ROOT, Workspace
 from ruamel.yaml import YAML
 
 from objectfolder import ObjectFile
@@ -95,12 +95,40 @@ def test_dvc_repro_of_one_stage_finds_it_up_to_date(built):
 def test_changed_material_reruns_the_audio_lane_of_that_object_only(built):
     with built.edit() as values:
         values["objects"]["cube"]["material"] = "plastic"
-    assert built.build("pack@cube", "pack@bell") == {
-        f"{stage}@cube" for stage in ("modal", "radiation", "train_audio", "pack")
-    }
+    audio = {f"{stage}@cube" for stage in ("modal", "radiation", "train_audio", "pack")}
+    assert built.build("pack@cube", "pack@bell") == {"hash_code", *audio}
     with built.edit() as values:
         values["objects"]["cube"]["material"] = "wood"
     assert built.build() == set()  # all restored from the run cache
+
+
+def test_a_material_that_no_object_uses_reruns_nothing(built):
+    olive = (ROOT / "objectfolder/materials/wood.yaml").read_text()
+    new = [built.root / f"{folder}/olive_wood.yaml" for folder in ("materials", "objectfolder/materials")]
+    for path in new:
+        path.write_text(olive)
+    assert built.build() == {"hash_code"}
+    for path in new:
+        path.unlink()
+
+
+@pytest.mark.slow
+def test_a_material_of_ones_own_reruns_the_objects_that_name_it(built):
+    own, wood = built.root / "materials/olive_wood.yaml", ROOT / "objectfolder/materials/wood.yaml"
+    audio = {f"{stage}@cube" for stage in ("modal", "radiation", "train_audio", "pack")}
+    own.write_text(wood.read_text())
+    with built.edit() as values:
+        values["objects"]["cube"]["material"] = "materials/olive_wood.yaml"
+    assert audio < built.build()
+    own.write_text(own.read_text().replace("density: 750.0", "density: 990.0").replace("0.6 ", "0.7 "))
+    assert built.build("pack@cube", "pack@bell") == {"hash_code", *audio}
+    header = ObjectFile.load(built.root / "build/cube/ObjectFile.safetensors").header
+    assert header["material"] == "olive_wood"
+    assert (header["material_properties"]["density"], header["material_properties"]["friction"]) == (990, 0.7)
+    assert read_json(Build("cube", built.root).modal)["reused"]
+    with built.edit() as values:
+        values["objects"]["cube"]["material"] = "wood"
+    assert not built.build() - {"hash_code"}  # restored
 
 
 @pytest.mark.slow
@@ -152,40 +180,33 @@ def test_changed_training_reruns_that_lane_only(built):
 
 @pytest.mark.slow
 def test_the_papers_audio_net_is_a_choice(built):
-    with built.edit() as values:
-        values["train_audio"]["net"] = "spectrogram"
-    assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
-    bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
-    assert bell.header["audio"]["kind"] == "spectrogram"
-    assert bell.impact(bell.sample_surface(1), [0, 0, 1]).shape == (1, 32000)
-    audio = json.loads((built.root / "metrics/bell.json").read_text())["audio"]
-    assert audio["psnr"] > audio["baseline_silence"] - 1  # an untrained net is silent
-    assert "spectrogram" in built.cli("info", "build/bell/ObjectFile.safetensors").stdout
-    with built.edit() as values:
-        values["train_audio"]["net"] = "gains"
+    with built.edited(train_audio={"net": "spectrogram"}):
+        assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
+        bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
+        assert bell.header["audio"]["kind"] == "spectrogram"
+        assert bell.impact(bell.sample_surface(1), [0, 0, 1]).shape == (1, 32000)
+        audio = json.loads((built.root / "metrics/bell.json").read_text())["audio"]
+        assert audio["psnr"] > audio["baseline_silence"] - 1  # an untrained net is silent
+        assert "spectrogram" in built.cli("info", "build/bell/ObjectFile.safetensors").stdout
     assert built.build() == set()  # restored
 
 
 @pytest.mark.slow
 def test_the_papers_vision_net_is_a_choice(built):
-    with built.edit() as values:
-        values["train_vision"]["net"] = "osf"
-        values["render_views"] |= {"tile": None, "train": 6, "val": 2}
-    assert built.build("bell") == {
-        f"{stage}@bell" for stage in ("render_views", "train_vision", "pack", "evaluate")
-    }
-    bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
-    assert bell.header["vision"]["kind"] == "osf_hull"
-    assert bell.view([2.5, 0, 0], [0.5, 0, 0.8], resolution=16).shape == (1, 16, 16, 3)
-    scores = json.loads((built.root / "metrics/bell.json").read_text())["vision"]
-    assert scores["psnr"] > scores["baseline_white"]
-    trained = (built.root / "build/bell/vision.safetensors").read_bytes()
-    built.run("-m", "stages.train_vision", "bell")
-    assert (built.root / "build/bell/vision.safetensors").read_bytes() == trained
-    assert "osf" in built.cli("info", "build/bell/ObjectFile.safetensors").stdout
-    with built.edit() as values:
-        values["train_vision"]["net"] = "surface"
-        values["render_views"] |= {"tile": 12, "train": 40, "val": 6}
+    views = {"tile": None, "train": 6, "val": 2}
+    with built.edited(train_vision={"net": "osf"}, render_views=views):
+        assert built.build("bell") == {
+            f"{stage}@bell" for stage in ("render_views", "train_vision", "pack", "evaluate")
+        }
+        bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
+        assert bell.header["vision"]["kind"] == "osf_hull"
+        assert bell.view([2.5, 0, 0], [0.5, 0, 0.8], resolution=16).shape == (1, 16, 16, 3)
+        scores = json.loads((built.root / "metrics/bell.json").read_text())["vision"]
+        assert scores["psnr"] > scores["baseline_white"]
+        trained = (built.root / "build/bell/vision.safetensors").read_bytes()
+        built.run("-m", "stages.train_vision", "bell")
+        assert (built.root / "build/bell/vision.safetensors").read_bytes() == trained
+        assert "osf" in built.cli("info", "build/bell/ObjectFile.safetensors").stdout
     assert built.build() == set()  # restored
 
 
@@ -253,7 +274,7 @@ def test_generated_mesh_is_the_same_bytes_twice(built, other_fork_server):
     assert path.read_bytes() == before
 
 
-@pytest.mark.slow  # tests/test_inspection.py has the cheap ones
+@pytest.mark.slow  # tests/report/test_inspection.py has the cheap ones
 def test_inspect(built, opengl):
     stages = ("voxelize", "modal", "pack", "evaluate")
     for stage in stages:
@@ -369,53 +390,43 @@ def test_bad_object_keys_are_refused_with_the_reason(workspace, key):
 @pytest.mark.slow
 def test_benchmarks_are_stages_over_all_objects(built):
     """Which splits run is a parameter; they follow from the observations of all objects."""
-    with built.edit() as values:
-        values["benchmarks"]["recognize"] = ["seen"]
-    assert built.build() - OBSERVED == {"recognize@seen"}
-    folder = Benchmarks(built.root / "benchmarks")
-    scores = read_json(folder.result("recognize", "seen"))
-    assert scores["objects"] == 2
-    assert scores["VAT"]["accuracy"] <= 1
-    before = {path: path.read_bytes() for path in folder.dir.glob("*_seen*")}
-    assert len(before) == 3  # scores, curves and a figure
-    assert built.build() == set()
-    shown = built.run("-m", "dvc", "metrics", "show", "benchmarks/recognize_seen.json").stdout
-    assert "VAT.accuracy" in shown
-    built.run("-m", "stages.recognize", "seen")
-    assert {path: path.read_bytes() for path in before} == before
-    shown = built.cli("status", "--check", "recognize").stdout
-    assert all(address in shown for address in ("recognize@seen", *OBSERVED))
-    assert "nothing to remove" in built.cli("prune", "--dry-run").stdout
-    with built.edit() as values:
-        values["benchmarks"]["recognize"] = []
+    with built.edited(benchmarks={"recognize": ["seen"]}):
+        assert built.build() - OBSERVED == {"recognize@seen"}
+        folder = Benchmarks(built.root / "benchmarks")
+        scores = read_json(folder.result("recognize", "seen"))
+        assert scores["objects"] == 2
+        assert scores["VAT"]["accuracy"] <= 1
+        before = {path: path.read_bytes() for path in folder.dir.glob("*_seen*")}
+        assert len(before) == 3  # scores, curves and a figure
+        assert built.build() == set()
+        shown = built.run("-m", "dvc", "metrics", "show", "benchmarks/recognize_seen.json").stdout
+        assert "VAT.accuracy" in shown
+        built.run("-m", "stages.recognize", "seen")
+        assert {path: path.read_bytes() for path in before} == before
+        shown = built.cli("status", "--check", "recognize").stdout
+        assert all(address in shown for address in ("recognize@seen", *OBSERVED))
+        assert "nothing to remove" in built.cli("prune", "--dry-run").stdout
 
 
 @pytest.mark.slow
 def test_a_trained_reconstructor_is_an_output(built):
-    with built.edit() as values:
-        values["benchmarks"]["reconstruct"] = ["seen"]
-    assert built.build() - OBSERVED == {"reconstruct@seen"}
-    folder = Benchmarks(built.root / "benchmarks")
-    assert folder.sheet("reconstruct", "seen").stat().st_size > 1000
-    assert load_model(folder.model("reconstruct", "seen")).setup.modalities == ("vision",)
-    assert built.build() == set()
-    with built.edit() as values:
-        values["benchmarks"]["reconstruct"] = []
+    with built.edited(benchmarks={"reconstruct": ["seen"]}):
+        assert built.build() - OBSERVED == {"reconstruct@seen"}
+        folder = Benchmarks(built.root / "benchmarks")
+        assert folder.sheet("reconstruct", "seen").stat().st_size > 1000
+        assert load_model(folder.model("reconstruct", "seen")).setup.modalities == ("vision",)
+        assert built.build() == set()
 
 
 @pytest.mark.slow
 def test_what_robots_do_are_stages_of_the_objects_that_are_named(built):
-    with built.edit() as values:
-        values["benchmarks"] |= {stage: ["bell"] for stage in ROBOT_STAGES}
-    assert built.build() == {f"{stage}@bell" for stage in ROBOT_STAGES}
-    assert Grasps({"bell": Benchmarks(built.root / "benchmarks").grasps("bell")}).has_explicit
-    assert built.build() == set()
-    folder = Benchmarks(built.root / "benchmarks")
-    results = {
-        path: path.read_bytes() for path in [*folder.dir.glob("*_bell*"), Build("bell", built.root).hulls]
-    }
-    for stage in ROBOT_STAGES:
-        built.run("-m", f"stages.{stage}", "bell")
-    assert {path: path.read_bytes() for path in results} == results
-    with built.edit() as values:
-        values["benchmarks"] |= {stage: [] for stage in ROBOT_STAGES}
+    with built.edited(benchmarks={stage: ["bell"] for stage in ROBOT_STAGES}):
+        assert built.build() == {f"{stage}@bell" for stage in ROBOT_STAGES}
+        folder = Benchmarks(built.root / "benchmarks")
+        assert Grasps({"bell": folder.grasps("bell")}).has_explicit
+        assert built.build() == set()
+        results = [*folder.dir.glob("*_bell*"), Build("bell", built.root).hulls]
+        before = {path: path.read_bytes() for path in results}
+        for stage in ROBOT_STAGES:
+            built.run("-m", f"stages.{stage}", "bell")
+        assert {path: path.read_bytes() for path in results} == before

@@ -37,7 +37,7 @@ def test_a_wheel_holds_the_package_and_the_pipeline(wheel):
         for name, path in pipeline_files().items():
             assert archive.read(f"{PIPELINE}/{name}") == path.read_bytes()
     pipeline = {name.removeprefix(f"{PIPELINE}/") for name in held if name.startswith(f"{PIPELINE}/")}
-    assert {"dvc.yaml", ".dvcignore", "params/quick.yaml", "stages/modal.py"} <= pipeline
+    assert {"dvc.yaml", ".dvcignore", "params/laptop.yaml", "stages/modal.py"} <= pipeline
     for name in (
         *("objectfile/objectfile.schema.json", "objectfile/samples/mug.safetensors", "py.typed"),
         *("touch/profiles/digit.yaml", "viewer/static/viewer.js", "benchmarks/data/objects.csv"),

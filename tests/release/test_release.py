@@ -12,16 +12,15 @@ import pytest
 from objectfolder import Dataset
 from objectfolder.benchmarks.run import load_object_files
 from objectfolder.cli import app
-from objectfolder.engine.costs import record_cost
-from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import CommandResult
+from objectfolder.engine.records import LOGS, record_cost
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, write_json
 from objectfolder.objectfile.dataset import COLUMNS
 from objectfolder.objectfile.samples import sample_path
 from objectfolder.release.croissant import croissant
 from objectfolder.release.notices import read_notice
-from objectfolder.release.words import Words
+from objectfolder.release.pages import Words
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 
@@ -185,12 +184,9 @@ def test_attributions_are_passed_on(fetched):
         assert f"- {ATTRIBUTION}; CC BY 4.0 (https://c.d): cup. Changes: the mesh is renamed." in text
 
 
-def test_a_release_without_notices_names_nobody(dataset):
+def test_pages_say_what_is_so(dataset):
     assert not (dataset.folder / "licences").exists()
     assert "Attribution" not in (dataset.folder / "README.md").read_text()
-
-
-def test_the_datasheet_says_of_scans_and_gaps_what_is_so(dataset):
     text = (dataset.folder / "DATASHEET.md").read_text()
     assert "no object was photographed" not in text
     assert "textures of scanned meshes are photographs" in text

@@ -13,8 +13,7 @@ from objectfolder.objectfile.dataset import IndexEntry, read_index
 from objectfolder.release.croissant import croissant
 from objectfolder.release.entries import index_text
 from objectfolder.release.notices import MAX_NOTICE, read_notice
-from objectfolder.release.pages import card, datasheet
-from objectfolder.release.words import described
+from objectfolder.release.pages import card, datasheet, describe_release
 from objectfolder.text import visible
 from objectfolder.yamlfile import read_yaml
 
@@ -40,7 +39,7 @@ def release(folder, text):
     said = {"licence": notice.licence, "source": notice.source, "category": visible(text)[:100]}
     entries = [IndexEntry(**ENTRY, **said)]
     named = {"name": text, "creator": text, "version": "1.0.0", "date": "2026-11-24", "url": "https://a.b"}
-    words, notices = described(entries, **named), {"blue_mug": notice}
+    words, notices = describe_release(entries, **named), {"blue_mug": notice}
     texts = {
         "objects.csv": index_text(entries),
         "README.md": card(entries, words, notices, site=True),

@@ -17,17 +17,22 @@ from typer.testing import CliRunner
 from objectfolder import ObjectFile
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.positional import encoded
+from objectfolder.nets.positional import append_octaves
 from objectfolder.nets.released.network import Frame
 from objectfolder.objectfile.query_files import sample_presses
 from objectfolder.released import convert as converter
-from objectfolder.released import touch
-from objectfolder.released.audio import gains_net, spectrogram_net
 from objectfolder.released.checkpoint import ReleasedDict, read_released
 from objectfolder.released.convert import ImportOptions, convert
-from objectfolder.released.encoding import by_number, by_octave
-from objectfolder.released.touch import depth_net, image_net
-from objectfolder.released.vision import configured_net, nerf_net
+from objectfolder.released.nets import (
+    by_number,
+    by_octave,
+    configured_net,
+    depth_net,
+    gains_net,
+    image_net,
+    nerf_net,
+    spectrogram_net,
+)
 from objectfolder.report.certificate import file_checks
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.vision.cameras import Intrinsics
@@ -53,7 +58,7 @@ def file(tmp_path):
 @pytest.fixture
 def quick_gel(monkeypatch):
     """Look at fewer contacts for the untouched gel."""
-    monkeypatch.setattr(touch, "_PROBES", 1)
+    monkeypatch.setattr("objectfolder.released.nets._PROBES", 1)
 
 
 def saved(obj, tmp_path):
@@ -65,7 +70,7 @@ def saved(obj, tmp_path):
 def test_channels_are_put_in_our_order(rng, order):
     x = rng.normal(size=(4, 3))
     theirs = {by_octave: released.encode, by_number: released.kilo_encode}[order](x, 5)
-    ours = encoded(torch.from_numpy(x), 5, 1.0).numpy()
+    ours = append_octaves(torch.from_numpy(x), 5, 1.0).numpy()
     np.testing.assert_allclose(theirs[:, order(3, 5)], ours, rtol=1e-12)
 
 
@@ -122,10 +127,7 @@ def test_a_file_of_2_0_answers_all_three_questions(file, tmp_path):
 
 def test_an_answer_depends_on_its_own_row_only(file):
     """Unlike the original's, whose coordinates are scaled by the extremes of the batch."""
-    first, second = (
-        file(released.released_1(2), bounds=BOUNDS),
-        file(released.released_2(2)),
-    )
+    first, second = (file(released.released_1(2), bounds=BOUNDS), file(released.released_2(2)))
     for obj in (first, second):
         for ask in (
             lambda rows, obj=obj: obj.touch(POINTS[rows]),

@@ -15,9 +15,8 @@ import soundfile
 from PIL import Image
 
 from objectfolder.cli import app
-from objectfolder.engine.costs import record_cost
-from objectfolder.engine.failures import LOGS
 from objectfolder.engine.process import CommandResult
+from objectfolder.engine.records import LOGS, record_cost
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, read_json, read_npz, write_json, write_npz
 from objectfolder.objectfile.file import ObjectFile
@@ -230,7 +229,7 @@ def hundred(report, monkeypatch, tmp_path):
         return replace(report, row=report.row | {"key": path.name}, detail=report.detail | {"key": path.name})
 
     monkeypatch.setattr("objectfolder.report.site.object_report", renamed)
-    monkeypatch.setattr("objectfolder.report.site.key_of", lambda path: path.name)
+    monkeypatch.setattr("objectfolder.report.site.read_key", lambda path: path.name)
     return write_site([Path(f"brick_{n}") for n in range(100)], tmp_path / "site")
 
 

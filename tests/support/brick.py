@@ -4,17 +4,18 @@ import numpy as np
 import torch
 from solids import box
 
-from objectfolder.acoustics.radiation import radiate, stored_radiation
-from objectfolder.fem.band import solved_band
+from objectfolder.acoustics.radiation import pack_radiation, radiate
 from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis
+from objectfolder.fem.modal import modal_analysis, solved_band
 from objectfolder.materials import material
 from objectfolder.mesh.normalize import mass_properties
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.nets.audio_config import GainsConfig
-from objectfolder.nets.audio_gains_training import train_gains
+from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.nets.fit import Session
+from objectfolder.nets.hashgrid import HashGrid
+from objectfolder.nets.settings import GainsConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.vision_surface import SurfaceNet
@@ -28,7 +29,7 @@ SCALE = 0.1
 
 def with_images(brick: ObjectFile, depth: float, angle: float) -> ObjectFile:
     """The brick with an untrained touch net of images, which knows one press alone."""
-    net = ImageTouch("digit", (6, 4), depth, angle, width=8, depth=2, point_octaves=2, pixel_octaves=2)
+    net = ImageTouch("digit", (6, 4), (depth, angle), width=8, depth=2, point_octaves=2, pixel_octaves=2)
     images, config = net.to_tensors()
     tensors = {name: value for name, value in brick.tensors.items() if not name.startswith("touch.")}
     tensors |= {f"touch.{name}": value for name, value in images.items()}
@@ -44,31 +45,16 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     band_hz = solved_band(modes, material("plastic"), 20000.0, 12)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        look = SurfaceNet(
-            levels=2, features=2, table_bits=10, coarsest=4, finest=12, width=8, roughness=0.5, metallic=0.0
-        )
-    sound, _ = train_gains(
-        points,
-        modes.shapes,
-        modes.damped_frequency,
-        modes.damping,
-        np.arange(250),
-        np.arange(250, 300),
-        GainsConfig(
-            modes=12,
-            resolution=4,
-            channels=4,
-            width=24,
-            features=24,
-            most_features=24,
-            frequency=3.0,
-            steps=steps,
-            learning_rate=3e-3,
-            grid_rate=3.0,
-        ),
-        128,
-        torch.Generator().manual_seed(0),
+        grid = HashGrid(levels=2, features=2, table_bits=10, coarsest=4, finest=12)
+        look = SurfaceNet(grid, width=8, roughness=0.5, metallic=0.0)
+    samples = ModeSamples(
+        *(points, modes.shapes, modes.damped_frequency, modes.damping),
+        train=np.arange(250),
+        val=np.arange(250, 300),
     )
+    size = {"modes": 12, "resolution": 4, "channels": 4, "width": 24, "features": 24, "most_features": 24}
+    config = GainsConfig(**size, frequency=3.0, steps=steps, learning_rate=3e-3, grid_rate=3.0)
+    sound, _ = train_gains(samples, config, 128, Session(torch.Generator().manual_seed(0)))
     surface = solid[0] * scale, solid[1]
     sound_field = radiate(surface, points * scale, modes.shapes, modes.damped_frequency, 300)
     look_tensors, look_config = look.to_tensors()
@@ -77,11 +63,7 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     feel_config = {"sensor": profile.to_dict(), "depth_offset": 0.0, "renderer": "gel", "smoothing": 0}
     header, tensors = pack_object_file(
         "brick",
-        {
-            "material": "plastic",
-            "material_properties": material("plastic").properties(),
-            "scale_m": scale,
-        },
+        {"material": "plastic", "material_properties": material("plastic").properties(), "scale_m": scale},
         {
             **{"source_centre": [0, 0, 0], "source_size": 1.0, "source_up": "z"},
             "solid": mass_properties(solid),
@@ -90,13 +72,10 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         {
             "vision": (look_tensors, {"kind": "surface", "net": look_config}),
             "audio": (sound_tensors, {"kind": "gains", "net": sound_config, "band_hz": band_hz}),
-            "touch": (
-                {},
-                {"kind": "geometric", "net": feel_config},
-            ),
+            "touch": ({}, {"kind": "geometric", "net": feel_config}),
         },
         {"sdf": "0" * 64},
-        stored_radiation(sound_field, surface, scale, 56000),
+        pack_radiation(sound_field, surface, scale, 56000),
     )
     return ObjectFile(header, tensors, "brick")
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from objectfolder.benchmarks.models.encode_config import EncodeConfig
+from objectfolder.benchmarks.models.settings import EncodeConfig
 
 _PLAIN = EncodeConfig(
     **{"encoder": "resnet18", "image": 8, "spectrogram": (8, 8), "touch": (8, 8)},

@@ -47,10 +47,7 @@ sys.exit(Process({path!r}, sys.argv[1:], os.getcwd(), dict(os.environ), (0, 1, 2
 class ForkServer:
     """Client of a server.
 
-    Parameters
-    ----------
-    path : Path
-        Its socket, and beside it the program ``bin/python``.
+    ``path``: its socket, and beside it the program ``bin/python``.
     """
 
     def __init__(self, path: Path):
@@ -76,18 +73,8 @@ class ForkServer:
 class Process:
     """Fork that runs a command, in a session of its own; it dies with this object.
 
-    Parameters
-    ----------
-    path : Path
-        Socket of the server.
-    command : list of str
-        ``-c CODE ...`` or ``-m MODULE ...``.
-    cwd : str
-        Working directory.
-    env : dict of str to str
-        Environment.
-    files : sequence of int
-        Standard input, output and error.
+    ``path``: socket of the server; ``command``: ``-c CODE ...`` or ``-m MODULE ...``; ``files``: standard
+    input, output and error.
     """
 
     def __init__(self, path, command, cwd, env, files):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from objectfolder.mesh.procedural import generate
+from objectfolder.mesh.procedural.toy import KINDS
 from objectfolder.workspace import params
 
 ROOT = Path(__file__).parents[2]
@@ -27,31 +28,12 @@ FURNITURE: dict[str, tuple[str, dict[str, Any]]] = {
     "cabinet": ("shelf", {"front": "doors", "depth": 0.4, "bays": 2}),
     "chest of drawers": ("shelf", {"front": "drawers", "depth": 0.4, "height": 0.85, "bays": 3}),
 }
-CLUB: dict[str, Any] = {
-    "head": "club",
-    "head_length": 0.1,
-    "head_diameter": 0.042,
-    "length": 0.24,
-    "handle_width": 0.032,
-}
-MALLET: dict[str, Any] = {
-    "head": "mallet",
-    "head_length": 0.13,
-    "head_diameter": 0.075,
-    "length": 0.28,
-    "finish": "wood",
-}
-LADLE: dict[str, Any] = {
-    "length": 0.16,
-    "bowl_length": 0.09,
-    "bowl_width": 0.088,
-    "depth": 0.045,
-    "wall": 0.002,
-    "handle_width": 0.02,
-    "rise": 0.2,
-    "hook": 0.018,
-    "point": 0,
-}
+CLUB: dict[str, Any] = {"head": "club", "head_length": 0.1, "head_diameter": 0.042, "length": 0.24}
+CLUB |= {"handle_width": 0.032}
+MALLET: dict[str, Any] = {"head": "mallet", "head_length": 0.13, "head_diameter": 0.075, "length": 0.28}
+MALLET |= {"finish": "wood"}
+LADLE: dict[str, Any] = {"length": 0.16, "bowl_length": 0.09, "bowl_width": 0.088, "depth": 0.045}
+LADLE |= {"wall": 0.002, "handle_width": 0.02, "rise": 0.2, "hook": 0.018, "point": 0}
 TOOLS: dict[str, tuple[str, dict[str, Any]]] = {
     "wrench": ("wrench", {}),
     "open wrench": ("wrench", {"ends": "open", "finish": "cast"}),
@@ -86,15 +68,28 @@ CASES = {
     **TOOLS,
     **APPLIANCES,
 }
+SAMPLE = ("toaster", "lantern")  # of the appliances, examined by default
+#: Handles and holes of each object, such as the slots of a radio; furniture and toys have no designed number.
+GENUS = (
+    dict.fromkeys((*STARTERS, *VESSELS, *TOOLS), 0)
+    | {"mug": 1, "pan": 1, "teapot": 1, "wrench": 1, "ring wrench": 2, "peg block": 9}
+    | {
+        "television": 4,
+        "radio": 10,
+        "clock": 1,
+        "toaster": 1,
+        "lantern": 13,
+        "clothes iron": 1,
+        "hair dryer": 4,
+    }
+    | dict.fromkeys(KINDS)
+)
 
 
 def digests(collection: str) -> dict[str, str]:
     """Generate objects and return the digests of their files.
 
-    Parameters
-    ----------
-    collection : {"generators", "cases", "catalogue"}
-        The first case of each generator, all cases, or the objects of the catalogues.
+    ``collection``: the first case of each generator, all cases, or the objects of the catalogues.
     """
     cases = CASES
     if collection == "generators":

@@ -135,21 +135,7 @@ def polyhaven(server: "Publisher", model: str, resolution: str = "1k") -> dict[s
 
 
 class Publisher:
-    """Serves ``pages`` by path from a thread.
-
-    Attributes
-    ----------
-    ranges : bool
-        Whether it answers requests for a range.
-    drops : dict of str to list of int
-        Bytes after which the next answers for a path break off.
-    refusals : dict of str to list of int
-        Status of the next answers for a path.
-    scripts : dict of str to callable
-        Sends the answer for a path; takes the handler. It may go on until the other side hangs up.
-    requests : list of (str, headers)
-        What was asked for.
-    """
+    """Serves ``pages`` by path from a thread."""
 
     def __init__(self):
         publisher = self

@@ -7,12 +7,15 @@ from scipy.spatial.transform import Rotation
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.hex20 import NODES
 from objectfolder.fem.voxel import lattice_connectivity
+from objectfolder.materials import Material
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.grid import DistanceGrid
+from objectfolder.mesh.gridcodec import BOUND, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.topology import signed_volume
 
+STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 TURN = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
 
 
@@ -56,6 +59,14 @@ def flipped(solid):
 
 def isosurface(solid, resolution=64):
     return Isosurface(DistanceGrid(*distance_grid(*solid, resolution)))
+
+
+def stored(distance, resolution=64):
+    """The stored surface of a signed distance, a function of x, y and z."""
+    axis = np.linspace(-BOUND, BOUND, resolution)
+    band = 2.5 * (axis[1] - axis[0])
+    values = distance(*np.meshgrid(axis, axis, axis, indexing="ij"))
+    return Isosurface(DistanceGrid(quantise(values, band), band))
 
 
 def sharp_isosurface(solid, resolution=64):

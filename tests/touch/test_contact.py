@@ -125,20 +125,6 @@ def test_frames_are_continuous_away_from_the_oblique_direction():
     assert np.abs(sensor_frames(n, 0.0) - sensor_frames(near, 0.0)).max() < 2e-5
 
 
-def test_sensor_turns_gradually_over_an_edge():
-    """Up one face of a box and along the next: the frames are not stored, and yet do not jump."""
-    t = np.linspace(0, 2, 400)
-    points = np.stack([2 - t.clip(1), t.clip(0, 1), np.full_like(t, 0.2)], axis=1)
-    frames = sensor_frames(contact_normals(box_distance, points, 0.1), 0.0)
-
-    def turn(a, b):
-        trace = np.einsum("nij,nij->n", a, b)
-        return np.degrees(np.arccos(((trace - 1) / 2).clip(-1, 1)))
-
-    assert turn(frames[1:], frames[:-1]).max() < 5
-    assert turn(frames[:1], frames[-1:])[0] > 89
-
-
 @pytest.mark.parametrize("normal", [UP, -UP])
 def test_frame_at_the_oblique_direction_is_still_a_frame(normal):
     frame = sensor_frames(normal, 0.3)[0]
@@ -154,7 +140,7 @@ Z = np.array([[0, 0, 1.0]])
 @settings(deadline=None, max_examples=15)
 @given(depth=st.floats(0.2 * MM, 2 * MM))
 def test_ball_in_a_flat_gel_leaves_a_centred_disc(flat, ball, depth):
-    penetration, obstructed = heightmaps(ball, TOP, Z, 0.0, depth, flat)
+    penetration, obstructed, _ = heightmaps(ball, TOP, Z, 0.0, depth, flat)
     rows, columns = np.nonzero(penetration[0] > 0)
     y = (columns - (flat.width - 1) / 2) * flat.pixel_pitch
     z = (rows - (flat.height - 1) / 2) * flat.pixel_pitch
@@ -171,7 +157,7 @@ def test_ball_in_a_flat_gel_leaves_a_centred_disc(flat, ball, depth):
 def test_plate_in_a_flat_gel_is_constant(flat, normal):
     plate = caster(slab(-2 * MM, 2 * MM))
     point = 2 * MM * np.array([normal])
-    penetration, obstructed = heightmaps(plate, point, np.array([normal]), 0.7, 1 * MM, flat)
+    penetration, obstructed, _ = heightmaps(plate, point, np.array([normal]), 0.7, 1 * MM, flat)
     np.testing.assert_allclose(penetration, 1 * MM, atol=1e-7)
     assert obstructed[0] == 0
 
@@ -186,7 +172,7 @@ def test_imprint_of_a_ball_is_the_circle_where_it_cuts_the_dome(digit, depth, ra
         ball = trimesh.creation.icosphere(6, radius=radius)
         ball.apply_translation([0, 0, -radius])
         solid = caster(ball)
-    height, _ = heightmaps(solid, 0 * TOP, Z, 0.3, depth, digit)
+    height, *_ = heightmaps(solid, 0 * TOP, Z, 0.3, depth, digit)
 
     def sag(r):
         dome = digit.gel_dome_radius
@@ -211,7 +197,7 @@ def test_image_axes(flat):
     for axis, expected in ((frame[:, 2], (-1, 0)), (-frame[:, 1], (0, 1))):
         ball = trimesh.creation.icosphere(4, radius=5 * MM)
         ball.apply_translation(shift * axis - [0, 0, 5 * MM])
-        penetration, _ = heightmaps(caster(ball), 0 * TOP, Z, 0.0, depth, flat)
+        penetration, *_ = heightmaps(caster(ball), 0 * TOP, Z, 0.0, depth, flat)
         rows, columns = np.nonzero(penetration[0] > 0)
         moved = np.array([rows.mean() - 79.5, columns.mean() - 59.5]) * flat.pixel_pitch
         np.testing.assert_allclose(moved, shift * np.array(expected), atol=0.25 * MM)
@@ -219,8 +205,8 @@ def test_image_axes(flat):
 
 def test_wall_behind_the_gel_does_not_intrude(digit):
     wall = slab(-4 * MM, 0)
-    alone, free = heightmaps(caster(wall), 0 * TOP, Z, 0.0, 1 * MM, digit)
-    both, obstructed = heightmaps(
+    alone, free, _ = heightmaps(caster(wall), 0 * TOP, Z, 0.0, 1 * MM, digit)
+    both, obstructed, _ = heightmaps(
         caster(wall, slab(12 * MM, 15 * MM), slab(-14 * MM, -9 * MM)), 0 * TOP, Z, 0.0, 1 * MM, digit
     )
     np.testing.assert_allclose(both, alone, atol=1e-8)  # rays that restart round differently
@@ -231,8 +217,8 @@ def test_small_thing_behind_the_gel_obstructs_its_pixels_only(digit):
     thing = trimesh.creation.box((2 * MM, 2 * MM, 2 * MM))
     thing.apply_translation((0, 0, 11 * MM))
     wall = slab(-4 * MM, 0)
-    both, obstructed = heightmaps(caster(wall, thing), 0 * TOP, Z, 0.0, 1 * MM, digit)
-    alone, _ = heightmaps(caster(wall), 0 * TOP, Z, 0.0, 1 * MM, digit)
+    both, obstructed, _ = heightmaps(caster(wall, thing), 0 * TOP, Z, 0.0, 1 * MM, digit)
+    alone, *_ = heightmaps(caster(wall), 0 * TOP, Z, 0.0, 1 * MM, digit)
     np.testing.assert_allclose(both, alone, atol=1e-8)
     # Its near face, 9 mm from the camera, is 2 mm wide.
     pitch = digit.pixel_pitch * 9 / 22
@@ -243,20 +229,20 @@ def test_post_through_the_gel_stops_the_body(flat):
     """A post 6.5 mm past the gel: 2.5 mm past its base. The gel bears the post alone, up to its base."""
     post = trimesh.creation.box((4 * MM, 4 * MM, 2 * 6.5 * MM))
     both = caster(slab(-4 * MM, 0), post)
-    height, obstructed = heightmaps(both, 0 * TOP, Z, 0.0, 0.0, flat)
+    height, obstructed, _ = heightmaps(both, 0 * TOP, Z, 0.0, 0.0, flat)
     assert 0.01 < obstructed[0] < 0.2
     assert height.max() == np.float32(flat.max_indentation)
     assert np.median(height) == np.float32(-GAP * flat.elastomer_thickness)  # the wall is out of reach
     # The same as a post that just reaches the base, in front of a wall as far away.
     stub = trimesh.creation.box((4 * MM, 4 * MM, 2 * 4 * MM))
-    expected, free = heightmaps(caster(slab(-6 * MM, -2.5 * MM), stub), 0 * TOP, Z, 0.0, 0.0, flat)
+    expected, free, _ = heightmaps(caster(slab(-6 * MM, -2.5 * MM), stub), 0 * TOP, Z, 0.0, 0.0, flat)
     assert free[0] == 0
     np.testing.assert_allclose(height, expected, atol=1e-7)
 
 
 def test_body_that_stops_a_little_short_still_presses_the_wall(flat):
     post = trimesh.creation.box((1 * MM, 1 * MM, 2 * 3.3 * MM))
-    height, obstructed = heightmaps(caster(slab(-4 * MM, 0), post), 0 * TOP, Z, 0.0, 1 * MM, flat)
+    height, obstructed, _ = heightmaps(caster(slab(-4 * MM, 0), post), 0 * TOP, Z, 0.0, 1 * MM, flat)
     assert obstructed[0] > 0
     assert np.median(height) == pytest.approx((1 - 0.3) * MM, abs=1e-7)
 
@@ -267,15 +253,15 @@ def test_gel_is_not_touched_where_the_body_cannot_go(flat):
     floor.apply_translation((0, -36 * MM, 0))
     wall.apply_translation((0, 44 * MM, 0))
     for solid in (caster(slab(-40 * MM, 40 * MM)), caster(floor, wall)):
-        height, obstructed = heightmaps(solid, 0 * TOP, Z, 0.0, 1 * MM, flat)
+        height, obstructed, _ = heightmaps(solid, 0 * TOP, Z, 0.0, 1 * MM, flat)
         assert obstructed[0] > 0.1
         np.testing.assert_array_equal(height, np.float32(-GAP * flat.elastomer_thickness))
 
 
 def test_scale_is_metres_per_unit(digit, ball):
-    expected, _ = heightmaps(ball, TOP, Z, 0.4, 1 * MM, digit)
+    expected, *_ = heightmaps(ball, TOP, Z, 0.4, 1 * MM, digit)
     mesh = trimesh.creation.icosphere(5, radius=0.25)
-    found, _ = heightmaps(caster(mesh), TOP, Z, 0.4, 1 * MM, digit, scale=0.04)
+    found, *_ = heightmaps(caster(mesh), TOP, Z, 0.4, 1 * MM, digit, scale=0.04)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
@@ -285,7 +271,7 @@ def test_gap_beside_the_contact_is_negative_height(digit, normal):
     plate = caster(slab(-4 * MM, 0))
     normal = np.array([normal])
     point = -0.2 * MM * normal / normal[0, 2]  # 0.2 mm in the plate, so that depth 0 presses it
-    height, _ = heightmaps(plate, point, normal, 0.0, 0.0, digit)
+    height, *_ = heightmaps(plate, point, normal, 0.0, 0.0, digit)
     frame = sensor_frames(normal, 0.0)[0]
     on_gel = gel_depth(digit)[..., None] * ray_directions(digit) - [digit.camera_to_gel, 0, 0]
     above = (on_gel @ frame.T + point)[..., 2]  # of the gel's points over the plate
@@ -300,7 +286,7 @@ def test_sensor_does_not_fit_into_a_narrow_cavity(digit):
     wall, hollow = trimesh.creation.box((60 * MM,) * 3), trimesh.creation.box((12 * MM,) * 3)
     hollow.invert()
     floor, up = np.array([[0, 0, -6 * MM]]), Z
-    height, obstructed = heightmaps(caster(wall, hollow), floor, up, 0.0, 1 * MM, digit)
+    height, obstructed, _ = heightmaps(caster(wall, hollow), floor, up, 0.0, 1 * MM, digit)
     assert obstructed[0] == 1
     np.testing.assert_array_equal(height, np.float32(-GAP * digit.elastomer_thickness))
 

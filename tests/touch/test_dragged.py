@@ -116,12 +116,12 @@ def test_file_without_friction_shows_the_object_at_its_new_pose():
     plain = file.press(points, depth=5e-4)
     found = file.press(points, depth=5e-4, shear=shear, twist=twist, friction=0.0)
     sense = file._parts.touch
-    feet = sense._surface.snap(points, 0.02, 0.25)
-    normals = sense.net.normals(feet)
+    closest = sense._surface.snap(points, 0.02, 0.25)
+    normals = sense.net.normals(closest)
     frames = sensor_frames(normals, np.zeros(3))
     cos, sin = np.cos(twist), np.sin(twist)
     back = np.array([cos * shear[0] + sin * shear[1], cos * shear[1] - sin * shear[0]])
-    moved = feet + back[0] * frames[:, :, 1] - back[1] * frames[:, :, 2]
+    moved = closest + back[0] * frames[:, :, 1] - back[1] * frames[:, :, 2]
     expected = next(sense.net.touches(moved, normals, np.full(3, -twist), np.full(3, 5e-4)))
     error, unmoved = (
         np.sqrt(np.mean((of.displacement - expected.displacement) ** 2)) for of in (found, plain)

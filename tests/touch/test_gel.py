@@ -98,14 +98,6 @@ def test_compliance_is_that_of_the_elastic_equations():
 # --- a ball
 
 
-def test_contact_of_a_ball_on_a_thick_layer_is_hertz():
-    layer = Layer(50 * MM, 1.5e5, 0.3)  # 50 contact radii
-    radius, force = contact(layer, 12)
-    exact_radius, exact_force = hertz(layer, 10 * MM, 0.1 * MM)
-    assert radius == pytest.approx(exact_radius, rel=0.05)
-    assert force == pytest.approx(exact_force, rel=0.04)
-
-
 def test_finer_grid_is_nearer_to_hertz():
     layer = Layer(20 * MM, 1.5e5, 0.3)
     exact, _ = hertz(layer, 10 * MM, 0.1 * MM)
@@ -132,16 +124,6 @@ def test_thin_compressible_layer_is_a_bed_of_springs():
     np.testing.assert_allclose(pressure, spring * height.clip(0), atol=0.06 * spring * depth)
     np.testing.assert_allclose(displacement, height.clip(0), atol=0.06 * depth)
     assert pressure.sum() == pytest.approx(spring * height.clip(0).sum(), rel=0.02)
-
-
-def test_ball_on_the_digit_is_a_bonded_layer(digit):
-    """The shipped profile on its own pixels, but flat: the shallowest default press."""
-    depth, radius = digit.press_depth[0], 4 * MM
-    layer = Layer(digit.elastomer_thickness, digit.young_modulus, digit.poisson_ratio)
-    height = ball((digit.height, digit.width), digit.pixel_pitch, radius, depth)
-    _, pressure = deform(height[None], digit)
-    force = pressure.sum(dtype=float) * digit.pixel_pitch**2
-    assert force == pytest.approx(bonded(layer, radius, depth), rel=0.1)
 
 
 # --- the conditions of contact
@@ -226,7 +208,7 @@ def test_nothing_in_reach_leaves_the_gel_alone(digit):
 def test_small_grids_answer_as_by_transforms(rng, monkeypatch):
     layer, pressure = Layer(0.004, 1.5e5, 0.48), rng.random((20, 15))
     found = respond(pressure, 4e-4, layer)
-    monkeypatch.setattr("objectfolder.touch.gel.DENSE", 0)
+    monkeypatch.setattr("objectfolder.touch.gel.MAX_DENSE_PIXELS", 0)
     expected = respond(pressure, 4e-4, layer)
     assert found.dtype == expected.dtype == np.float64
     assert abs(found - expected).max() < 1e-6 * expected.max()

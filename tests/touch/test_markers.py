@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.materials import material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import available_samples, sample_path
-from objectfolder.touch.friction import FRICTION
 from objectfolder.touch.markers import Markers, draw_markers, marker_flow
 from objectfolder.touch.sheared import ShearedTouches
 
@@ -97,7 +97,7 @@ def test_pressed_object_can_be_sheared_and_twisted(file, points):
     assert (found.shear_force[:, 0] > 0).all()
     assert (np.hypot(*found.shear_force.T) <= found.friction * found.force * 1.05).all()
     assert found.torque[1] > found.torque[0]
-    assert found.friction[0] == FRICTION[file.material.lower()]
+    assert found.friction[0] == file.friction == material(file.material).friction
     assert found.marker_flow.shape == (2, len(found.markers), 2)
     assert (found.images != plain.images).any()
     without = file.press(points, depth=5e-4, shear=[2e-4, 0.0])

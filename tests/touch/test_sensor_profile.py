@@ -16,16 +16,8 @@ POSITIVE = (
     *("gel_dome_radius", "young_modulus", "roughness", "gamma", "gain", "background_falloff"),
 )
 NON_NEGATIVE = (
-    *(
-        "gel_curvature",
-        "poisson_ratio",
-        "ambient",
-        "albedo",
-        "metallic",
-        "slope_smoothing",
-        "image_smoothing",
-        "noise_std",
-    ),
+    *("gel_curvature", "poisson_ratio", "ambient", "albedo", "metallic"),
+    *("slope_smoothing", "image_smoothing", "noise_std"),
 )
 
 
@@ -91,27 +83,24 @@ def test_file_path_is_accepted(tmp_path):
     assert load_profile(path) == replace(DIGIT, name="mine")
 
 
-def test_unknown_profile_lists_the_available_ones():
-    with pytest.raises(ObjectFolderError, match=r"'gelsite'.*digit"):
-        load_profile("gelsite")
+NO_FILE = r"^sensor profile '.*ml': there is no such file; .* digit, "
 
 
-@pytest.mark.parametrize("name", ["nosuch.yaml", "a/nosuch.yml", "x" * 300 + ".yaml", "."])
-def test_path_of_no_file_is_said_to_be_none(tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("gelsite", None, r"'gelsite'.*digit"),
+        *((name, None, NO_FILE) for name in ("no.yaml", "a/no.yml", "x" * 300 + ".yaml", "folder.yaml")),
+        *(("broken.yaml", text, r"broken\.yaml") for text in ("name: [", "", "- 1", "name: a\nname: b")),
+    ],
+)
+def test_what_is_no_profile_is_named(tmp_path, name, text, reason):
     path = tmp_path / name
-    if name == ".":
-        path = tmp_path / "folder.yaml"
-        path.mkdir()
-    with pytest.raises(ObjectFolderError, match=r"^sensor profile '.*ml': there is no such file; .* digit, "):
-        load_profile(path)
-
-
-@pytest.mark.parametrize("text", ["name: [", "", "- 1", "name: a\nname: b"])
-def test_file_that_is_no_profile_is_named(tmp_path, text):
-    path = tmp_path / "broken.yaml"
-    path.write_text(text)
-    with pytest.raises(ObjectFolderError, match=r"broken\.yaml"):
-        load_profile(path)
+    (tmp_path / "folder.yaml").mkdir()
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ObjectFolderError, match=reason):
+        load_profile(path if path.suffix else name)
 
 
 @settings(deadline=None)

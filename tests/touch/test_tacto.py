@@ -121,7 +121,7 @@ def test_gel_of_the_reference_lies_on_the_profiles_dome(tacto):
 
 def test_without_pyrender_the_reference_says_what_to_install(tacto, bumpy, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrender", None)
-    monkeypatch.delitem(sys.modules, "objectfolder.vision.opengl", raising=False)
+    monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
     with pytest.raises(ObjectFolderError, match=r"install the extra raster .*libegl1"):
         TactoReference(*bumpy, tacto)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import sphere
 
-from objectfolder.touch.dataset import contact_places, render_contacts
+from objectfolder.touch.dataset import draw_contacts, render_contacts
 from objectfolder.touch.profiles import load_profile
 from objectfolder.touch.settings import RenderTouchConfig
 
@@ -24,7 +24,7 @@ VERTICES = RenderTouchConfig(
 
 
 def places(config):
-    return contact_places(*BALL, config, np.random.default_rng(0))
+    return draw_contacts(*BALL, config, np.random.default_rng(0))
 
 
 def test_every_vertex_is_touched_once_in_one_split_along_its_normal():

@@ -13,7 +13,7 @@ import torch
 from objectfolder.acoustics.farfield import FarField, pack_far_field, unpack_far_field
 from objectfolder.acoustics.harmonics import degrees
 from objectfolder.audio.click import SOUND_SPEED, Recoil, recoil_pressure
-from objectfolder.audio.synthesis import half_sine, pressing, responses
+from objectfolder.audio.synthesis import force_factors, half_sine, responses
 
 FILE = Path(__file__).parents[2] / "viewer" / "tests" / "heard.json"
 SCALE, SIZE, DENSITY, VOLUME, RADIUS = 0.2, 1.5, 2400.0, 0.11, 0.6
@@ -47,7 +47,7 @@ def heard() -> dict:
         sound = gains.real @ parts[0] + gains.imag @ parts[1] + click
         if contact:
             pulse = half_sine(torch.arange(SAMPLES, dtype=torch.float64) / RATE, contact)
-            for wave, turn in zip(pulse, pressing(-DAMPING + 1j * w, contact)):
+            for wave, turn in zip(pulse, force_factors(-DAMPING + 1j * w, contact)):
                 sound += (gains * turn / w).imag.sum() * wave.numpy()
         sounds.append({"contact": contact, "samples": [float(f"{value:.6g}") for value in sound]})
     return {

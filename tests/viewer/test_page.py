@@ -14,14 +14,14 @@ from hostile import WORDS, Elements
 
 from objectfolder.cli import app
 from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import LOSS_FACTORS, MATERIALS
+from objectfolder.materials import material, material_names
 from objectfolder.report.listening import study_page
 from objectfolder.report.site import write_site
 from objectfolder.text import visible
 from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.viewer.background import STEP
-from objectfolder.viewer.page import filled_page, static_text, viewer_frame, viewer_page
+from objectfolder.viewer.page import fill_page, static_text, viewer_frame, viewer_page
 
 VIEWER = Path(__file__).parents[2] / "viewer"
 BUILT = Path(viewer_page.__code__.co_filename).parent / "static"
@@ -53,10 +53,10 @@ def test_a_page_holds_its_objects_and_loads_nothing():
 def test_a_page_knows_materials_and_sensors():
     found = settings(viewer_page({}))
     for law, materials in found["materials"].items():
-        assert list(materials) == list(MATERIALS)
-        assert materials["steel"]["density"] == MATERIALS["steel"].density
+        assert list(materials) == material_names()
+        assert materials["steel"]["density"] == material("steel").density
         assert ("loss_factor" in materials["steel"]) == (law == "loss_factor")
-    assert found["materials"]["loss_factor"]["wood"]["loss_factor"] == [list(k) for k in LOSS_FACTORS["wood"]]
+    assert found["materials"]["loss_factor"]["wood"]["loss_factor"] == [[500, 0.01], [5000, 0.02]]
     assert list(found["sensors"]) == available_profiles()
     assert found["sensors"]["digit"]["lights"][0]["intensity"] > 0
 
@@ -130,7 +130,7 @@ def sources(page):
 def test_a_page_runs_its_own_program_alone(name):
     names = re.findall(r"{{(\w+)}}", static_text(f"{name}.html"))
     program = static_text("viewer.js" if name == "page" else f"{name}.js")
-    page = filled_page(f"{name}.html", dict.fromkeys(names, "") | {"script": program})
+    page = fill_page(f"{name}.html", dict.fromkeys(names, "") | {"script": program})
     allowed = sources(page)
     assert {directive: allowed[directive] for directive in ("default-src", "base-uri", "form-action")} == {
         directive: ["'none'"] for directive in ("default-src", "base-uri", "form-action")

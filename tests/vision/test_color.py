@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from objectfolder.mesh import srgb
-from objectfolder.vision.color import lit_foreground, on_white
+from objectfolder.vision.color import find_lit_foreground, on_white
 
 
 def test_white_shows_where_nothing_covers_it():
@@ -27,4 +27,4 @@ def test_a_picture_is_composited_pixel_by_pixel():
 
 def test_lit_foreground_is_covered_whole_and_over_a_hundredth_of_white():
     rgba = np.array([[0.5, 0, 0, 1], [0.5, 0, 0, 0.99], [0.009, 0.009, 0.009, 1], [0, 0, 0.011, 1]])
-    assert lit_foreground(rgba).tolist() == [True, False, False, True]
+    assert find_lit_foreground(rgba).tolist() == [True, False, False, True]

@@ -7,10 +7,10 @@ from solids import box, join, sphere
 
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.metrics import psnr
-from objectfolder.objectfile.evaluation import evaluate_vision
+from objectfolder.objectfile.evaluate_vision import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics, image_intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import TILES_PER_LIGHT, Shots, render_split, shown_noise
+from objectfolder.vision.dataset import TILES_PER_LIGHT, Shots, estimate_noise, render_shots
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
 
@@ -50,7 +50,7 @@ class Perfect:
 
 def split(renderer, samples, halves=True, count=4):
     rng = np.random.default_rng(5)
-    return render_split(renderer, Shots.views(count, SMALL, rng), samples, rng, halves=halves)
+    return render_shots(renderer, Shots.views(count, SMALL, rng), samples, rng, halves=halves)
 
 
 def test_halves_share_the_samples_and_no_seed():
@@ -77,7 +77,7 @@ def test_the_noise_floor_is_what_a_perfect_answer_scores():
     renderer = Noisy()
     for samples in (16, 64, 256):
         views = split(renderer, samples, count=16)
-        scores = evaluate_vision(Perfect(*[renderer.truth] * 16).view, views)
+        scores = evaluate_vision(Perfect(*[renderer.truth] * 16), views)
         assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=0.5)
         assert scores["noise_floor_lit"] == pytest.approx(scores["psnr_lit_foreground"], abs=0.5)
         assert scores["noise_floor_lit"] < scores["noise_floor"]  # the background has no noise
@@ -91,38 +91,39 @@ def test_four_times_the_samples_are_six_decibels():
 def test_views_that_do_not_tell_their_noise_are_scored_without_a_floor():
     renderer = Noisy()
     views = split(renderer, 16, halves=False)
-    scores = evaluate_vision(Perfect(*[renderer.truth] * 4).view, views)
+    scores = evaluate_vision(Perfect(*[renderer.truth] * 4), views)
     assert "psnr_lit_foreground" in scores
     assert not any(name.startswith("noise_floor") for name in scores)
 
 
 def test_views_without_light_have_no_lit_noise():
     dark = np.zeros((4, 4, 4), np.float32)
-    assert shown_noise(dark, dark) == (0.0, 0.0)
+    assert estimate_noise(dark, dark) == (0.0, 0.0)
 
 
-def test_the_noise_of_path_traced_views_is_their_error_against_the_converged():
+@pytest.fixture(scope="module")
+def table():
+    """A ball over a board, in many colours."""
     solid = join(sphere(0.25, 3, (0, 0, 0.2)), box((1.0, 1.0, 0.1), (0, 0, -0.1)))
-    colors = np.full((len(solid[0]), 3), 200, np.uint8)
-    renderer = MitsubaRenderer(Scene(TexturedMesh(*solid, vertex_colors=colors)))
+    colors = np.random.default_rng(1).integers(0, 255, (len(solid[0]), 3)).astype(np.uint8)
+    return Scene(TexturedMesh(*solid, vertex_colors=colors))
+
+
+def test_the_noise_of_path_traced_views_is_their_error_against_the_converged(table):
+    renderer = MitsubaRenderer(table)
     views = split(renderer, 16, count=3)
     truth = [
         renderer.render(pose, light, SMALL, 1024, 1)
         for pose, light in zip(views["camera_to_world"], views["light"])
     ]
-    scores = evaluate_vision(Perfect(*truth).view, views)
+    scores = evaluate_vision(Perfect(*truth), views)
     assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=1.5)
 
 
-def test_tiles_are_cut_from_whole_views():
-    solid = join(sphere(0.25, 3, (0, 0, 0.2)), box((1.0, 1.0, 0.1), (0, 0, -0.1)))
-    colors = np.random.default_rng(1).integers(0, 255, (len(solid[0]), 3)).astype(np.uint8)
-    renderer, rng = (
-        MitsubaRenderer(Scene(TexturedMesh(*solid, vertex_colors=colors))),
-        np.random.default_rng(2),
-    )
-    shots = Shots.tiles(9, 12, solid[0], SMALL, rng)
-    tiles = render_split(renderer, shots, 64, rng)
+def test_tiles_are_cut_from_whole_views(table):
+    renderer, rng = MitsubaRenderer(table), np.random.default_rng(2)
+    shots = Shots.tiles(9, 12, table.mesh.vertices, SMALL, rng)
+    tiles = render_shots(renderer, shots, 64, rng)
     assert tiles["rgba"].shape == (9, 12, 12, 4)
     corners = np.round(16 - tiles["center"]).astype(int)
     assert len(np.unique(corners, axis=0)) > 4

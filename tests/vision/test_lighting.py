@@ -6,27 +6,19 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from solids import box, isosurface, sphere
+from solids import box, isosurface, sphere, stored
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_png
-from objectfolder.mesh.grid import DistanceGrid
-from objectfolder.mesh.gridcodec import BOUND, quantise
-from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.objectfile.vision import lit_picture
+from objectfolder.objectfile.vision import light_picture
 from objectfolder.vision.cameras import Intrinsics, look_at
-from objectfolder.vision.environment import (
-    BRIGHTEST_PIXEL,
-    environment_lamps,
-    pixel_directions,
-    read_environment,
-)
+from objectfolder.vision.environment import MAX_PIXEL, environment_lamps, pixel_directions, read_environment
 from objectfolder.vision.lighting import (
-    BRIGHTEST,
-    FAR,
+    MAX_COLOR,
+    PARALLEL_DISTANCE,
     DistantLight,
     PointLight,
-    chosen_lamps,
+    choose_lamps,
     studio,
     toward,
 )
@@ -91,8 +83,10 @@ def test_all_lights_that_are_given_shine(brick):
 
 
 def test_far_point_lights_count_as_distant_ones():
-    near, far = chosen_lamps([PointLight([0, 0, FAR], [9.0, 0, 0]), PointLight([0, 0, 100.0], [1e4, 0, 2e4])])
-    assert near == PointLight([0, 0, FAR], [9.0, 0, 0])
+    near, far = choose_lamps(
+        [PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0]), PointLight([0, 0, 100.0], [1e4, 0, 2e4])]
+    )
+    assert near == PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0])
     assert far == DistantLight([0, 0, 1.0], [1.0, 0, 2.0])
 
 
@@ -111,21 +105,19 @@ def test_a_distant_light_is_the_limit_of_a_far_point_light(shape):
 
 
 def test_interreflection_of_a_distant_light_is_the_limit_of_a_far_one():
-    # A bowl: light falls in and bounces.
-    axis = np.linspace(-BOUND, BOUND, 64)
-    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
-    r = np.sqrt(x**2 + y**2 + z**2)
-    band = 2.5 * (axis[1] - axis[0])
-    distance = np.maximum(np.maximum(r - 0.49, 0.38 - r), z - 0.1)
-    surface = Isosurface(DistanceGrid(quantise(distance, band), band))
+    def bowl(x, y, z):  # light falls in and bounces
+        r = np.sqrt(x**2 + y**2 + z**2)
+        return np.maximum(np.maximum(r - 0.49, 0.38 - r), z - 0.1)
+
+    surface = stored(bowl)
     radiosity = Radiosity(surface, lambda points, normals: torch.full((len(points), 3), 0.5))
     way = torch.tensor([0.36, 0.48, 0.8])
     distant = torch.cat([way, torch.zeros(1)])
     rays = np.float32(np.random.default_rng(0).normal(size=(500, 3)))
     samples = trace(surface, np.float32([0, 0, -0.1]), rays, distant.numpy())
-    exact = radiosity.gathered(samples, distant)
+    exact = radiosity.gather(samples, distant)
     assert exact.mean() > 0.03
-    far = radiosity.gathered(samples, 300 * way) * 300**2
+    far = radiosity.gather(samples, 300 * way) * 300**2
     assert (far - exact).abs().mean() < 0.01 * exact.mean()
 
 
@@ -150,7 +142,7 @@ def test_a_sky_lights_a_white_ball_as_its_integral(ball):
 
 def lit_by(surface, lamps):
     drawer = partial(draw, surface, lambert)
-    return lit_picture(drawer, look_at(np.array([2.0, 0.7, 0.4]))[0], lamps, Intrinsics.square(20))
+    return light_picture(drawer, look_at(np.array([2.0, 0.7, 0.4]))[0], lamps, Intrinsics.square(20))
 
 
 def radiance_on(surface, lamps):
@@ -261,7 +253,7 @@ def test_a_light_is_checked(make, message):
 
 def test_the_brightest_lights_give_a_finite_picture(brick):
     """Even on the surface, and from surroundings that become a single light."""
-    color, sky = (BRIGHTEST,) * 3, np.full((1, 1, 3), BRIGHTEST_PIXEL)
+    color, sky = (MAX_COLOR,) * 3, np.full((1, 1, 3), MAX_PIXEL)
     lights = [
         *(PointLight(point / brick.scale, color) for point in brick.sample_surface(4)),
         DistantLight(CAMERA, color),

@@ -10,8 +10,8 @@ from solids import box, join, sphere
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.bsdf import principled
-from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, project
-from objectfolder.vision.dataset import Shots, render_split
+from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
+from objectfolder.vision.dataset import Shots, render_shots
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
 
@@ -49,29 +49,6 @@ def test_a_rough_white_surface_facing_the_light_at_distance_one_has_radiance_one
     np.testing.assert_allclose(expected, 1, atol=0.03)
 
 
-def test_radiance_falls_with_the_square_of_distance_and_the_cosine():
-    mesh, pose = quad(roughness=1.0), look_at(np.array([1.5, 2.0, 0]))[0]
-    one, two = (radiance(mesh, [d, 0, 0], pose=pose)[32, 32, 0] for d in (1, 2))
-    assert one / two == pytest.approx(4, rel=0.02)
-    slanted = radiance(mesh, [0.5, 0, np.sqrt(0.75)], pose=pose)[32, 32, 0]
-    assert slanted / one == pytest.approx(0.5, rel=0.1)
-
-
-def test_a_texture_is_srgb_and_upright():
-    texture = np.zeros((2, 2, 3), np.uint8)
-    texture[0, 0] = [188, 0, 0]  # upper left: 0.5 linear
-    texture[1, 1] = [0, 0, 255]
-    texture = texture.repeat(16, 0).repeat(16, 1)
-    image = radiance(quad(texture, roughness=1.0), [2, 0, 0])
-    # Seen from +x, y runs to the right and z up.
-    (upper_left, lower_right), _ = project(np.array([[0, -0.25, 0.25], [0, 0.25, -0.25]]), FRONT, SMALL)
-    red, blue = (image[int(p[1]), int(p[0]), :3] for p in (upper_left, lower_right))
-    assert red[0] > 5 * red[2]
-    assert blue[2] > 5 * blue[0]
-    specular = red[2]
-    assert (red[0] - specular) / (blue[2] - specular) == pytest.approx(0.5, rel=0.05)
-
-
 def test_vertex_colours_equal_a_texture_of_that_colour():
     color = (200, 120, 40)
     texture = np.full((4, 4, 3), color, np.uint8)
@@ -102,14 +79,6 @@ def test_the_camera_is_that_of_camera_rays():
         assert alpha.sum() == pytest.approx(share.sum(), rel=0.02)
 
 
-@pytest.mark.parametrize("solid", [sphere(0.4, 4), box((0.02, 0.8, 0.8))], ids=["sphere", "plate"])
-def test_a_light_behind_leaves_the_near_side_dark(solid):
-    image = radiance(painted(solid), [-1.0, 0, 0])
-    covered = image[..., 3] == 1
-    assert covered.sum() > 100
-    assert image[..., :3].max() == 0
-
-
 def test_the_light_can_be_moved_between_renders():
     renderer = MitsubaRenderer(Scene(painted(sphere(0.4, 3))))
     lights = np.array([[1.0, 0, 0], [0, 0, 1.0], [1.0, 0, 0]])
@@ -128,13 +97,10 @@ def test_a_split_is_the_same_bytes_twice():
     def split():
         renderer = MitsubaRenderer(Scene(painted(box((0.5, 0.4, 0.3)))))
         rng = np.random.default_rng(3)
-        return render_split(renderer, Shots.views(3, Intrinsics.square(16), rng), 4, rng)
+        return render_shots(renderer, Shots.views(3, Intrinsics.square(16), rng), 4, rng)
 
     first, second = split(), split()
-    assert first["rgba"].dtype == np.float16
-    assert first["rgba"].shape == (3, 16, 16, 4)
-    np.testing.assert_allclose(np.linalg.norm(first["light"], axis=1), 1)
-    np.testing.assert_allclose(np.linalg.norm(first["camera_to_world"][:, :3, 3], axis=1), 2.5)
+    assert (first["rgba"].dtype, first["rgba"].shape) == (np.float16, (3, 16, 16, 4))
     for name, value in first.items():
         assert value.tobytes() == second[name].tobytes()
 

@@ -19,7 +19,7 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normals import unit_vectors
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, covered_rectangle, look_at, project, sphere_points
-from objectfolder.vision.dataset import Shots, render_split
+from objectfolder.vision.dataset import Shots, render_shots
 from objectfolder.vision.renderers import blender_scene, cycles
 from objectfolder.vision.renderers.registry import NEEDS, RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
@@ -264,7 +264,7 @@ def test_a_turned_mesh_under_turned_camera_and_light_is_the_same_picture(render)
     turned = np.eye(4)
     turned[:3] = turn(pose[:3].T).T
     first = render(mesh, light, pose, LARGE)
-    second = render(mesh.turned(turn), turn(light), turned, LARGE)
+    second = render(mesh.rotate(turn), turn(light), turned, LARGE)
     flat = render(stretched, light, pose, LARGE)
     assert np.abs(first - second).mean() < 0.05 * np.abs(first - flat).mean()
 
@@ -292,20 +292,22 @@ def test_an_unknown_renderer_is_refused_with_the_known_ones():
         make_renderer("povray", Scene(square()))
 
 
-def test_renderers_that_are_not_installed_say_which_extra(monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "module", "extra"),
+    [
+        ("cycles", "bpy", r"cycles .* or Blender"),
+        ("raster", "pyrender", "raster"),
+        ("mitsuba", "mitsuba", "build"),
+    ],
+)
+def test_renderers_that_are_not_installed_say_which_extra(monkeypatch, name, module, extra):
     monkeypatch.setattr(cycles.importlib.util, "find_spec", lambda name: None)
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(ObjectFolderError, match=r"install the extra cycles .* or Blender"):
-        make_renderer("cycles", Scene(square()))
-    monkeypatch.setitem(sys.modules, "pyrender", None)
-    monkeypatch.delitem(sys.modules, "objectfolder.vision.opengl", raising=False)
-    monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
-    with pytest.raises(ObjectFolderError, match=r"install the extra raster"):
-        make_renderer("raster", Scene(square()))
-    monkeypatch.setitem(sys.modules, "mitsuba", None)
-    monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.mitsuba", raising=False)
-    with pytest.raises(ObjectFolderError, match=r"install the extra build"):
-        make_renderer("mitsuba", Scene(square()))
+    monkeypatch.setitem(sys.modules, module, None)
+    if name != "cycles":
+        monkeypatch.delitem(sys.modules, f"objectfolder.vision.renderers.{name}", raising=False)
+    with pytest.raises(ObjectFolderError, match=rf"install the extra {extra}"):
+        make_renderer(name, Scene(square()))
 
 
 def test_an_old_llvm_is_refused_before_it_aborts(monkeypatch):
@@ -368,7 +370,7 @@ def test_a_blender_that_fails_is_quoted(blender, after):
 
 def test_the_record_of_a_split_names_its_renderer():
     rng = np.random.default_rng(0)
-    views = render_split(make_renderer("mitsuba", Scene(square())), Shots.views(1, SMALL, rng), 1, rng)
+    views = render_shots(make_renderer("mitsuba", Scene(square())), Shots.views(1, SMALL, rng), 1, rng)
     assert str(views["renderer"]) == f"mitsuba {mitsuba.__version__} scalar_rgb"
 
 
@@ -380,7 +382,7 @@ def test_highlights_beyond_half_precision_are_cut_off():
             return np.full((2, 2, 4), 1e6, np.float32)
 
     rng = np.random.default_rng(0)
-    views = render_split(Glaring(), Shots.views(1, Intrinsics.square(2), rng), 1, rng)
+    views = render_shots(Glaring(), Shots.views(1, Intrinsics.square(2), rng), 1, rng)
     assert np.isfinite(views["rgba"]).all()
 
 

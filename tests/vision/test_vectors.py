@@ -1,6 +1,6 @@
 import torch
 
-from objectfolder.vision.vectors import column_major, concatenate, dot, normalized, take_rows
+from objectfolder.vision.vectors import column_major, concatenate, dot, normalize_rows, take_rows
 
 ROWS = torch.rand(7, 3, generator=torch.Generator().manual_seed(0))
 
@@ -19,5 +19,5 @@ def test_the_order_of_memory_is_kept_and_changes_nothing():
 
 
 def test_unit_vectors_and_zero():
-    torch.testing.assert_close(normalized(5 * ROWS).norm(dim=1), torch.ones(7))
-    assert not normalized(torch.zeros(2, 3)).any()
+    torch.testing.assert_close(normalize_rows(5 * ROWS).norm(dim=1), torch.ones(7))
+    assert not normalize_rows(torch.zeros(2, 3)).any()

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from objectfolder.vision.cameras import sphere_points
-from objectfolder.vision.volume import Rays, opacity, resampled, stratified, transmittance, visibility
+from objectfolder.vision.volume import Rays, opacity, resample, sample_strata, transmittance, visibility
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_rays_along_a_face_beside_and_behind_the_cube_and_from_inside():
 def test_a_slab_of_constant_density_lets_through_exp_of_its_depth(count, generator):
     """Whatever the number of samples and wherever they are: the intervals fill the slab."""
     ray, sigma = rays(1, 1.8, 50), 2.5
-    distance = stratified(ray.near, ray.far, count, generator)
+    distance = sample_strata(ray.near, ray.far, count, generator)
     lengths = ray.intervals(distance).diff()
     assert (lengths > 0).all()
     density = torch.full_like(distance, sigma)
@@ -72,7 +72,7 @@ def test_seen_colour_converges_with_the_square_of_the_interval():
     errors = []
     for count in (16, 32, 64, 128):
         ray = rays(0, 1)
-        t = stratified(ray.near, ray.far, count)
+        t = sample_strata(ray.near, ray.far, count)
         pixel = (visibility(3 * t, ray.intervals(t).diff()) * t).sum().item()
         errors.append(abs(pixel - exact))
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
@@ -88,9 +88,9 @@ def test_an_opaque_wall_hides_what_is_behind_it():
 
 def test_stratified_samples_have_one_in_each_part(generator):
     low, high = torch.tensor([0.0, 2.0]), torch.tensor([1.0, 6.0])
-    middle = stratified(low, high, 4)
+    middle = sample_strata(low, high, 4)
     torch.testing.assert_close(middle, torch.tensor([[0.125, 0.375, 0.625, 0.875], [2.5, 3.5, 4.5, 5.5]]))
-    samples = torch.stack([stratified(low, high, 4, generator) for _ in range(4000)])
+    samples = torch.stack([sample_strata(low, high, 4, generator) for _ in range(4000)])
     part = ((samples - low[:, None]) / (high - low)[:, None] * 4).floor()
     assert (part == torch.arange(4)).all()
     offset = samples - middle
@@ -103,7 +103,7 @@ def test_stratified_samples_have_one_in_each_part(generator):
 def test_importance_samples_follow_the_weights(random, generator):
     ends = torch.tensor([[0.0, 1.0, 1.5, 4.0, 5.0]])
     weights = torch.tensor([[0.1, 0.0, 0.3, 0.4]])
-    samples = resampled(ends, weights, 1000, generator if random else None, floor=0)
+    samples = resample(ends, weights, 1000, generator if random else None, floor=0)
     assert (samples.diff() >= 0).all()
     counts = torch.histogram(samples[0], ends[0]).hist
     torch.testing.assert_close(counts, weights[0] / 0.8 * 1000, rtol=0, atol=1.0)
@@ -115,16 +115,16 @@ def test_importance_samples_follow_the_weights(random, generator):
 def test_importance_samples_of_a_density_find_its_quantiles():
     """Of an exponential decay, cut off at 3: t(u) = -log(1 - u (1 - exp(-3)))."""
     ray = rays(0, 3)
-    t = stratified(ray.near, ray.far, 400)
+    t = sample_strata(ray.near, ray.far, 400)
     ends = ray.intervals(t)
     weights = visibility(torch.ones_like(t), ends.diff())
     u = (torch.arange(50, dtype=torch.float64) + 0.5) / 50
     exact = -torch.log1p(-u * (1 - math.exp(-3)))
-    torch.testing.assert_close(resampled(ends, weights, 50, floor=0)[0], exact, rtol=0, atol=1e-4)
+    torch.testing.assert_close(resample(ends, weights, 50, floor=0)[0], exact, rtol=0, atol=1e-4)
 
 
 def test_rows_without_weight_are_sampled_uniformly_and_all_weight_may_be_in_one_interval():
     ends = torch.tensor([[0.0, 1, 3], [0, 1, 3]])
-    samples = resampled(ends, torch.tensor([[0.0, 0], [0, 1]]), 8)
+    samples = resample(ends, torch.tensor([[0.0, 0], [0, 1]]), 8)
     torch.testing.assert_close(samples[0], torch.tensor([0.125, 0.375, 0.625, 0.875, 1.25, 1.75, 2.25, 2.75]))
     assert ((samples[1] >= 1) & (samples[1] <= 3)).all()

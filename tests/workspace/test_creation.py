@@ -10,7 +10,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from objectfolder.cli import app
-from objectfolder.engine.dvc.start import start_repository
+from objectfolder.engine.dvc.repository import start_repository
 from objectfolder.engine.status import Outlook, status
 from objectfolder.errors import ObjectFolderError
 from objectfolder.installation import requirement
@@ -22,8 +22,8 @@ from objectfolder.workspace.installed import RECORD, changed_files, check_instal
 from objectfolder.workspace.layout import code_list
 from objectfolder.workspace.objects import add_catalogue
 from objectfolder.workspace.params import read
+from objectfolder.workspace.presets import default_sections
 from objectfolder.workspace.template import first_requirements, next_requirements
-from objectfolder.yamlfile import read_yaml
 
 ROOT = Path(__file__).parents[2]
 
@@ -62,7 +62,7 @@ def test_it_holds_the_pipeline_and_no_package(made):
     assert values["objects"] == values["procedural"] == {}
     assert not any(values["benchmarks"].values())
     assert values.keys() == read(ROOT / "params.yaml").keys()
-    quick = read_yaml(ROOT / "params/quick.yaml")
+    quick = default_sections()
     assert {name: values[name] for name in quick} == quick
     assert values["seed"] == 0
 
@@ -102,7 +102,7 @@ def test_its_workflow_needs_no_remote(made):
 
 def test_each_dependency_on_the_package_is_one_on_its_digest(made):
     ours, theirs = graph(made), graph(ROOT)
-    assert ours.pop("hash_code")["deps"] == [RECORD, "sensors", "stages"]
+    assert ours.pop("hash_code")["deps"] == ["materials", RECORD, "sensors", "stages"]
     theirs.pop("hash_code")
     of_package = 0
     for name, stage in theirs.items():

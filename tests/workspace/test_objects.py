@@ -7,12 +7,14 @@ from pathlib import Path
 import pytest
 import trimesh
 
+from objectfolder import materials
 from objectfolder.engine.dvc.repository import open_repository, track
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace import params
 from objectfolder.workspace.discover import Candidate, examine
 from objectfolder.workspace.objects import add_catalogue, add_mesh, check_new
 
+MATERIALS = Path(materials.__file__).with_suffix("")
 SHAPE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
@@ -39,8 +41,9 @@ def refused(mesh, key="crate", **options):
     """The error of an `add` that changes nothing."""
     root = Path.cwd()
     before = files(root)
+    options = {"material": "wood", "track": track, **options}
     with pytest.raises(ObjectFolderError) as caught:
-        add_mesh(mesh, key, "wood", 0.1, None, **{"track": track, **options})
+        add_mesh(mesh, key, scale=0.1, up=None, **options)
     assert files(root) == before
     assert key not in params.read()["objects"]
     return str(caught.value)
@@ -63,6 +66,27 @@ def test_names_that_are_reserved_are_refused(workspace, tmp_path, name):
         examine(Candidate("crate", mesh, "wood"), params.read(), 0.1, None)
 
 
+def test_a_material_of_ones_own_is_copied_and_named(workspace, tmp_path):
+    olive = tmp_path / "olive.yaml"
+    olive.write_text((MATERIALS / "wood.yaml").read_text())
+    mesh = write_mesh(tmp_path / "source")
+    assert "no DVC" in refused(mesh, material=str(olive), track=fail)
+    for key in ("crate", "box"):  # the second finds the copy
+        assert add_mesh(mesh, key, str(olive), 0.1, None, track=track)["material"] == "materials/olive.yaml"
+    assert Path("materials/olive.yaml").read_text() == olive.read_text()
+    assert params.read()["objects"]["box"]["material"] == "materials/olive.yaml"
+    olive.write_text(olive.read_text().replace("750", "751"))
+    assert "is another material than" in refused(mesh, "other", material=str(olive))
+    with pytest.raises(ObjectFolderError, match=r"material: .* expected a file in materials/"):
+        params.object_entry(
+            "box", {"objects": {"box": params.read()["objects"]["box"] | {"material": "x.yaml"}}}
+        )
+
+
+def fail(*arguments):
+    raise ObjectFolderError("no DVC")
+
+
 def test_what_voxelize_refuses_is_refused_before_it_is_added(workspace, tmp_path):
     """A closed solid, but thinner than any grid resolves."""
     needle = tmp_path / "needle.obj"
@@ -75,31 +99,28 @@ def test_what_voxelize_refuses_is_refused_before_it_is_added(workspace, tmp_path
         examine(Candidate("needle", needle, "steel"), values, None, None)
 
 
-def test_a_reference_never_overwrites_the_mesh(workspace, tmp_path):
-    mesh = write_mesh(tmp_path / "source", library="mesh.obj")
-    assert "refers to mesh.obj, a name that" in refused(mesh)
-    assert "box.obj gets in the workspace; rename it" in refused(mesh)
-
-
-@pytest.mark.parametrize("name", ["mesh.obj", "Mesh.OBJ", "SOURCE.txt", "source.TXT"])
-def test_no_reference_has_a_name_that_is_given(workspace, tmp_path, name):
+@pytest.mark.parametrize(
+    ("library", "texture", "more", "said"),
+    [
+        *(("m.mtl", name, None, f"refers to {name}, a name that") for name in ("mesh.obj", "Mesh.OBJ")),
+        *(("m.mtl", name, None, f"refers to {name}, a name that") for name in ("SOURCE.txt", "source.TXT")),
+        ("mesh.obj", None, None, "box.obj gets in the workspace; rename it"),
+        ("m.mtl", "Skin.png", "skin.png", "refers to skin.png, a name that"),  # another, but for its case
+        (
+            *("m.mtl", "Mesh.obj/skin.png", None),
+            "refers to Mesh.obj/skin.png, in a folder that has the name of a file",
+        ),
+    ],
+)
+def test_no_reference_has_a_name_that_is_given(workspace, tmp_path, library, texture, more, said):
     note = tmp_path / "SOURCE.txt"
     note.write_text("licence")
-    mesh = write_mesh(tmp_path / "source", texture=name)
-    assert f"refers to {name}, a name that" in refused(mesh, attachments=[note])
-
-
-def test_references_that_differ_in_case_only_are_refused(workspace, tmp_path):
-    mesh = write_mesh(tmp_path / "source", texture="Skin.png")
-    with (tmp_path / "source" / "m.mtl").open("a") as library:
-        library.write("map_Ka skin.png\n")
-    (tmp_path / "source" / "skin.png").write_text("another")
-    assert "refers to skin.png, a name that" in refused(mesh)
-
-
-def test_a_folder_has_no_name_of_a_file(workspace, tmp_path):
-    mesh = write_mesh(tmp_path / "source", texture="Mesh.obj/skin.png")
-    assert "refers to Mesh.obj/skin.png, in a folder that has the name of a file" in refused(mesh)
+    mesh = write_mesh(tmp_path / "source", library=library, texture=texture)
+    if more:
+        (mesh.parent / more).write_text("another")
+        with (mesh.parent / library).open("a") as stream:
+            stream.write(f"map_Ka {more}\n")
+    assert said in refused(mesh, attachments=[note])
 
 
 @pytest.mark.parametrize("name", ["mesh.obj", "box.obj"])
@@ -186,13 +207,17 @@ def test_what_is_in_the_way_of_a_new_object_is_named(workspace, tmp_path, there,
         check_new("crate", values)
 
 
+def write_catalogue(procedural):
+    entry = "{mesh: data/objects/crate/mesh.glb, material: wood, scale: 0.1, up: y}"
+    Path("new.yaml").write_text(f"procedural:\n{procedural}\nobjects:\n  crate: {entry}\n")
+
+
 def test_a_record_that_is_there_is_not_in_the_way_of_a_generated_mesh(workspace):
     """DVC would refuse the whole workspace: two owners of one path."""
     before = Path("params.yaml").read_text()
     Path("data/objects").mkdir(parents=True)
     Path("data/objects/crate.dvc").write_text("outs: []\n")
-    entry = "{mesh: data/objects/crate/mesh.glb, material: wood, scale: 0.1, up: y}"
-    Path("new.yaml").write_text(f"procedural:\n  crate: {{generator: die}}\nobjects:\n  crate: {entry}\n")
+    write_catalogue("  crate: {generator: die}")
     with pytest.raises(ObjectFolderError, match=r"`dvc remove --outs data/objects/crate\.dvc` if they"):
         add_catalogue(Path("new.yaml"))
     assert Path("params.yaml").read_text() == before
@@ -202,8 +227,7 @@ def test_a_record_that_is_there_is_not_in_the_way_of_a_generated_mesh(workspace)
 
 def test_files_that_a_generated_mesh_would_replace_are_kept(workspace):
     """DVC removes what is where an output will be."""
-    entry = "{mesh: data/objects/crate/mesh.glb, material: wood, scale: 0.1, up: y}"
-    Path("new.yaml").write_text(f"procedural:\n  crate: {{generator: die}}\nobjects:\n  crate: {entry}\n")
+    write_catalogue("  crate: {generator: die}")
     Path("data/objects/crate").mkdir(parents=True)
     Path("data/objects/crate/notes.txt").write_text("mine")
     with pytest.raises(ObjectFolderError, match="would replace the files in data/objects/crate"):
@@ -213,8 +237,7 @@ def test_files_that_a_generated_mesh_would_replace_are_kept(workspace):
 
 
 def test_a_catalogue_of_meshes_that_are_not_there_is_refused(workspace):
-    entry = "{mesh: data/objects/crate/mesh.glb, material: wood, scale: 0.1, up: y}"
-    Path("new.yaml").write_text(f"procedural: {{}}\nobjects:\n  crate: {entry}\n")
+    write_catalogue("  {}")
     with pytest.raises(ObjectFolderError, match=r"objects\.crate: its mesh .* does not exist"):
         add_catalogue(Path("new.yaml"))
     Path("data/objects/crate").mkdir(parents=True)

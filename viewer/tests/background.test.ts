@@ -6,7 +6,7 @@ import { Answers } from "../worker/answers.ts";
 
 const SAMPLE = new URL("../../objectfolder/objectfile/samples/die.safetensors", import.meta.url);
 const [HEIGHT, WIDTH] = [12, 10];
-/** What Python's `packed_background` gave for the picture of `level`. */
+/** What Python's `pack_background` gave for the picture of `level`. */
 const PACKED =
   "/Td6WFoAAATm1rRGAgAhARYAAAB0L+Wj4AFnABcAABgAMgkySuvZ1QIny7xR4Mjpnvx2sycAAABAiWqWgBLNqAABM+gCAAAAS+UW87HEZ/sCAAAAAARZWg==";
 const level = (y: number, x: number) => [240 - 20 * y, 20 * y, 255 * ((x + y) % 2)];

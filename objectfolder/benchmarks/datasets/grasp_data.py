@@ -13,7 +13,7 @@ from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RE
 from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
 from objectfolder.benchmarks.datasets.settings import GraspDataConfig
 from objectfolder.disk import enough_space, refuse_links
-from objectfolder.envs.body import RigidBody
+from objectfolder.envs.body import RigidBody, rotation, turn_poses
 from objectfolder.envs.camera import ExternalCamera
 from objectfolder.envs.fingers import (
     Presses,
@@ -24,9 +24,8 @@ from objectfolder.envs.fingers import (
     tactile_images,
 )
 from objectfolder.envs.grasp_scene import GraspScene, Outcomes, Physics, lowest_hand
-from objectfolder.envs.gripper import PAD
+from objectfolder.envs.gripper import PAD, hand_axes
 from objectfolder.envs.hulls import hulls_digest
-from objectfolder.envs.poses import hand_axes, rotation, turn_poses
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import atomic_stream, read_json, write_json, write_npz
 from objectfolder.locks import exclusive

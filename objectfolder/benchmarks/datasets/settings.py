@@ -12,26 +12,26 @@ from objectfolder.settings import Count
 class ObserveConfig:
     """Section ``observe``: random views, impacts and touches of each object."""
 
-    observations: Annotated[int, Ge(10), MultipleOf(10)]  #: per modality
-    resolution: Annotated[int, Ge(8)]  #: side of the views, pixels
+    observations: Annotated[int, Ge(10), MultipleOf(10)] = 80  #: per modality
+    resolution: Annotated[int, Ge(8)] = 64  #: side of the views, pixels
 
 
 @dataclass(frozen=True, kw_only=True)
 class DecomposeConfig:
     """Section ``decompose``: the surface as convex hulls."""
 
-    hulls: Count  #: greatest number of hulls of an object
+    hulls: Count = 8  #: greatest number of hulls of an object
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraspDataConfig:
     """Section ``grasp_data``: grasps to collect of each object."""
 
-    grasps: Annotated[int, Ge(10), MultipleOf(10)]
-    perturbations: Annotated[int, Ge(0)]  #: perturbed repetitions of each grasp for the soft label
-    image: Annotated[int, Ge(8)]  #: side of the camera's pictures, pixels
-    touch: tuple[int, int]  #: height and width of tactile images, pixels; the sensor's: 160, 120
-    timestep: Annotated[float, Interval(gt=0, le=0.004)]  #: of the simulation, s
+    grasps: Annotated[int, Ge(10), MultipleOf(10)] = 200
+    perturbations: Annotated[int, Ge(0)] = 2  #: perturbed repetitions of each grasp for the soft label
+    image: Annotated[int, Ge(8)] = 64  #: side of the camera's pictures, pixels
+    touch: tuple[int, int] = (64, 48)  #: height and width of tactile images, pixels; the sensor's: 160, 120
+    timestep: Annotated[float, Interval(gt=0, le=0.004)] = 0.002  #: of the simulation, s
 
     def bytes(self, explicit: bool) -> int:
         """Return the size of the images of a grasp."""

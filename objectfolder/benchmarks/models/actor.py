@@ -17,12 +17,8 @@ CLIP = 10.0  #: standard deviations to which normalized observations are clipped
 class Actor:
     """Mean action of a Gaussian policy: normalization, layers with tanh between them, clipping to [-1, 1].
 
-    Parameters
-    ----------
-    mean, deviation : (n,) float64
-        Of the training observations.
-    layers : sequence of pairs
-        Weight (out, in) and bias (out,) of each layer, float32.
+    Mean and deviation (n,) float64 are those of the training observations. Each layer is a weight (out, in)
+    and a bias (out,), float32.
     """
 
     mean: np.ndarray
@@ -57,13 +53,7 @@ class Actor:
 
     @classmethod
     def load(cls, path: str | Path) -> "Actor":
-        """Read a file written by `save`.
-
-        Raises
-        ------
-        ObjectFolderError
-            If it is no policy file.
-        """
+        """Read a file written by `save`; ObjectFolderError if it is no policy file."""
         tensors, header = open_safetensors(path)
         if header.get("format") != FORMAT:
             raise ObjectFolderError(

@@ -13,14 +13,7 @@ Inputs = dict[str, torch.Tensor]  #: of encoders, by name
 
 
 class Classifier(nn.Module):
-    """Encoders, one per modality, and a linear layer from their features to classes.
-
-    Parameters
-    ----------
-    encoders : dict
-        By letter; each with an attribute ``features``.
-    classes : int
-    """
+    """Encoders by letter, one per modality, and a linear layer from their ``features`` to classes."""
 
     def __init__(self, encoders: dict[str, nn.Module], classes: int):
         super().__init__()

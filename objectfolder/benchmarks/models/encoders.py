@@ -12,9 +12,9 @@ from runpy import run_path
 import torch
 from torch import nn
 
-from objectfolder.benchmarks.models.encode_config import EncodeConfig
 from objectfolder.benchmarks.models.inputs import CHANNELS
 from objectfolder.benchmarks.models.resnet import ResNet18
+from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import file_digest, torch_problem
 
@@ -58,18 +58,10 @@ class Weights(dict[str, torch.Tensor]):
 
 
 def registered(name: str) -> str:
-    """Return the registered name of an encoder.
+    """Return the registered name of an encoder: of one that is, or of ``FILE.py:NAME``.
 
-    Parameters
-    ----------
-    name : str
-        Registered name, or ``FILE.py:NAME``: that Python file is run to register it. It may import modules
-        beside it, which are run again, too, whenever it is.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such encoder, or its file fails.
+    That Python file is run to register it. It may import modules beside it, which are run again, too,
+    whenever it is. Raises ObjectFolderError if there is no such encoder, or its file fails.
     """
     file = own_file(name)
     if file is not None:
@@ -133,23 +125,12 @@ def _factory(name: str) -> Factory:
 
 
 def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn.Module:
-    """Make a registered encoder for a modality.
+    """Make a registered encoder for a modality: "vision", "audio" or "touch".
 
-    Its random parameters come from torch's global generator: call within `objectfolder.seeding.seeded`.
-
-    Parameters
-    ----------
-    name : str
-        As returned by `registered`. No file is run here, since names may come from untrusted model files.
-    modality : str
-        "vision", "audio" or "touch".
-    weights : Weights, optional
-        Initial parameters. A convolution over three channels is summed over them if the encoder takes one.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such encoder, or the weights do not fit it.
+    Its random parameters come from torch's global generator: call within `objectfolder.seeding.seeded`. The
+    name is one that `registered` returns: no file is run here, since names may come from untrusted model
+    files. A convolution over three channels of given initial weights is summed over them if the encoder takes
+    one. Raises ObjectFolderError if there is no such encoder, or the weights do not fit it.
     """
     encoder = _factory(name)(CHANNELS[modality])
     if weights is not None:
@@ -160,11 +141,8 @@ def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn
 def check_encoder(encode: EncodeConfig, modalities: Iterable[str], weights: Weights | None = None) -> None:
     """Make an encoder for some modalities, and let it answer two blank inputs of each: before any work.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such encoder, it fails, lacks the attribute ``features``, answers in another shape than
-        (B, features), or the weights do not fit it.
+    Raises ObjectFolderError if there is no such encoder, it fails, lacks the attribute ``features``, answers
+    in another shape than (B, features), or the weights do not fit it.
     """
     name = registered(encode.encoder)
     for modality in modalities:
@@ -194,12 +172,7 @@ def read_weights(path: str | Path) -> Weights:
     """Read an encoder's weights from a ``torch.save`` file, such as torchvision's ImageNet weights.
 
     The last layer (``fc``) and the prefix ``module.`` of parallel training are dropped. Nothing in the file
-    is executed.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing or is no checkpoint of tensors.
+    is executed. Raises ObjectFolderError if it is missing or is no checkpoint of tensors.
     """
     path = Path(path)
     expected = "expected a dictionary of tensors by name, such as torchvision's resnet18 file"

@@ -12,18 +12,10 @@ OBJECT = 0.5  #: alpha above which a pixel belongs to the object
 WHITE = 250  #: level, of 255, above which all channels are background
 
 
-def framed_views(views: np.ndarray) -> np.ndarray:
-    """Centre the objects in views on white, and scale them to `SHARE`.
+def frame_views(views: np.ndarray) -> np.ndarray:
+    """Centre the objects in views, (B, S, S, 3) uint8 sRGB, on white, and scale them to `SHARE`, bilinearly.
 
-    Parameters
-    ----------
-    views : (B, S, S, 3) uint8 array
-        sRGB. Empty views stay white.
-
-    Returns
-    -------
-    (B, S, S, 3) uint8
-        Resampled bilinearly.
+    Empty views stay white.
     """
     side = views.shape[1]
     seen = np.any(views <= WHITE, axis=-1)
@@ -45,19 +37,10 @@ def _extent(marked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return marked.argmax(1), marked.shape[1] - marked[:, ::-1].argmax(1)
 
 
-def framed(rgba: np.ndarray, side: int) -> np.ndarray:
-    """Frame a cut-out object on white, with the same size as in `framed_views`.
+def frame_cutout(rgba: np.ndarray, side: int) -> np.ndarray:
+    """Frame a cut-out object on white, with the same size as in `frame_views`; (side, side, 3) uint8, sRGB.
 
-    Parameters
-    ----------
-    rgba : (H, W, 4) float32 array
-        Linear and premultiplied; not empty.
-    side : int
-        Pixels of the view.
-
-    Returns
-    -------
-    (side, side, 3) uint8, sRGB
+    The picture (H, W, 4) is float32, linear, premultiplied, and not empty.
     """
     solid = rgba[..., 3] > OBJECT
     (top, bottom), (left, right) = (
@@ -65,15 +48,15 @@ def framed(rgba: np.ndarray, side: int) -> np.ndarray:
     )
     half = max(bottom - top, right - left) / SHARE / 2
     row, column = (top + bottom) / 2, (left + right) / 2
-    return shown(_window(rgba, row - half, column - half, 2 * half, side))
+    return composite(_window(rgba, row - half, column - half, 2 * half, side))
 
 
-def shown(rgba: np.ndarray) -> np.ndarray:
+def composite(rgba: np.ndarray) -> np.ndarray:
     """Composite linear premultiplied RGBA (..., 4) on white; (..., 3) uint8, sRGB."""
     return np.round(on_white(torch.from_numpy(rgba)).numpy() * 255).astype(np.uint8)
 
 
-def resized(rgba: np.ndarray, side: int) -> np.ndarray:
+def resize_picture(rgba: np.ndarray, side: int) -> np.ndarray:
     """Resample a whole square linear RGBA image; (side, side, 4) float32."""
     return _window(rgba, 0.0, 0.0, float(len(rgba)), side)
 

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from objectfolder.audio.spectrogram import spectrogram
-from objectfolder.benchmarks.models.encode_config import InputSizes
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.errors import ObjectFolderError
 
 CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of `encoder_inputs`
@@ -24,31 +24,16 @@ def encoder_inputs(
     rng: np.random.Generator | None = None,
     device: str | torch.device = "cpu",
 ) -> torch.Tensor:
-    """Compute encoder inputs from observations (supplementary I.1).
+    """Compute encoder inputs (B, channels, H, W) float32 from observations (supplementary I.1).
 
-    Parameters
-    ----------
-    modality : str
-    raw : array
-        "vision": (B, H, W, 3) uint8 sRGB, cropped and normalized as ImageNet.
-        "audio": (B, samples) float32 at 16 kHz. Its magnitude spectrogram in decibels relative to the sound's
-        own maximum, which removes the force, from 0 (80 dB below, or silence) to 1.
-        "touch": (B, h, w, 3) uint8, normalized as views.
-    sizes : InputSizes
-        Spectrograms and touches are average-pooled to these.
-    rng : numpy Generator, optional
-        Places the crop of each view; default: the centre.
-    device : str or torch.device
-        Of the result.
+    - "vision": (B, H, W, 3) uint8 sRGB, cropped and normalized as ImageNet. A generator places the crop of
+      each view; default: the centre.
+    - "audio": (B, samples) float32 at 16 kHz. Its magnitude spectrogram in decibels relative to the sound's
+      own maximum, which removes the force, from 0 (80 dB below, or silence) to 1.
+    - "touch": (B, h, w, 3) uint8, normalized as views.
 
-    Returns
-    -------
-    (B, channels, H, W) float32
-
-    Raises
-    ------
-    ObjectFolderError
-        If the observations are smaller than the sizes.
+    Spectrograms and touches are average-pooled to the sizes. Raises ObjectFolderError if the observations are
+    smaller.
     """
     if modality == "vision":
         return _normalised(_crops(raw, sizes.image, rng).to(device))
@@ -127,7 +112,7 @@ class Ground:
         return (inputs - self.median) / self.deviation
 
 
-def flipped(inputs: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
+def flip_some(inputs: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
     """Mirror half of the pictures of (B, C, H, W), at random, left to right.
 
     A mirrored picture is that of the mirrored object, in the mirrored light.
@@ -136,7 +121,7 @@ def flipped(inputs: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
     return torch.where(chosen[:, None, None, None], inputs.flip(3), inputs)
 
 
-def shifted(inputs: torch.Tensor, most: int, rng: np.random.Generator) -> torch.Tensor:
+def shift_each(inputs: torch.Tensor, most: int, rng: np.random.Generator) -> torch.Tensor:
     """Move each picture of (B, C, H, W) by up to so many pixels in each direction; its border is repeated."""
     height, width = inputs.shape[2:]
     padded = nn.functional.pad(inputs, (most,) * 4, mode="replicate")

@@ -13,15 +13,7 @@ OCTAVES = 5  #: of sines and cosines of the places
 
 
 class Localizer(nn.Module):
-    """Encoder of what is felt or heard, and a net of the places; their product is the belief.
-
-    Parameters
-    ----------
-    encoder : nn.Module
-        With an attribute ``features``.
-    places : (P, 3) array
-        Unit frame.
-    """
+    """Encoder of what is felt or heard, and a net of the places (P, 3); their product is the belief."""
 
     def __init__(self, encoder: nn.Module, places: np.ndarray):
         super().__init__()
@@ -44,44 +36,25 @@ class Localizer(nn.Module):
         return (found / WIDTH**0.5).float().log_softmax(1)
 
 
-def likeliest(belief: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    """Return the places with the least expected distance.
+def choose_likeliest(belief: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    """Return the places (N,) with the least expected distance.
 
-    Parameters
-    ----------
-    belief : (N, P) array
-        Logarithms of probabilities, up to a constant in each row.
-    distances : (P, P) array
-        Between the places.
-
-    Returns
-    -------
-    (N,) int array
+    A belief (N, P) holds logarithms of probabilities, up to a constant in each row; distances (P, P) are
+    between the places.
     """
     share = np.exp(belief - belief.max(1, keepdims=True))
     return np.argmin(share / share.sum(1, keepdims=True) @ distances, axis=1)
 
 
-def belief_together(
+def add_beliefs(
     beliefs: np.ndarray, moves: np.ndarray, places: np.ndarray, softness: float = SOFTNESS
 ) -> np.ndarray:
-    """Add up the beliefs of contacts between which the moves are known.
+    """Add up the beliefs (n, P), logarithms, of contacts between which the moves (n, 3) are known.
 
-    If the last contact is at a place p, contact i was at p + move i. Its belief there is that of the
-    nearest place, less the squared distance to it over twice the squared softness: points off the surface
-    are unlikely.
-
-    Parameters
-    ----------
-    beliefs : (n, P) array
-        Logarithms, by contact.
-    moves : (n, 3) array
-        From the last contact to each one.
-    places : (P, 3) array
-
-    Returns
-    -------
-    (P,) array, the logarithm of the belief about the last contact, up to a constant.
+    Moves lead from the last contact to each one. If the last contact is at a place p, contact i was at p +
+    move i. Its belief there is that of the nearest of the places (P, 3), less the squared distance to it over
+    twice the squared softness: points off the surface are unlikely. Returns the logarithm of the belief about
+    the last contact (P,), up to a constant.
     """
     off, nearest = cKDTree(places).query(places + moves[:, None])
     rows = np.arange(len(beliefs))[:, None]

@@ -8,6 +8,8 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from objectfolder.benchmarks.models.inputs import Ground
+
 EMBEDDING = 256  #: size of shape embeddings
 
 
@@ -15,11 +17,6 @@ class ConditionalBatchNorm(nn.Module):
     """Batch normalization over all points of a batch, with scale and shift predicted from the embedding.
 
     Initially the scale is 1 and the shift 0.
-
-    Parameters
-    ----------
-    embedding, width : int
-        Sizes of embeddings and of point features.
     """
 
     def __init__(self, embedding: int, width: int):
@@ -72,15 +69,9 @@ class ConditionalBlock(nn.Module):
 class OccupancyDecoder(nn.Module):
     """Predict occupancy logits of points from the embedding of a shape.
 
-    Parameters
-    ----------
-    width : int
-        Size of point features.
-    blocks : int
-    frequencies : int
-        Octaves of sines and cosines of the coordinates. The paper uses none and hundreds of thousands of
-        steps; with a few, thin walls are learned in hundreds.
-    embedding : int
+    ``width`` is the size of point features, ``frequencies`` the octaves of sines and cosines of the
+    coordinates. The paper uses none and hundreds of thousands of steps; with a few, thin walls are learned in
+    hundreds.
     """
 
     def __init__(self, width: int = 256, blocks: int = 5, frequencies: int = 0, embedding: int = EMBEDDING):
@@ -109,15 +100,10 @@ class OccupancyDecoder(nn.Module):
 
 
 class OneShape:
-    """A decoder in evaluation for the embedding of one shape.
+    """A decoder in evaluation for the embedding (embedding,) of one shape.
 
     Equals the decoder, but reads the points less often: normalizations are scales and shifts, the second one
     of a block part of the layer before.
-
-    Parameters
-    ----------
-    decoder : OccupancyDecoder
-    embedding : (embedding,) tensor
     """
 
     def __init__(self, decoder: OccupancyDecoder, embedding: torch.Tensor):
@@ -138,15 +124,38 @@ class OneShape:
         return self._decoder.last(torch.addcmul(shift, scale, hidden).relu_())[..., 0]
 
 
+class SeveralTouches(nn.Module):
+    """Encode several touches of an object by the mean of their features; where they are is not told.
+
+    The encoder is that of one touch, with an attribute ``features``; ``size`` is height and width of its
+    inputs.
+    """
+
+    def __init__(self, encoder: nn.Module, size: tuple[int, int]):
+        super().__init__()
+        self.encoder = encoder
+        self.features = int(cast(Any, encoder).features)
+        self.median: torch.Tensor
+        self.deviation: torch.Tensor
+        self.register_buffer("median", torch.zeros(3, *size))
+        self.register_buffer("deviation", torch.ones(()))
+
+    def set_ground(self, ground: Ground) -> None:
+        """Subtract what touches have in common from all inputs."""
+        self.median.copy_(ground.median)
+        self.deviation.copy_(ground.deviation)
+
+    def forward(self, touches: torch.Tensor) -> torch.Tensor:
+        """Encode (B, K, 3, H, W) inputs; (B, features)."""
+        inputs = Ground(self.median, self.deviation).subtracted(touches.flatten(0, 1))
+        encoded: torch.Tensor = self.encoder(inputs)
+        return encoded.unflatten(0, touches.shape[:2]).mean(1)
+
+
 class Reconstructor(nn.Module):
     """IMAGE2MESH and its like: encoders, two fully-connected layers, an occupancy decoder.
 
-    Parameters
-    ----------
-    encoders : mapping of str to nn.Module
-        By modality, in the order of concatenation; each has an attribute ``features``.
-    width, blocks, frequencies : int
-        Of the decoder.
+    Encoders are by modality, in the order of concatenation; each has an attribute ``features``.
     """
 
     def __init__(

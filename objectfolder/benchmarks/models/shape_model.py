@@ -11,12 +11,11 @@ import numpy as np
 import torch
 
 from objectfolder.benchmarks.datasets.occupancy import extract_mesh, grid_points
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder
-from objectfolder.benchmarks.models.framing import framed_views
+from objectfolder.benchmarks.models.framing import frame_views
 from objectfolder.benchmarks.models.inputs import encoder_inputs
-from objectfolder.benchmarks.models.occupancy_net import Reconstructor, occupancy_logits
-from objectfolder.benchmarks.models.several_touches import SeveralTouches
+from objectfolder.benchmarks.models.occupancy_net import Reconstructor, SeveralTouches, occupancy_logits
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 
@@ -42,13 +41,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class ShapeModel:
-    """A reconstructor in evaluation mode.
-
-    Parameters
-    ----------
-    setup : Setup
-    net : Reconstructor
-    """
+    """A reconstructor in evaluation mode."""
 
     setup: Setup
     net: Reconstructor
@@ -60,31 +53,19 @@ class ShapeModel:
 
     @torch.no_grad()
     def embed(self, observations: Mapping[str, np.ndarray]) -> torch.Tensor:
-        """Embed the shapes of observations.
+        """Embed the shapes of B observations of each modality; (B, 256) float32.
 
-        Parameters
-        ----------
-        observations : mapping of str to array
-            By modality, B rows each, from `Observations.read`; of touches (B, K, h, w, 3), K of each object.
-
-        Returns
-        -------
-        (B, 256) float32
+        They are from `Observations.read`; of touches (B, K, h, w, 3), K are of each object.
         """
-        device = next(self.net.parameters()).device
-        count = len(observations[self.setup.modalities[0]])
-        parts = [
-            self.net.embed(
-                {
-                    name: shape_inputs(
-                        name, observations[name][start : start + ROWS], self.setup.sizes, device=device
-                    )
-                    for name in self.setup.modalities
-                }
-            )
-            for start in range(0, count, ROWS)
-        ]
-        return torch.cat(parts)
+        device, (first, *_) = next(self.net.parameters()).device, self.setup.modalities
+
+        def inputs(name: str, rows: slice) -> torch.Tensor:
+            return shape_inputs(name, observations[name][rows], self.setup.sizes, device=device)
+
+        parts = [slice(start, start + ROWS) for start in range(0, len(observations[first]), ROWS)]
+        return torch.cat(
+            [self.net.embed({name: inputs(name, rows) for name in self.setup.modalities}) for rows in parts]
+        )
 
     def logits(self, embedding: torch.Tensor, points: np.ndarray) -> np.ndarray:
         """Return the occupancy logits (B, P) of points (P, 3), unit frame, for each of B shapes."""
@@ -117,7 +98,7 @@ def shape_inputs(
     if modality == "touch":
         inputs = encoder_inputs(modality, raw.reshape(-1, *raw.shape[2:]), sizes, rng, device)
         return inputs.unflatten(0, raw.shape[:2])
-    return encoder_inputs(modality, framed_views(raw) if modality == "vision" else raw, sizes, rng, device)
+    return encoder_inputs(modality, frame_views(raw) if modality == "vision" else raw, sizes, rng, device)
 
 
 def new_net(setup: Setup, weights: Weights | None = None) -> Reconstructor:
@@ -137,10 +118,7 @@ def save_model(path: str | Path, model: ShapeModel) -> None:
 def load_model(path: str | Path, device: str | torch.device = "cpu") -> ShapeModel:
     """Read a model written by `save_model`; nothing in the file is executed.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing, damaged, or no model file.
+    Raises ObjectFolderError if the file is missing, damaged, or no model file.
     """
     tensors, header = read_safetensors(path)
     if not isinstance(header, dict) or header.get("format") != FORMAT:

@@ -10,10 +10,7 @@ DEPTHS = (1, 2, 4, 4)  #: channels at full, half, quarter and eighth of the size
 class Translator(nn.Module):
     """Picture (B, 3, H, W) to a change (B, 3, H, W) of a fixed picture, the answer where nothing is known.
 
-    Parameters
-    ----------
-    width : int
-        Channels at full size.
+    ``width`` is the number of channels at full size.
     """
 
     def __init__(self, width: int):

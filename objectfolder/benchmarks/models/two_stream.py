@@ -11,17 +11,10 @@ from objectfolder.errors import ObjectFolderError
 
 
 class TwoStream(nn.Module):
-    """Two encoders, one per modality, and a shared head.
+    """Two encoders, one per modality, each with an attribute ``features``, and a shared head.
 
     The head's first layer maps features to the cross-sensory embedding, its second, after a ReLU, to classes.
     The embedding is taken before the ReLU, so that its cosines may be negative.
-
-    Parameters
-    ----------
-    encoders : two modules with an attribute ``features``
-    embedding : int
-        Size of the embedding.
-    classes : int
     """
 
     def __init__(self, encoders: Sequence[nn.Module], embedding: int, classes: int):
@@ -45,21 +38,9 @@ def triplet_loss(
     """Compute equation 1, averaged over anchors and all their negatives in the batch.
 
     The loss of a triplet is ``max(0, D(anchor, positive) - D(anchor, negative) + margin)`` with the cosine
-    distance D = 1 - cos. A negative is of the anchor's modality and of another object.
-
-    Parameters
-    ----------
-    anchor : (B, D) tensor
-        Embeddings of one modality.
-    positive : (B, D) tensor
-        Embeddings of the other modality, row by row of the same object.
-    labels : (B,) integer tensor
-        Objects of the rows, two or more different ones.
-    margin : float
-
-    Returns
-    -------
-    Scalar tensor.
+    distance D = 1 - cos. A negative is of the anchor's modality and of another object. Embeddings are (B, D):
+    anchors of one modality, positives of the other, row by row of the same object. Labels (B,) name the
+    objects of the rows, two or more different ones.
     """
     # Differences of similar cosines need more than 16 bits.
     with torch.autocast(anchor.device.type, enabled=False):
@@ -81,24 +62,10 @@ def paired_batches(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield batches of pairs of rows of the same object, each row once per modality.
 
-    Rows of an object are paired at random. Objects alternate, so that each batch has at least two.
-
-    Parameters
-    ----------
-    rows : (R,) int array
-    labels : (R,) int array
-        Their objects, as many rows of each.
-    batch : int
-        Pairs, at least three.
-
-    Yields
-    ------
-    Rows of the first and of the second modality, (B,) each.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is one object only, the batch is too small, or the objects have unequal numbers of rows.
+    Labels (R,) name the objects of the rows (R,), as many rows of each. Rows of an object are paired at
+    random. Objects alternate, so that each batch, of at least three pairs, has at least two. Yields the rows
+    of the first and of the second modality, (B,) each. Raises ObjectFolderError if there is one object only,
+    the batch is too small, or the objects have unequal numbers of rows.
     """
     objects, counts = np.unique(labels, return_counts=True)
     if len(objects) < 2 or batch < 3:

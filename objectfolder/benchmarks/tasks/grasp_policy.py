@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
+from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.reporting.tables import Table, format_rate
 from objectfolder.benchmarks.tasks.task import Task
 

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 
 from objectfolder.benchmarks.models.actor import Actor
+from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.models.trpo import train_trpo
-from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
 from objectfolder.benchmarks.reporting.film import mark_outcome, write_gif
 from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.job import ObjectJob
 from objectfolder.envs.camera import ExternalCamera
-from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import FeatureFunction, TouchBank, TouchFeatures
-from objectfolder.envs.grasp import GraspVectorEnv
+from objectfolder.envs.grasp import Episodes, GraspVectorEnv
 from objectfolder.envs.grasp_task import FORCE, STEPS, GraspTask
 from objectfolder.seeding import numpy_generator
 
@@ -143,7 +142,7 @@ def grasp_frames(task: GraspTask, bank: TouchBank, actor: Actor, count: int, see
     shown = [*np.flatnonzero(held)[:1], *np.flatnonzero(~held & free)[:1]]
     camera, frames = ExternalCamera(PIXELS), []
     for row in shown:
-        place = task.placed(episodes.objects[row])
+        place = task.place_object(episodes.objects[row])
         for moment in task.scene.watch(place, episodes.hands[row], FORCE, FRAME):
             frame = camera.picture(task.file, moment.place, moment.hand, moment.width)
             frames.append(mark_outcome(frame, held[row]))

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, MinLen
 
-from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import Table, describe_rows, format_figure, format_interval
 from objectfolder.benchmarks.tasks.task import Task
-from objectfolder.settings import Count
+from objectfolder.settings import Count, NonNegative, Positive
 
 #: Rows of grasp stability, in their order.
 PREDICTED_FROM = {
@@ -32,13 +32,20 @@ REPEATED = "repeat a camera picture of their object, and were dropped"
 class GraspStabilityConfig(TrainingConfig):
     """Section ``grasp_stability`` of ``params.yaml``."""
 
-    seeds: Count  #: runs whose mean is the result
+    epochs: Count = 6
+    batch: Annotated[int, Ge(2)] = 32
+    learning_rate: Positive = 0.001
+    weight_decay: NonNegative = 0.01
+    patience: Count = 6
+    seeds: Count = 1  #: runs whose mean is the result
     #: Training set sizes in grasps, ascending; sizes beyond the available grasps are replaced by all of them.
-    sizes: Annotated[tuple[Annotated[int, Ge(2)], ...], MinLen(1)]
-    epoch_grasps: Count  #: smaller training sets are repeated within an epoch until it has so many grasps
-    fusion_epochs: Count  #: of vision and touch together, after each was trained alone
-    hidden: Count  #: units between both fully connected layers, for each of vision and touch
-    touch: tuple[int, int]  #: height and width that touches are averaged to, instead of those of ``encode``
+    sizes: Annotated[tuple[Annotated[int, Ge(2)], ...], MinLen(1)] = (100, 10_000)
+    #: smaller training sets are repeated within an epoch until it has so many grasps
+    epoch_grasps: Count = 400
+    fusion_epochs: Count = 1  #: of vision and touch together, after each was trained alone
+    hidden: Count = 128  #: units between both fully connected layers, for each of vision and touch
+    #: height and width that touches are averaged to, instead of those of ``encode``
+    touch: tuple[int, int] = (32, 24)
 
     def __post_init__(self) -> None:
         """Check the order of the sizes."""

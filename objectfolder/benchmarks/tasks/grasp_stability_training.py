@@ -14,9 +14,9 @@ from sklearn.metrics import balanced_accuracy_score, roc_auc_score
 from torch import nn
 
 from objectfolder.benchmarks.datasets.grasps import Grasps
-from objectfolder.benchmarks.models.grasp_baselines import baselines
+from objectfolder.benchmarks.models.baselines import predict_outcomes
 from objectfolder.benchmarks.models.inputs import encoder_inputs
-from objectfolder.benchmarks.models.training import EpochPoint, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, shuffle
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
 from objectfolder.benchmarks.tasks.grasp_stability import GraspStabilityConfig
 from objectfolder.benchmarks.tasks.job import Job
@@ -173,7 +173,7 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
 
 
 def _baselines(grasps: Grasps, train: np.ndarray, test: np.ndarray) -> dict[str, list[float]]:
-    return {name: answer.tolist() for name, answer in baselines(grasps, train, test).items()}
+    return {name: answer.tolist() for name, answer in predict_outcomes(grasps, train, test).items()}
 
 
 def _check_outcomes(success: np.ndarray, split: str) -> None:
@@ -268,7 +268,7 @@ def _train(
 
     def epoch_batches(epoch: int) -> Iterator[tuple[Inputs, torch.Tensor]]:
         rng = numpy_generator(job.seed, *purpose, str(epoch))
-        for rows in shuffled(repeated, params.batch, rng):
+        for rows in shuffle(repeated, params.batch, rng):
             yield _inputs(job, arrays, rows, rng), torch.from_numpy(success[rows]).float().to(job.device)
 
     def batch_loss(batch: tuple[Inputs, torch.Tensor]) -> torch.Tensor:
@@ -277,11 +277,13 @@ def _train(
 
     curve = job.train(
         f"grasp stability {split.name}, {name} of {len(train)}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        lambda: accuracy(_logits(job, net, arrays, split.val) > 0, success[split.val]),
-        "accuracy",
+        Objective(
+            net,
+            epoch_batches,
+            batch_loss,
+            lambda: accuracy(_logits(job, net, arrays, split.val) > 0, success[split.val]),
+            "accuracy",
+        ),
         _checkpoint(job, train, run, name),
         epochs,
         rate,

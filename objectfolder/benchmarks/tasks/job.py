@@ -12,11 +12,16 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, without_rows
-from objectfolder.benchmarks.models.encode_config import EncodeConfig, InputSizes
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder, registered
-from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flipped, shifted
-from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, train
-from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flip_some, shift_each
+from objectfolder.benchmarks.models.settings import EncodeConfig, InputSizes, TrainingConfig
+from objectfolder.benchmarks.models.training import (
+    STATISTICS,
+    EpochPoint,
+    Objective,
+    TrainSettings,
+    train,
+)
 from objectfolder.io import read_json, write_json
 from objectfolder.workspace.layout import SPLITS
 
@@ -184,11 +189,11 @@ class Job(Generic[_Params]):
         raw = self.observations.read(modality, rows)
         inputs = encoder_inputs(modality, raw, self.sizes, rng, self.device)
         if modality == "vision" and self.encode.flip and rng is not None:
-            inputs = flipped(inputs, rng)
+            inputs = flip_some(inputs, rng)
         if modality == "touch" and self.encode.subtract:
             inputs = self.ground.subtracted(inputs)
         if modality == "touch" and self.encode.shift and rng is not None:
-            inputs = shifted(inputs, self.encode.shift, rng)
+            inputs = shift_each(inputs, self.encode.shift, rng)
         return inputs
 
     def _spectra(self, rows: np.ndarray) -> torch.Tensor:
@@ -240,11 +245,7 @@ class Job(Generic[_Params]):
     def train(
         self,
         title: str,
-        net: nn.Module,
-        epoch_batches: Callable[[int], Iterable[_Batch]],
-        batch_loss: Callable[[_Batch], torch.Tensor],
-        val_score: Callable[[], float],
-        score: str,
+        objective: Objective[_Batch],
         checkpoint: Path,
         epochs: int | None = None,
         rate: float = 1.0,
@@ -255,40 +256,35 @@ class Job(Generic[_Params]):
 
         Parameters
         ----------
-        title, score : str
-            Names of the training and of its validation score, for reports.
-        net, epoch_batches, batch_loss, val_score, checkpoint, cycle, statistics
+        title : str
+            Of the training, for reports.
+        objective, checkpoint
             See `objectfolder.benchmarks.models.training.train`.
         epochs : int, optional
             Default: those of the settings.
         rate : float
             Factor of the learning rate.
+        cycle, statistics
+            See `objectfolder.benchmarks.models.training.TrainSettings`.
         """
         params = self.params
-        epochs = epochs or params.epochs
-
-        def report(point: EpochPoint) -> None:
-            self.report(
-                f"{title}, epoch {point.epoch} of {epochs}: training loss {point.train_loss:.3f}, "
-                f"validation {score} {point.val_score:.3f}, {point.seconds:.0f} s"
-            )
-
-        return train(
-            net,
-            epoch_batches,
-            batch_loss,
-            val_score,
-            epochs=epochs,
+        settings = TrainSettings(
+            epochs=epochs or params.epochs,
             learning_rate=params.learning_rate * rate,
             weight_decay=params.weight_decay,
             patience=params.patience,
             cycle=cycle,
             precision=self.encode.precision,
             statistics=statistics,
-            checkpoint=checkpoint,
-            device=self.device,
-            report=report,
         )
+
+        def report(point: EpochPoint) -> None:
+            self.report(
+                f"{title}, epoch {point.epoch} of {settings.epochs}: training loss {point.train_loss:.3f}, "
+                f"validation {objective.score} {point.val_score:.3f}, {point.seconds:.0f} s"
+            )
+
+        return train(objective, settings, checkpoint, self.device, report)
 
     def compute_once(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return the result of a part of the job; computed once and kept in the progress folder."""

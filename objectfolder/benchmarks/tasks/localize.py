@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, MultipleOf
 
-from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import Table, format_interval
 from objectfolder.benchmarks.tasks.task import Task
-from objectfolder.settings import Count
+from objectfolder.settings import Count, NonNegative, Positive
 
 SENSES = {"T": "touch", "A": "sound", "TA": "touch + sound"}  #: that contacts are localized by
 
@@ -18,9 +18,14 @@ SENSES = {"T": "touch", "A": "sound", "TA": "touch + sound"}  #: that contacts a
 class LocalizeConfig(TrainingConfig):
     """Section ``localize`` of ``params.yaml``."""
 
-    seeds: Count  #: runs whose mean is the result
+    epochs: Count = 30
+    batch: Annotated[int, Ge(2)] = 32
+    learning_rate: Positive = 0.003
+    weight_decay: NonNegative = 0.05
+    patience: Count = 30
+    seeds: Count = 1  #: runs whose mean is the result
     #: With each object: 80 % to train with, 10 % for validation, 10 % for the test, which need a sequence.
-    contacts: Annotated[int, Ge(80), MultipleOf(10)]
+    contacts: Annotated[int, Ge(80), MultipleOf(10)] = 500
 
 
 def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:

@@ -16,9 +16,9 @@ from scipy.spatial.distance import cdist
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, sample_contacts
-from objectfolder.benchmarks.models.inputs import shifted
-from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, belief_together, likeliest
-from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.inputs import shift_each
+from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, add_beliefs, choose_likeliest
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job, ObjectJob
 from objectfolder.benchmarks.tasks.localize import LocalizeConfig
@@ -122,13 +122,13 @@ class _Setting:
 
     def errors(self, belief: np.ndarray, truth: np.ndarray) -> np.ndarray:
         """Return the errors (N,) of beliefs (N, P) about contacts at points (N, 3)."""
-        return np.linalg.norm(self.places[likeliest(belief, self.distances)] - truth, axis=1)
+        return np.linalg.norm(self.places[choose_likeliest(belief, self.distances)] - truth, axis=1)
 
     def scores(self, belief: np.ndarray) -> dict[str, float]:
         """Score the beliefs (n, P) of the test contacts."""
         single = self.errors(belief, self.tests)
         joint = [
-            belief_together(belief[group], self.tests[group] - self.tests[group[-1]], self.places)
+            add_beliefs(belief[group], self.tests[group] - self.tests[group[-1]], self.places)
             for group in self.groups
         ]
         together = self.errors(np.array(joint), self.tests)
@@ -216,10 +216,10 @@ def _train(
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
-        for rows in shuffled(train, params.batch, rng):
+        for rows in shuffle(train, params.batch, rng):
             inputs = setting.inputs[letter][rows]
             if letter == "T" and job.encode.shift:
-                inputs = shifted(inputs, job.encode.shift, rng)
+                inputs = shift_each(inputs, job.encode.shift, rng)
             yield inputs, setting.targets[rows].to(job.device)
 
     def batch_loss(batch: Batch) -> torch.Tensor:
@@ -228,14 +228,16 @@ def _train(
         return F.kl_div(net(inputs), targets, reduction="batchmean")
 
     truth = job.observations.read("point", job.split.val)
-    steps = params.epochs * batch_count(len(train), params.batch)
+    steps = params.epochs * count_batches(len(train), params.batch)
     curve = job.train(
         f"localize {letter}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        lambda: -float(setting.errors(_belief(setting, net, letter, job.split.val), truth).mean()),
-        "minus error",
+        Objective(
+            net,
+            epoch_batches,
+            batch_loss,
+            lambda: -float(setting.errors(_belief(setting, net, letter, job.split.val), truth).mean()),
+            "minus error",
+        ),
         checkpoint,
         cycle=steps,
     )

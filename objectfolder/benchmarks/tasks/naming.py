@@ -9,8 +9,8 @@ import torch
 from torch.nn import functional as F
 
 from objectfolder.benchmarks.models.classifier import Classifier
-from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
-from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.models.settings import TrainingConfig
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.scores import mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.seeding import numpy_generator, seeded
@@ -67,7 +67,7 @@ def train_namer(
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
-        for some in shuffled(rows, params.batch, rng):
+        for some in shuffle(rows, params.batch, rng):
             targets = torch.from_numpy(np.searchsorted(classes, labels[some]))
             yield inputs(some, rng), targets.to(job.device)
 
@@ -83,15 +83,11 @@ def train_namer(
 
     curve = job.train(
         f"{stage} {job.split.name}, {modality} alone, seed {run + 1}",
-        net,
-        epoch_batches,
-        batch_loss,
-        val_score,
-        "mAP",
+        Objective(net, epoch_batches, batch_loss, val_score, "mAP"),
         namer_checkpoint(job, modality, run),
         epochs,
         rate,
-        epochs * batch_count(len(rows), params.batch) if one_cycle else None,
+        epochs * count_batches(len(rows), params.batch) if one_cycle else None,
     )
     return net, curve
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from objectfolder.benchmarks.models.framing import OBJECT, framed, resized, shown
+from objectfolder.benchmarks.models.framing import OBJECT, composite, frame_cutout, resize_picture
 from objectfolder.benchmarks.models.shape_model import ShapeModel
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.errors import ObjectFolderError
@@ -101,7 +101,7 @@ def photograph_to_mesh(model: ShapeModel, image: np.ndarray) -> tuple[np.ndarray
     model : ShapeModel
         IMAGE2MESH.
     image : (S, S, 3) uint8 array
-        sRGB on white, S pixels as in the model's training views; see `framed`.
+        sRGB on white, S pixels as in the model's training views; see `frame_cutout`.
 
     Returns
     -------
@@ -194,8 +194,8 @@ def photograph_conditions(rgba: np.ndarray, side: int, rng: np.random.Generator)
         over = (rgba[..., :3] + (1 - alpha) * background).clip(0, 1)
         whole = np.concatenate([over, np.ones_like(alpha)], -1)
         picture = np.round(np.concatenate([encode(over), alpha], -1) * 255).astype(np.uint8)
-        images[name] = shown(resized(whole, side))
-        images[f"{name}, removed"] = framed(cut_out(picture), side)
+        images[name] = composite(resize_picture(whole, side))
+        images[f"{name}, removed"] = frame_cutout(cut_out(picture), side)
     return images
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from objectfolder.benchmarks.models.ppo_config import ReachConfig
+from objectfolder.benchmarks.models.settings import ReachConfig
 from objectfolder.benchmarks.reporting.tables import Table, format_rate
 from objectfolder.benchmarks.tasks.task import Task, Variant
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.ppo import train_ppo
-from objectfolder.benchmarks.models.ppo_config import ReachConfig
+from objectfolder.benchmarks.models.settings import ReachConfig
 from objectfolder.benchmarks.reporting.film import mark_outcome, write_gif
 from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.job import ObjectJob

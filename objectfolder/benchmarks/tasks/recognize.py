@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from annotated_types import Interval
+from annotated_types import Ge, Interval
 
 from objectfolder.benchmarks.datasets.splits import Split
-from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
 from objectfolder.benchmarks.tasks.task import Objects, Task, Variant
 from objectfolder.errors import ObjectFolderError
-from objectfolder.settings import Count
+from objectfolder.settings import Count, NonNegative, Positive
 from objectfolder.workspace.layout import MODALITIES
 
 #: Accuracy over 100 objects, %.
@@ -26,10 +26,15 @@ REPEATED_MATERIALS = "repeat an input of their material, and were dropped where 
 class RecognizeConfig(TrainingConfig):
     """Section ``recognize`` of ``params.yaml``."""
 
-    seeds: Count  #: runs whose mean is the result
-    fusion_epochs: Count  #: of several modalities together, after each was trained alone
-    schedule: Literal["cosine", "one_cycle"]  #: `objectfolder.benchmarks.models.training.train`
-    label_smoothing: Annotated[float, Interval(ge=0, lt=1)]
+    epochs: Count = 5
+    batch: Annotated[int, Ge(2)] = 32
+    learning_rate: Positive = 0.001
+    weight_decay: NonNegative = 0.01
+    patience: Count = 2
+    seeds: Count = 3  #: runs whose mean is the result
+    fusion_epochs: Count = 1  #: of several modalities together, after each was trained alone
+    schedule: Literal["cosine", "one_cycle"] = "cosine"  #: `objectfolder.benchmarks.models.training.train`
+    label_smoothing: Annotated[float, Interval(ge=0, lt=1)] = 0.0
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.classifier import Classifier, Inputs, join_classifiers
-from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.reporting.confusion import draw_confusion
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
 from objectfolder.benchmarks.scoring.together import accuracy_together, bound_alone, bound_together
@@ -230,21 +230,23 @@ def _train(setting: _Setting, run: int, name: str) -> tuple[Classifier, list[Epo
 
     def epoch_batches(epoch: int) -> Iterator[tuple[Inputs, torch.Tensor]]:
         rng = numpy_generator(job.seed, "recognize", str(run), name, str(epoch))
-        for rows in shuffled(split.train, params.batch, rng):
+        for rows in shuffle(split.train, params.batch, rng):
             yield _inputs(job, name, rows, rng), torch.from_numpy(labels[rows]).to(job.device)
 
     def batch_loss(batch: tuple[Inputs, torch.Tensor]) -> torch.Tensor:
         inputs, expected = batch
         return nn.functional.cross_entropy(net(inputs), expected, label_smoothing=params.label_smoothing)
 
-    steps = epochs * batch_count(len(split.train), params.batch)
+    steps = epochs * count_batches(len(split.train), params.batch)
     curve = job.train(
         f"recognize {name}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        lambda: accuracy(_logits(job, net, name, split.val).argmax(1).numpy(), labels[split.val]),
-        "accuracy",
+        Objective(
+            net,
+            epoch_batches,
+            batch_loss,
+            lambda: accuracy(_logits(job, net, name, split.val).argmax(1).numpy(), labels[split.val]),
+            "accuracy",
+        ),
         _checkpoint(job, run, name),
         epochs,
         rate,

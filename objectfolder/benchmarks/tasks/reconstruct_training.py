@@ -27,7 +27,7 @@ from objectfolder.benchmarks.tasks.shape_training import (
     VARIANTS,
     ShapeTraining,
     first_rows,
-    sensed,
+    read_variant,
     validation_rows,
 )
 from objectfolder.errors import ObjectFolderError
@@ -164,7 +164,7 @@ def _train_once(jobs: Jobs, truth: Truth, variant: str, run: int) -> dict[str, A
 
     def make() -> dict[str, Any]:
         training = ShapeTraining(job, truth.occupancy, variant, run, checkpoint)
-        model, curve, before = training.trained(*_parts(jobs, truth, variant, run))
+        model, curve, before = training.train(*_parts(jobs, truth, variant, run))
         start = time.perf_counter()
         save_model(_model_path(job, variant, run), model)
         scores = _scores(job, truth, variant, model) | {
@@ -194,7 +194,7 @@ def _parts(jobs: Jobs, truth: Truth, variant: str, run: int) -> tuple[list[Shape
 def _scores(job: Job[ReconstructConfig], truth: Truth, variant: str, model: ShapeModel) -> dict[str, Any]:
     """Score a trained model on test rows."""
     rows = _test(job)
-    embedding = model.embed(sensed(job, VARIANTS[variant], rows))
+    embedding = model.embed(read_variant(job, VARIANTS[variant], rows))
     points = truth.occupancy.score_points
     return truth.scores(
         f"{job.split.name} {variant}",
@@ -211,7 +211,7 @@ def _sheet(job: Job[ReconstructConfig], truth: Truth) -> np.ndarray:
     shapes = []
     for variant in VARIANTS:
         model = load_model(_model_path(job, variant, 0))
-        embedding = model.embed(sensed(job, VARIANTS[variant], rows))
+        embedding = model.embed(read_variant(job, VARIANTS[variant], rows))
         shapes.append([model.mesh(one) for one in embedding])
     surfaces = [truth.surface(int(label)) for label in job.observations.labels[rows]]
     shapes.append([(surface.vertices, surface.faces) for surface in surfaces])

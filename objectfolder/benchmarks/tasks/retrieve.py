@@ -8,11 +8,11 @@ import numpy as np
 from annotated_types import Ge
 
 from objectfolder.benchmarks.datasets.splits import Split
-from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
 from objectfolder.benchmarks.tasks.task import Objects, Task
 from objectfolder.errors import ObjectFolderError
-from objectfolder.settings import Count, Positive
+from objectfolder.settings import Count, NonNegative, Positive
 from objectfolder.workspace.layout import MODALITIES
 
 #: Mean average precision, theirs and that of their CCA; seen objects.
@@ -35,12 +35,17 @@ REPEATED = "repeat an input of their object, and were dropped if both inputs of 
 class RetrieveConfig(TrainingConfig):
     """Section ``retrieve`` of ``params.yaml``."""
 
-    seeds: Count  #: runs whose mean is the result
-    batch: Annotated[int, Ge(3)]  #: pairs; each batch needs negatives
-    margin: Positive  #: of the triplet losses, cosine distance
-    embedding: Count  #: size of the compared embeddings
-    pretrain_epochs: Annotated[int, Ge(0)]  #: in which each encoder learns to name the training objects first
-    schedule: Literal["cosine", "one_cycle"]  #: `objectfolder.benchmarks.models.training.train`
+    epochs: Count = 5
+    learning_rate: Positive = 0.001
+    weight_decay: NonNegative = 0.01
+    patience: Count = 5
+    seeds: Count = 3  #: runs whose mean is the result
+    batch: Annotated[int, Ge(3)] = 32  #: pairs; each batch needs negatives
+    margin: Positive = 0.5  #: of the triplet losses, cosine distance
+    embedding: Count = 128  #: size of the compared embeddings
+    #: in which each encoder learns to name the training objects first
+    pretrain_epochs: Annotated[int, Ge(0)] = 0
+    schedule: Literal["cosine", "one_cycle"] = "cosine"  #: `objectfolder.benchmarks.models.training.train`
 
 
 def check_objects(split: Split, objects: Objects) -> None:

@@ -11,8 +11,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from objectfolder.benchmarks.models import cca
-from objectfolder.benchmarks.models.training import EpochPoint, batch_count
+from objectfolder.benchmarks.models.baselines import find_directions, fit_whitening
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
 from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
@@ -180,14 +180,10 @@ def _train(
     def val_score() -> float:
         return _val_score(job, _embeddings(job, net, pair, validation_gallery(job, "retrieve")))
 
-    steps = params.epochs * batch_count(len(rows), params.batch)
+    steps = params.epochs * count_batches(len(rows), params.batch)
     curve = job.train(
         f"retrieve {job.split.name}, {pair[0]} and {pair[1]}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        val_score,
-        "mAP",
+        Objective(net, epoch_batches, batch_loss, val_score, "mAP"),
         checkpoint,
         rate=FINE_RATE if params.pretrain_epochs else 1.0,
         cycle=steps if params.schedule == "one_cycle" else None,
@@ -274,7 +270,7 @@ def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
         return torch.cat([F.adaptive_avg_pool2d(x, shape).flatten(1) for x in inputs]).cpu().numpy()
 
     train = pixels(job.split.train)
-    whiten = cca.whitening(train, max(DIMENSIONS))
+    whiten = fit_whitening(train, max(DIMENSIONS))
     return {
         "train": whiten(train),
         "validation": whiten(pixels(validation_gallery(job, "retrieve"))),
@@ -295,7 +291,7 @@ def _correlate(
     """Score CCA by direction, with the dimensions that are best on the validation rows."""
     first, second = (features[modality] for modality in pair)
     labels = job.observations.labels[job.split.train]
-    found = {d: cca.directions(first["train"][:, :d], second["train"][:, :d], labels) for d in DIMENSIONS}
+    found = {d: find_directions(first["train"][:, :d], second["train"][:, :d], labels) for d in DIMENSIONS}
 
     def variates(name: str, dimensions: int, components: int) -> list[np.ndarray]:
         return [

@@ -19,12 +19,11 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.occupancy import OccupancySamples
 from objectfolder.benchmarks.datasets.splits import Companions
-from objectfolder.benchmarks.models.framing import framed_views
-from objectfolder.benchmarks.models.inputs import encoder_inputs, flipped
-from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor
-from objectfolder.benchmarks.models.several_touches import SeveralTouches
+from objectfolder.benchmarks.models.framing import frame_views
+from objectfolder.benchmarks.models.inputs import encoder_inputs, flip_some
+from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor, SeveralTouches
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, shape_inputs
-from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import THRESHOLDS, best_level
 from objectfolder.benchmarks.tasks.job import Job
@@ -52,19 +51,7 @@ Points = tuple[torch.Tensor, torch.Tensor]  #: points, whether they are inside
 
 
 class ShapeTraining:
-    """The training of one variant with one seed.
-
-    Parameters
-    ----------
-    job : Job
-    occupancy : OccupancySamples
-    variant : str
-        One of `VARIANTS`.
-    run : int
-        Seed, from 0.
-    checkpoint : Path
-        Of the training.
-    """
+    """The training of one of the `VARIANTS` with one seed, from 0."""
 
     def __init__(
         self,
@@ -82,36 +69,17 @@ class ShapeTraining:
         self._labels = job.observations.labels
         self._classes = np.unique(self._labels[job.split.train])
 
-    def trained(self, parts: Sequence[ShapeModel], best: int) -> tuple[ShapeModel, list[EpochPoint], float]:
+    def train(self, parts: Sequence[ShapeModel], best: int) -> tuple[ShapeModel, list[EpochPoint], float]:
         """Train the net, or resume from its checkpoint.
 
-        Parameters
-        ----------
-        parts : sequence of ShapeModel
-            Models of one modality each to start from; it trains half as many epochs then. Empty for a model
-            of one modality.
-        best : int
-            The part that the net equals before its training.
-
-        Returns
-        -------
-        ShapeModel
-            With the threshold that is best on the validation rows.
-        list of EpochPoint
-            Training curve.
-        float
-            Seconds of training the encoder before.
+        A net of several modalities starts from models of one each, ``parts``, as the ``best`` of them, and
+        trains half as many epochs. Returns the model with the threshold that is best on the validation rows,
+        the training curve, and the seconds of training the encoder before.
         """
         job, params = self.job, self.job.params
         setup = Setup(
-            self.modalities,
-            job.encoder,
-            job.sizes,
-            job.observations.shape("vision")[0],
-            params.width,
-            params.blocks,
-            params.frequencies,
-            params.resolution,
+            *(self.modalities, job.encoder, job.sizes, job.observations.shape("vision")[0]),
+            *(params.width, params.blocks, params.frequencies, params.resolution),
             tuple(job.observations.keys[label] for label in self._classes),
         )
         with seeded(job.seed, *self._purpose):
@@ -129,7 +97,7 @@ class ShapeTraining:
             curve = self._train_on_features(model, epochs)
         else:
             curve = self._train_together(model, naming, epochs)
-        threshold = round(float(torch.tensor(self._validated(model)[0]).sigmoid()), 4)
+        threshold = round(float(torch.tensor(self._validate(model)[0]).sigmoid()), 4)
         return ShapeModel(replace(setup, threshold=threshold), net), curve, before
 
     def _learn_to_name(self, net: Reconstructor) -> float:
@@ -140,7 +108,7 @@ class ShapeTraining:
             if modality != "vision":
                 return job.inputs(modality, rows, rng)
             views = self._views(rows, rng)
-            return flipped(views, rng) if job.encode.flip and rng is not None else views
+            return flip_some(views, rng) if job.encode.flip and rng is not None else views
 
         rate = params.pretrain_rate / params.learning_rate
         namer, curve = train_namer(
@@ -169,7 +137,7 @@ class ShapeTraining:
             known = encoded(epoch)
             rng = numpy_generator(job.seed, *self._purpose, f"epoch {epoch}")
             for _ in range(POINT_SETS):
-                for some in shuffled(rows, params.batch, rng):
+                for some in shuffle(rows, params.batch, rng):
                     together = (
                         {"touch": companions.draw(some, params.touches, rng)} if "touch" in known else {}
                     )
@@ -184,16 +152,13 @@ class ShapeTraining:
             logits = net.decoder(points, net.fusion(features))
             return F.binary_cross_entropy_with_logits(logits, inside.float())
 
+        parts = nn.ModuleDict({"fusion": net.fusion, "decoder": net.decoder})
         return job.train(
             self.title,
-            nn.ModuleDict({"fusion": net.fusion, "decoder": net.decoder}),
-            epoch_batches,
-            batch_loss,
-            lambda: self._validated(model)[1],
-            "IoU",
+            Objective(parts, epoch_batches, batch_loss, lambda: self._validate(model)[1], "IoU"),
             self.checkpoint,
             epochs,
-            cycle=epochs * POINT_SETS * batch_count(len(rows), params.batch),
+            cycle=epochs * POINT_SETS * count_batches(len(rows), params.batch),
         )
 
     def _features(self, encoder: nn.Module, modality: str, rng: np.random.Generator) -> torch.Tensor:
@@ -201,7 +166,7 @@ class ShapeTraining:
         job, rows, size = self.job, self.job.split.train, cast(int, encoder.features)
 
         def make(some: np.ndarray) -> torch.Tensor:
-            return self._encoded(encoder, modality, some, rng)
+            return self._encode(encoder, modality, some, rng)
 
         values = torch.zeros(len(self._labels), size, device=job.device)
         if modality == "vision":  # cropped differently in each epoch
@@ -212,7 +177,7 @@ class ShapeTraining:
         return values
 
     @torch.no_grad()
-    def _encoded(
+    def _encode(
         self, encoder: nn.Module, modality: str, rows: np.ndarray, rng: np.random.Generator
     ) -> torch.Tensor:
         """Encode rows, one touch each; (n, features)."""
@@ -229,7 +194,7 @@ class ShapeTraining:
 
         def epoch_batches(epoch: int) -> Iterator[InputBatch]:
             rng = numpy_generator(job.seed, *self._purpose, f"epoch {epoch}")
-            batches = shuffled(job.split.train, params.batch, rng)
+            batches = shuffle(job.split.train, params.batch, rng)
             for rows in islice(batches, None, None, sets // POINT_SETS):
                 inputs = {
                     modality: self._inputs(
@@ -256,13 +221,10 @@ class ShapeTraining:
             loss = F.binary_cross_entropy_with_logits(logits, inside.float())
             return loss if inputs is None else loss + params.naming * F.cross_entropy(naming(features), names)
 
+        parts = nn.ModuleDict({"net": net, "naming": naming})
         return job.train(
             self.title,
-            nn.ModuleDict({"net": net, "naming": naming}),
-            epoch_batches,
-            batch_loss,
-            lambda: self._validated(model)[1],
-            "IoU",
+            Objective(parts, epoch_batches, batch_loss, lambda: self._validate(model)[1], "IoU"),
             self.checkpoint,
             epochs,
             statistics=STATISTICS * sets,  # of which one in so many is encoded
@@ -275,14 +237,14 @@ class ShapeTraining:
             return job.inputs(modality, rows)
         if modality == "vision":
             return self._views(rows, rng)
-        return shape_inputs(modality, read_sensed(job, modality, rows), job.sizes, rng, job.device)
+        return shape_inputs(modality, read_observed(job, modality, rows), job.sizes, rng, job.device)
 
     def _views(self, rows: np.ndarray, rng: np.random.Generator | None) -> torch.Tensor:
         """Return `shape_inputs` of views, each framed once."""
         job = self.job
 
         def make(some: np.ndarray) -> torch.Tensor:
-            return torch.from_numpy(framed_views(job.observations.read("vision", some)))
+            return torch.from_numpy(frame_views(job.observations.read("vision", some)))
 
         views = job.once("framed views", rows, job.observations.shape("vision"), make, torch.uint8)
         return encoder_inputs("vision", views.numpy(), job.sizes, rng, job.device)
@@ -291,7 +253,7 @@ class ShapeTraining:
         points, inside = self.occupancy.draw(self._labels[rows], self.job.params.points, rng)
         return torch.from_numpy(points).to(self.job.device), torch.from_numpy(inside).to(self.job.device)
 
-    def _validated(self, model: ShapeModel) -> tuple[float, float]:
+    def _validate(self, model: ShapeModel) -> tuple[float, float]:
         """Return the level that is best on `validation_rows`, and its IoU on those not learnt from."""
         rows = validation_rows(self.job)
         logits = model.logits(model.embed(self._validation), self.occupancy.val_points)
@@ -302,7 +264,7 @@ class ShapeTraining:
 
     @cached_property
     def _validation(self) -> dict[str, np.ndarray]:
-        return sensed(self.job, self.modalities, validation_rows(self.job))
+        return read_variant(self.job, self.modalities, validation_rows(self.job))
 
 
 def first_rows(rows: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
@@ -323,19 +285,21 @@ def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
     return np.concatenate([first_rows(rows, labels, job.params.views) for rows in parts])
 
 
-def read_sensed(job: Job[ReconstructConfig], modality: str, rows: np.ndarray) -> np.ndarray:
+def read_observed(job: Job[ReconstructConfig], modality: str, rows: np.ndarray) -> np.ndarray:
     """Read the observations of rows of any shape."""
     return job.observations.read(modality, rows.ravel()).reshape(
         *rows.shape, *job.observations.shape(modality)
     )
 
 
-def sensed(job: Job[ReconstructConfig], modalities: Sequence[str], rows: np.ndarray) -> dict[str, np.ndarray]:
+def read_variant(
+    job: Job[ReconstructConfig], modalities: Sequence[str], rows: np.ndarray
+) -> dict[str, np.ndarray]:
     """Read what a variant is validated or scored on; of touches several of each row's object."""
     rng = numpy_generator(job.seed, "reconstruct", job.split.name, "seen")
     touched = Companions(job.split, job.observations.labels).draw(rows, job.params.touches, rng)
     return {
-        modality: read_sensed(job, modality, touched if modality == "touch" else rows)
+        modality: read_observed(job, modality, touched if modality == "touch" else rows)
         for modality in modalities
     }
 

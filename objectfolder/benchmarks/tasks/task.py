@@ -11,7 +11,7 @@ from typing import Any, Generic, Literal, TypeVar, cast
 
 import numpy as np
 
-from objectfolder.benchmarks.models.encode_config import EncodeConfig
+from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.benchmarks.reporting.tables import Table
 from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.params import BENCHMARKS, PARAMS_FILE, read, settings, shared

@@ -6,19 +6,24 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, MultipleOf
 
-from objectfolder.benchmarks.models.training_config import TrainingConfig
+from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, format_interval
 from objectfolder.benchmarks.tasks.task import Task
-from objectfolder.settings import Count
+from objectfolder.settings import Count, NonNegative, Positive
 
 
 @dataclass(frozen=True, kw_only=True)
 class VisionToTouchConfig(TrainingConfig):
     """Section ``vision_to_touch`` of ``params.yaml``."""
 
-    seeds: Count  #: runs whose mean is the result
-    contacts: Annotated[int, Ge(10), MultipleOf(10)]  #: with each object
-    width: Count  #: channels of the net at full size
+    epochs: Count = 8
+    batch: Annotated[int, Ge(2)] = 32
+    learning_rate: Positive = 0.004
+    weight_decay: NonNegative = 0.05
+    patience: Count = 8
+    seeds: Count = 1  #: runs whose mean is the result
+    contacts: Annotated[int, Ge(10), MultipleOf(10)] = 100  #: with each object
+    width: Count = 16  #: channels of the net at full size
 
 
 def _table(split: str, scores: Mapping[str, Any]) -> Table:

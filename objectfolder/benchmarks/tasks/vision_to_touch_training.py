@@ -10,7 +10,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch.nn import functional as F
 
-from objectfolder.benchmarks.models.training import EpochPoint, batch_count, shuffled
+from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.models.translator import Translator
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
@@ -124,7 +124,7 @@ def _train(job: Job[VisionToTouchConfig], run: int, checkpoint: Path) -> tuple[T
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
-        for rows in shuffled(train, params.batch, rng):
+        for rows in shuffle(train, params.batch, rng):
             yield _tensor(job, "view", rows), _tensor(job, "touch", rows)
 
     def batch_loss(batch: Batch) -> torch.Tensor:
@@ -134,13 +134,15 @@ def _train(job: Job[VisionToTouchConfig], run: int, checkpoint: Path) -> tuple[T
     truth = job.observations.read("touch", val)
     curve = job.train(
         f"vision to touch {job.split.name}, seed {run + 1} of {params.seeds}",
-        net,
-        epoch_batches,
-        batch_loss,
-        lambda: score_images(_answers(job, net, blank, val), truth)["psnr_pooled"],
-        "PSNR",
+        Objective(
+            net,
+            epoch_batches,
+            batch_loss,
+            lambda: score_images(_answers(job, net, blank, val), truth)["psnr_pooled"],
+            "PSNR",
+        ),
         checkpoint,
-        cycle=params.epochs * batch_count(len(train), params.batch),
+        cycle=params.epochs * count_batches(len(train), params.batch),
     )
     return net, curve
 

@@ -19,11 +19,10 @@ from dvc_data.hashfile.tree import Tree
 from objectfolder.engine.dvc import steps
 from objectfolder.engine.dvc.graph import StageGraph
 from objectfolder.engine.dvc.recorded import listing_of
-from objectfolder.engine.dvc.runcache import is_there
-from objectfolder.engine.dvc.savedruns import saved_run
-from objectfolder.errors import shortened
+from objectfolder.engine.dvc.runcache import find_saved_run, is_there
 from objectfolder.workspace.code_digests import code_text
 from objectfolder.workspace.layout import CODE
+from objectfolder.workspace.params import differences
 
 #: Future content of an output: metadata and hash by path inside it; a file has the empty path.
 Content = dict[tuple[str, ...], tuple[Meta, HashInfo]]
@@ -31,33 +30,17 @@ Content = dict[tuple[str, ...], tuple[Meta, HashInfo]]
 
 @dataclass(frozen=True)
 class Changes:
-    """Differences between a stage and its record.
+    """Differences between a stage and its record."""
 
-    Parameters
-    ----------
-    inputs : tuple of str
-        Changes of its command, parameters, and dependencies that no stale stage writes.
-    missing : tuple of str
-        Outputs that are missing.
-    altered : tuple of str
-        Outputs that differ from the record.
-    waits_for : tuple of str
-        Upstream stages that are not up to date and will change its dependencies.
-    recorded : bool
-        Whether it has ever been built.
-    predictable : bool
-        Whether the dependencies that it will get are known without running anything.
-    restorable : bool
-        Whether its outputs will come from the cache.
-    """
-
+    #: Changes of its command, parameters, and dependencies that no stale stage writes.
     inputs: tuple[str, ...] = ()
-    missing: tuple[str, ...] = ()
-    altered: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()  #: outputs that are missing
+    altered: tuple[str, ...] = ()  #: outputs that differ from the record
+    #: Upstream stages that are not up to date and will change its dependencies.
     waits_for: tuple[str, ...] = ()
-    recorded: bool = True
-    predictable: bool = True
-    restorable: bool = False
+    recorded: bool = True  #: whether it has ever been built
+    predictable: bool = True  #: whether the dependencies that it will get are known without running anything
+    restorable: bool = False  #: whether its outputs will come from the cache
 
     @property
     def fresh(self) -> bool:
@@ -66,15 +49,7 @@ class Changes:
 
 
 class ChangeTracker:
-    """Finds the changes of stages in topological order, predicting the outputs of stale stages.
-
-    Parameters
-    ----------
-    graph : StageGraph
-        Stages to examine.
-    root : Path
-        Workspace.
-    """
+    """Finds the changes of stages in topological order, predicting the outputs of stale stages."""
 
     def __init__(self, graph: StageGraph, root: Path):
         self.graph = graph
@@ -188,18 +163,6 @@ def _changed_params(dep: ParamsDependency) -> list[str]:
     return [reason for name in changed for reason in differences(name, old.get(name), new.get(name))]
 
 
-def differences(name: str, old: Any, new: Any) -> list[str]:
-    """List the leaves of nested parameters that differ, with both values."""
-    if isinstance(old, dict) and isinstance(new, dict):
-        inner = {key: f"{name}.{key}" if name else key for key in dict.fromkeys([*old, *new])}
-        return [text for key, path in inner.items() for text in differences(path, old.get(key), new.get(key))]
-    return [] if old == new else [f"{name}: {_text(old)} -> {_text(new)}"]
-
-
-def _text(value: Any) -> str:
-    return "nothing" if value is None else shortened(value)
-
-
 def _output_changes(stage: Stage) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return descriptions of missing and of altered outputs."""
     missing: list[str] = []
@@ -232,7 +195,7 @@ def _find_run(stage: Stage, hashes: dict[int, tuple[Meta, HashInfo]], changed: b
             )  # as a build does with those that are not in the lock file
             dep.meta, dep.hash_info = hashes[number] if number in hashes else dep._get_hash_meta()
             dep.get_hash = partial(getattr, dep, "hash_info")  # DVC would ask the disk, which may lack it yet
-        return saved_run(stage, changed)
+        return find_saved_run(stage, changed)
     except (DvcException, OSError):  # a dependency is missing: the stage will fail
         return None
 

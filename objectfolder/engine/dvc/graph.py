@@ -17,37 +17,21 @@ from objectfolder.workspace.params import ON_DEMAND, TASKS
 
 @dataclass(frozen=True)
 class StageGraph:
-    """Targets and everything upstream of them.
+    """Targets and everything upstream of them."""
 
-    Parameters
-    ----------
-    stages : dict of str to Stage
-        DVC stages by address, upstream first.
-    upstream : dict of str to set of str
-        Addresses of the direct upstream stages of every stage, in the same order.
-    """
-
-    stages: dict[str, Stage]
+    stages: dict[str, Stage]  #: DVC stages by address, upstream first
+    #: Addresses of the direct upstream stages of every stage, in the same order.
     upstream: dict[str, set[str]]
 
 
 def stage_graph(repository: OpenRepository, targets: Sequence[str] = ()) -> StageGraph:
     """Collect the targets and everything upstream of them.
 
-    Parameters
-    ----------
-    repository : OpenRepository
-        Targets are relative to its root.
-    targets : sequence of str
-        Stage addresses (``modal@mug``), stage names (``modal``), object keys (``mug``) or paths of outputs,
-        tried in that order; none means every stage of the workspace's ``dvc.yaml``. Neither none nor an
-        object key includes stages in `objectfolder.workspace.params.ON_DEMAND`, unless others that are
-        included depend on them.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no ``dvc.yaml``, or a target names nothing.
+    ``repository``: targets are relative to its root. ``targets``: stage addresses (``modal@mug``), stage
+    names (``modal``), object keys (``mug``) or paths of outputs, tried in that order; none means every stage
+    of the workspace's ``dvc.yaml``. Neither none nor an object key includes stages in
+    `objectfolder.workspace.params.ON_DEMAND`, unless others that are included depend on them. Raises
+    ObjectFolderError if there is no ``dvc.yaml``, or a target names nothing.
     """
     repo, root = repository.repo, repository.root
     if not (root / "dvc.yaml").is_file():

@@ -12,16 +12,15 @@ import logging
 import os
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from dvc.stage import PipelineStage, Stage
 from dvc.stage.serialize import to_lockfile
-from dvc.utils.serialize import EncodingError
+from dvc.utils.serialize import EncodingError, dumps_yaml
 from dvc.utils.strictyaml import YAMLSyntaxError, YAMLValidationError
 
-from objectfolder.engine.dvc import emit
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import write_text
 
@@ -32,15 +31,18 @@ COPIES = Path(".dvc/tmp/objectfolder")
 HEAD = "schema: '2.0'\nstages:\n"
 _STAGE = re.compile(r"^  (?=\S)", re.MULTILINE)
 _log = logging.getLogger(__name__)
+WIDTH = 80  # where the emitter folds lines
+# Strings that need no quotes. Everything else needs the full emitter.
+_PLAIN = re.compile(r"[A-Za-z/][\w./@-]*(?: [A-Za-z/-][\w./@-]*)*", re.ASCII)
+_WORDS = {"true", "false", "null"}
+_DIGEST = re.compile(r"[0-9a-f]{32}(?:\.dir)?")
+_NUMBER = re.compile(r"[0-9]+(?:e[0-9]+)?")
 
 
 class LockFiles:
     """Contents of the lock files of a workspace, including finished stages not written yet.
 
-    Parameters
-    ----------
-    root : Path
-        Directory that holds ``.dvc``.
+    ``root``: directory that holds ``.dvc``.
     """
 
     def __init__(self, root: Path):
@@ -135,10 +137,10 @@ class LockFiles:
             texts = self._text[path]
             for name, entry in contents["stages"].items():
                 if name not in texts:
-                    texts[name] = emit.dumps({"stages": {name: entry}}).removeprefix("stages:\n")
+                    texts[name] = lock_yaml({"stages": {name: entry}}).removeprefix("stages:\n")
             text = HEAD + "".join(texts[name] for name in contents["stages"])
         else:
-            text = emit.dumps(contents)
+            text = lock_yaml(contents)
         write_text(path, text)
         self._write_copy(path, contents, text.encode())
 
@@ -173,3 +175,59 @@ def _split(text: str, contents: dict[str, Any]) -> dict[str, str]:
     ):
         return {}
     return {name: f"  {chunk}" for name, chunk in zip(names, chunks)}
+
+
+class _NeedsEmitter(Exception):
+    """A value that needs the full emitter."""
+
+
+def lock_yaml(value: dict[str, Any]) -> str:
+    """Return nested mappings and lists as YAML, as `dvc.utils.serialize.dumps_yaml` does."""
+    try:
+        return "".join(f"{line}\n" for line in _mapping(value, ""))
+    except _NeedsEmitter:
+        return str(dumps_yaml(value))
+
+
+def _mapping(value: dict[str, Any], indent: str) -> Iterator[str]:
+    for key, item in value.items():
+        start = f"{indent}{_scalar(key)}:"
+        if isinstance(item, dict) and item:
+            yield start
+            yield from _mapping(item, f"{indent}  ")
+        elif isinstance(item, list) and item:
+            yield start
+            yield from _list(item, indent)
+        else:
+            yield _fitting(start if item is None else f"{start} {_scalar(item)}")
+
+
+def _list(items: list[Any], indent: str) -> Iterator[str]:
+    for item in items:
+        if isinstance(item, dict) and item:
+            first, *rest = _mapping(item, f"{indent}  ")
+            yield f"{indent}- {first.lstrip()}"
+            yield from rest
+        else:
+            yield _fitting(f"{indent}- {_scalar(item)}")
+
+
+def _scalar(value: Any) -> str:
+    kind = type(value)
+    if kind is int:
+        return str(value)
+    if kind is bool:
+        return "true" if value else "false"
+    if kind is float and 1e-4 <= abs(value) < 1e15:
+        return repr(value)
+    if kind is str and _DIGEST.fullmatch(value):
+        return f"'{value}'" if _NUMBER.fullmatch(value) else value
+    if kind is str and _PLAIN.fullmatch(value) and value.lower() not in _WORDS:
+        return value
+    raise _NeedsEmitter
+
+
+def _fitting(line: str) -> str:
+    if len(line) > WIDTH and " " in line.strip():
+        raise _NeedsEmitter
+    return line

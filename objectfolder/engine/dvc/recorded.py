@@ -25,30 +25,14 @@ READ_ONLY = 0o444
 
 @dataclass(frozen=True)
 class RecordedFile:
-    """A file or directory that a lock file describes.
+    """A file or directory that a lock file describes."""
 
-    Parameters
-    ----------
-    address : str
-        Stage that writes it.
-    out : dvc.output.Output
-        Output that it is, or is part of.
-    path : Path
-        Path in the workspace.
-    oid : str
-        Recorded hash; ends in ``.dir`` for a directory.
-    hash_name : str
-        Kind of the hash.
-    cached : Path, optional
-        Path in the cache, of the listing if it is a directory; None if it is not cached.
-    """
-
-    address: str
-    out: Any
+    address: str  #: stage that writes it
+    out: Any  #: output that it is, or is part of
     path: Path
-    oid: str
-    hash_name: str
-    cached: Path | None
+    oid: str  #: recorded hash; ends in ``.dir`` for a directory
+    hash_name: str  #: kind of the hash
+    cached: Path | None  #: path in the cache, of the listing if it is a directory; None if it is not cached
 
     @property
     def rebuildable(self) -> bool:

@@ -27,22 +27,9 @@ _log = logging.getLogger(__name__)
 def pull_build(repo: Repo, stages: Iterable[Stage]) -> bool:
     """Download the run cache and the recorded outputs of stages into the local cache.
 
-    Parameters
-    ----------
-    repo : Repo
-        Open DVC repository.
-    stages : iterable of Stage
-        Stages whose outputs to download.
-
-    Returns
-    -------
-    reached : bool
-        Whether the remote could be reached; if not, the reason is logged as a warning.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no default remote, or the package for its protocol is not installed.
+    ``stages``: stages whose outputs to download. Returns whether the remote could be reached; if not, the
+    reason is logged as a warning. Raises ObjectFolderError if there is no default remote, or the package for
+    its protocol is not installed.
     """
     remote = _default(repo)
     try:
@@ -65,10 +52,7 @@ def pull_build(repo: Repo, stages: Iterable[Stage]) -> bool:
 def pull_outputs(repo: Repo, stages: Iterable[Stage]) -> int:
     """Download the outputs of stages; raises the remote's own error if it cannot be reached.
 
-    Returns
-    -------
-    lacking : int
-        Files that are still missing.
+    Returns how many files are still missing.
     """
     outs = [out for stage in stages for out in stage.outs if out.use_cache and out.hash_info]
     # Directory listings first: `get_used_objs` would fetch them one by one and hide errors.

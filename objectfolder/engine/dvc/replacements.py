@@ -26,8 +26,7 @@ from dvc_data.hashfile import state as hash_state
 from dvc_data.hashfile.state import State
 from dvc_objects.fs.utils import relpath
 
-from objectfolder.engine.dvc import emit
-from objectfolder.engine.dvc.lockfile import LockFiles
+from objectfolder.engine.dvc.lockfile import LockFiles, lock_yaml
 from objectfolder.workspace.params import name_as_today
 
 #: Version of DVC whose internals this package knows.
@@ -62,7 +61,7 @@ def replacements(lockfiles: LockFiles) -> Iterator[None]:
         lambda *_: nullcontext(),
         set_link,
         _with_status_time(hash_state._checksum),
-        lambda path, data: Path(path).write_text(emit.dumps(data)),
+        lambda path, data: Path(path).write_text(lock_yaml(data)),
         _cached_hashes(Output._get_hash_meta),
         load_lockfile,
     )

@@ -1,4 +1,4 @@
-"""Open a DVC workspace exclusively, without DVC's log output."""
+"""Open a DVC workspace exclusively, without DVC's log output; make a folder one."""
 
 import getpass
 import itertools
@@ -6,7 +6,9 @@ import json
 import logging
 import os
 import re
+import shutil
 import sqlite3
+import subprocess
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, chdir, contextmanager, suppress
@@ -14,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import psutil
 from dvc.config import Config
 from dvc.dirs import site_cache_dir
 from dvc.exceptions import DvcException, NotDvcRepoError
@@ -34,34 +35,26 @@ from objectfolder.engine.dvc.runcache import RunCache
 from objectfolder.errors import ObjectFolderError
 from objectfolder.locks import remove_abandoned
 from objectfolder.workspace.params import outside_workspace
-from objectfolder.yamlfile import checked_yaml, read_yaml
+from objectfolder.yamlfile import check_yaml, read_yaml
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 PARAMS = "params.yaml"
 #: Folders that hold what stages write, and those around them.
-LINKED = ("build", "metrics", "benchmarks", "data", "data/objects", str(COPIES))
+OUTPUT_FOLDERS = ("build", "metrics", "benchmarks", "data", "data/objects", str(COPIES))
 POLL = 0.5
 _PARTIAL = re.compile(r"\.[0-9A-Za-z_-]{20,24}\.tmp")  # DVC's names: 22 characters at random
 _log = logging.getLogger(__name__)
+#: As in this project's own repository: DVC calls nobody, and adds nothing to Git's index by itself.
+CORE = {"analytics": False, "check_update": False, "autostage": False}
 
 
 @dataclass(frozen=True)
 class OpenRepository:
-    """A DVC repository whose lock this process holds.
+    """A DVC repository whose lock this process holds."""
 
-    Parameters
-    ----------
-    repo : dvc.repo.Repo
-        For the modules of this package.
-    root : Path
-        Workspace, the directory that holds ``dvc.yaml``.
-    lockfiles : LockFiles
-        Its lock files.
-    """
-
-    repo: Repo
+    repo: Repo  #: for the modules of this package
     root: Path
-    lockfiles: LockFiles
+    lockfiles: LockFiles  #: its lock files
 
     @property
     def cache(self) -> Path:
@@ -95,10 +88,7 @@ class OpenRepository:
     def check_cache(self) -> None:
         """Check that this user can write to every folder of the cache.
 
-        Raises
-        ------
-        ObjectFolderError
-            If not: else a stage would run, and its outputs could not be kept.
+        Raises ObjectFolderError if not: else a stage would run, and its outputs could not be kept.
         """
         folders = [self.cache_dir, self.cache, self.cache_dir / "runs"]
         folders += [
@@ -148,17 +138,8 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
     The working directory is ``root`` meanwhile: DVC resolves the outputs of its run cache against the
     current directory. Errors of DVC in the block are raised as ObjectFolderError.
 
-    Parameters
-    ----------
-    root : Path
-        Workspace, the directory that holds ``dvc.yaml``.
-    wait : bool
-        If another process uses the workspace, log which and wait until it ends; otherwise refuse.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it is not a DVC workspace, another process uses it, or DVC cannot read it.
+    ``wait``: if another process uses the workspace, log which and wait until it ends; otherwise refuse.
+    Raises ObjectFolderError if it is not a DVC workspace, another process uses it, or DVC cannot read it.
     """
     root = Path(root).resolve()
     if not root.is_dir():
@@ -166,14 +147,14 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
     if not (root / "dvc.yaml").is_file() and not (root / PARAMS).is_file():
         raise outside_workspace(root / PARAMS)
     if (root / PARAMS).exists():  # before DVC reads it, which has no limits
-        checked_yaml(root / PARAMS)
-    for name in (*LINKED, *_links_in(root / "build", root)):
+        check_yaml(root / PARAMS)
+    for name in (*OUTPUT_FOLDERS, *_links_in(root / "build", root)):
         if (root / name).is_symlink():
             raise ObjectFolderError(
                 f"{root / name} is a link, which DVC does not follow; make it a folder. To keep its files on "
                 "another disk: `dvc cache dir PATH` and `dvc config cache.type symlink`"
             )
-    with quiet(), chdir(root), _site_cache():
+    with silence_dvc(), chdir(root), _site_cache():
         _give_user_a_name()
         try:
             repo = Repo()
@@ -185,7 +166,7 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
         repo.stage_cache = RunCache(repo)
         # DVC removes a file before it finds out that it cannot link it; then it copies it.
         repo.cache.local.cache_types = [*dict.fromkeys((*repo.cache.local.cache_types, "copy"))]
-        with repo, _alone(repo, wait):
+        with repo, _hold_lock(repo, wait):
             lockfiles = LockFiles(Path(repo.root_dir))
             with repo.scm_context(quiet=True), replacements(lockfiles):
                 try:
@@ -205,10 +186,7 @@ def _links_in(folder: Path, root: Path) -> list[str]:
 def track(path: Path, root: str | Path = ".") -> None:
     """Put a folder of a workspace under DVC's control, with every file in it.
 
-    Raises
-    ------
-    ObjectFolderError
-        If DVC cannot or leaves files out, or another process uses the workspace.
+    Raises ObjectFolderError if DVC cannot or leaves files out, or another process uses the workspace.
     """
     path = path.resolve()
     with open_repository(root) as repository:
@@ -255,7 +233,7 @@ def _give_user_a_name() -> None:
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def silence_dvc() -> Iterator[None]:
     """Silence DVC's log, in the block."""
     # Above ERROR, DVC disables its progress bars too.
     levels = {name: logging.getLogger(name).level for name in LOGGERS}
@@ -273,12 +251,12 @@ class _Busy(Exception):
 
 
 @contextmanager
-def _alone(repo: Repo, wait: bool) -> Iterator[None]:
+def _hold_lock(repo: Repo, wait: bool) -> Iterator[None]:
     said = ""
     with ExitStack() as stack:
         while True:
             try:
-                stack.enter_context(_locked(repo))
+                stack.enter_context(_try_lock(repo))
                 break
             except _Busy as busy:
                 if not wait:
@@ -294,7 +272,7 @@ def _alone(repo: Repo, wait: bool) -> Iterator[None]:
 
 
 @contextmanager
-def _locked(repo: Repo) -> Iterator[None]:
+def _try_lock(repo: Repo) -> Iterator[None]:
     with ExitStack() as stack:
         try:
             stack.enter_context(lock_repo(repo))
@@ -324,9 +302,32 @@ def _refuse_if_busy(repo: Repo) -> None:
         return
     readers = itertools.chain.from_iterable(entries["read"].values())
     for holder in (*entries["write"].values(), *readers):
+        import psutil  # DVC commands that run beside a build are rare
+
         pid = int(holder["pid"])
         if pid != os.getpid() and psutil.pid_exists(pid):
             raise _Busy(
                 f"process {pid} (`{holder['cmd']}`) is running a stage in {repo.root_dir} (if it is not a "
                 f"DVC process, remove {path})"
             )
+
+
+def start_repository(root: Path) -> None:
+    """Initialise Git, unless the folder is a repository already, and DVC.
+
+    Raises ObjectFolderError if Git is not installed, or one of them refuses.
+    """
+    if shutil.which("git") is None:
+        raise ObjectFolderError(
+            "git is not installed, which a workspace needs; install it (Debian: apt-get install git)"
+        )
+    if not (root / ".git").exists():
+        command = ["git", "init", "--quiet", "--initial-branch", "main", str(root)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            raise ObjectFolderError(f"git cannot make a repository in {root}: {done.stderr.strip()}")
+    try:
+        with silence_dvc(), Repo.init(str(root)) as repo, repo.config.edit("repo") as config:
+            config["core"].update(CORE)
+    except DvcException as error:
+        raise ObjectFolderError(f"DVC cannot make a repository in {root}: {error}") from error

@@ -1,8 +1,11 @@
 """DVC's run cache, extended to verify what it restores and to pull what is missing."""
 
+import json
 import logging
 import os
-from collections.abc import Iterable, Iterator
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +15,111 @@ from dvc.schema import COMPILED_LOCK_FILE_STAGE_SCHEMA
 from dvc.stage import PipelineStage, Stage
 from dvc.stage.cache import StageCache, _can_hash, _get_cache_hash, _get_stage_hash
 from dvc.stage.serialize import to_single_stage_lockfile
-from dvc.utils.serialize import ParseError, load_yaml
+from dvc.utils.serialize import EncodingError, ParseError, load_yaml
 from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.tree import Tree
 from voluptuous import Invalid
 
 from objectfolder.engine.dvc.remote import pull_outputs
-from objectfolder.engine.dvc.savedruns import recorded_inputs, remove_saved_run, saved_runs_of
+from objectfolder.locks import private_path
+from objectfolder.workspace.params import UNSEEN_BY_DVC
 
 _log = logging.getLogger(__name__)
+
+
+def find_saved_run(stage: Stage, changed: bool) -> Stage | None:
+    """Find the run whose outputs `steps.restore_run` would restore; None if missing or incomplete.
+
+    Changes nothing on disk. The stage's dependencies hold the hashes that they will have when it runs.
+    ``changed`` says whether command or dependencies differ from the lock file; if not, it names the outputs.
+    """
+    cache = stage.repo.stage_cache
+    if not _can_hash(stage):
+        return None
+    if not changed and all(out.hash_info for out in stage.outs):
+        entry = to_single_stage_lockfile(stage)
+    else:
+        entry = cache._load(stage)
+    if not entry:
+        return None
+    found = cache._create_stage(entry, wdir=stage.wdir)
+    return found if found.outs_cached() else None
+
+
+def saved_runs(repo: Repo) -> Iterator[Path]:
+    """Yield the files of the run cache, one per saved run."""
+    return (path for path in Path(repo.stage_cache.cache_dir).glob("*/*/*") if path.is_file())
+
+
+def saved_runs_of(cache: StageCache, key: str) -> list[Path]:
+    """Return the files of the saved runs of a key, newest first."""
+    found = []
+    for path in Path(cache._get_cache_dir(key)).glob("[!.]*"):
+        with suppress(FileNotFoundError):  # a pruning of a cache that workspaces share
+            found.append((path.stat().st_mtime_ns, path))
+    return [path for _, path in sorted(found, reverse=True)]
+
+
+def recorded_inputs(entry: Mapping[str, Any]) -> str:
+    """Return command, dependencies and parameters of an entry as a text that tells equal types and values."""
+    deps = {dep["path"]: dep.get(dep.get("hash", "md5")) for dep in entry.get("deps", ())}
+    return json.dumps([entry["cmd"], deps, entry.get("params", {})], sort_keys=True, default=str)
+
+
+def maker(cache: StageCache, record: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the saved run of a record's outputs if it had other inputs than those recorded; else None.
+
+    ``dvc repro`` records such outputs if a parameter is called ``size`` or ``nfiles``.
+    """
+    if not _has_unseen(record.get("params")):  # the key tells all others apart
+        return None
+    key = _get_cache_hash(dict(record), key=True)
+    runs = (cache._load_cache(key, path.name) for path in saved_runs_of(cache, key))
+    made = [run for run in runs if run is not None and run["outs"] == record["outs"]]
+    inputs = recorded_inputs(record)
+    return made[0] if made and all(recorded_inputs(run) != inputs for run in made) else None
+
+
+def _has_unseen(value: Any) -> bool:
+    if isinstance(value, list):
+        return any(map(_has_unseen, value))
+    return isinstance(value, dict) and (
+        any(name in value for name in UNSEEN_BY_DVC) or _has_unseen(list(value.values()))
+    )
+
+
+def read_entry(path: Path) -> Any:
+    """Return the content of a saved run, a .dvc file or a lock file; None if it is damaged."""
+    try:
+        return load_yaml(path)
+    except (ParseError, EncodingError):
+        return None
+
+
+def outputs_of(run: Any) -> list[Mapping[str, Any]]:
+    """Return the outputs that a saved run lists; none of a damaged one, which is never restored."""
+    return run.get("outs") or [] if isinstance(run, Mapping) else []
+
+
+def hashes_in(value: Any) -> Iterator[str]:
+    """Yield the hashes of files that a record names, at any depth."""
+    if isinstance(value, list):
+        for each in value:
+            yield from hashes_in(each)
+    elif isinstance(value, Mapping):
+        if isinstance(oid := value.get("md5"), str):
+            yield oid
+        yield from hashes_in(list(value.values()))
+
+
+def remove_saved_run(entry: Path) -> None:
+    """Remove an entry, with its directory if it is the last one: DVC cannot read an empty directory."""
+    if len(list(entry.parent.iterdir())) > 1:
+        entry.unlink()
+        return
+    trash = private_path(entry.parents[2] / entry.parent.name)  # ignored by `saved_runs` and DVC
+    entry.parent.rename(trash)
+    shutil.rmtree(trash)
 
 
 class RunCache(StageCache):
@@ -29,16 +128,8 @@ class RunCache(StageCache):
     DVC trusts a read-only cached file and records the expected hash for the copy without computing it: a
     damaged object would be restored and recorded as valid. It trusts entries, too, and the key by which it
     finds them, which leaves out parameters called ``size`` or ``nfiles``: it would restore what another size
-    gave.
-
-    Parameters
-    ----------
-    repo : Repo
-        Open DVC repository.
-    restores : bool
-        Whether outputs are restored: then damaged objects and entries are removed. Else nothing changes.
-    pull : bool
-        Download missing cached objects from the default remote.
+    gave. Damaged objects and entries are removed if it ``restores`` outputs; else nothing changes. With
+    ``pull``, missing cached objects come from the default remote.
     """
 
     def __init__(self, repo: Repo, restores: bool = False, pull: bool = False):

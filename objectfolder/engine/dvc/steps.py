@@ -18,35 +18,23 @@ from dvc.stage import Stage
 from dvc.stage.cache import RunCacheNotFoundError
 from dvc.stage.run import prepare_kwargs
 
-from objectfolder.engine.dvc.inputs import Stamps, check_code, stamps, written
+from objectfolder.engine.dvc.inputs import Stamps, check_code, find_written, stamps
 from objectfolder.engine.dvc.runcache import is_there, remove_damaged
 from objectfolder.errors import ObjectFolderError
 
 
 @dataclass(frozen=True)
 class ShellCommand:
-    """Command of a stage.
+    """Command of a stage."""
 
-    Parameters
-    ----------
-    lines : sequence of str
-        Shell commands, to run one after another.
-    cwd : Path
-        Working directory.
-    env : mapping of str to str
-        Environment, with DVC's variables.
-    inputs : dict of Path to tuple
-        Identity of the files that it reads.
-    """
-
-    lines: Sequence[str]
+    lines: Sequence[str]  #: shell commands, to run one after another
     cwd: Path
-    env: Mapping[str, str]
-    inputs: Stamps
+    env: Mapping[str, str]  #: environment, with DVC's variables
+    inputs: Stamps  #: identity of the files that it reads
 
 
 @contextmanager
-def _explained() -> Iterator[None]:
+def _explain_errors() -> Iterator[None]:
     """Raise DVC's errors as ObjectFolderError, with the cause that DVC often leaves out of the message."""
     try:
         yield
@@ -60,26 +48,18 @@ def has_command(stage: Stage) -> bool:
     return bool(stage.cmd) and not stage.frozen
 
 
-@_explained()
+@_explain_errors()
 def has_changed(stage: Stage) -> bool:
     """Return whether a stage differs from the lock file."""
     return bool(stage.changed())
 
 
-@_explained()
+@_explain_errors()
 def update_data(stage: Stage, force: bool) -> bool:
     """Let DVC handle a stage without a command: it verifies data or downloads an import.
 
-    Returns
-    -------
-    bool
-        Whether anything was done.
-
-    Raises
-    ------
-    ObjectFolderError
-        If data is missing, and so is a part of its copy in the cache. DVC would restore the rest, and record
-        that as the data from then on.
+    Returns whether anything was done. Raises ObjectFolderError if data is missing, and so is a part of its
+    copy in the cache. DVC would restore the rest, and record that as the data from then on.
     """
     missing = [out for out in stage.outs if out.hash_info and not is_there(out)]
     if missing:
@@ -97,7 +77,7 @@ def update_data(stage: Stage, force: bool) -> bool:
     return stage.reproduce(force=force) is not None
 
 
-@_explained()
+@_explain_errors()
 def restore_run(stage: Stage) -> bool:
     """Replace old outputs by those in the run cache; return whether it had them."""
     stage.remove_outs(ignore_remove=False, force=False)
@@ -112,7 +92,7 @@ def restore_run(stage: Stage) -> bool:
     return True
 
 
-@_explained()
+@_explain_errors()
 def prepare_run(stage: Stage) -> ShellCommand:
     """Remove old outputs, hash dependencies, and return the command to run."""
     stage.remove_outs(ignore_remove=False, force=False)
@@ -127,10 +107,10 @@ def prepare_run(stage: Stage) -> ShellCommand:
 
 def changed_inputs(stage: Stage, inputs: Stamps) -> list[str]:
     """Return the files, relative to the workspace, that were written since `prepare_run` stamped them."""
-    return [os.path.relpath(path, stage.wdir) for path in written(inputs, stamps(stage))]
+    return [os.path.relpath(path, stage.wdir) for path in find_written(inputs, stamps(stage))]
 
 
-@_explained()
+@_explain_errors()
 def save_run(stage: Stage) -> None:
     """Hash the outputs of a finished command and store them in DVC's cache and run cache."""
     stage.save_outs()

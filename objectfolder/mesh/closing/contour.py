@@ -1,15 +1,21 @@
-"""Zero level sets of functions sampled in selected blocks of a grid only."""
+"""Zero level sets of functions sampled in selected blocks of a grid only, and remeshing by one.
+
+Remeshing is the last resort: thin walls and cavities may be lost.
+"""
 
 from collections.abc import Callable
 
+import igl
 import numpy as np
 from skimage.measure import marching_cubes
 
 from objectfolder.mesh.closing.wedges import separate_wedges
 from objectfolder.mesh.closing.weld import weld
-from objectfolder.mesh.topology import Mesh, signed_volume
+from objectfolder.mesh.topology import Mesh, distance, signed_volume
 
 BLOCK = 8  #: samples along each side of a block
+RESOLUTION = 192  #: samples along each axis of a remeshed surface
+_BOUND = 0.52
 
 
 def grid_indices(*shape: int) -> np.ndarray:
@@ -31,27 +37,12 @@ def contour(
     chosen: np.ndarray,
     elsewhere: np.ndarray | float,
 ) -> Mesh:
-    """Extract the closed surface around the points where a function is negative.
+    """Extract the closed surface, oriented outward, around the points where a function is negative.
 
-    Parameters
-    ----------
-    function : callable
-        Maps points (N, 3) to values (N,).
-    lower : (3,) array
-        Position of the first sample.
-    spacing : float
-        Distance between samples.
-    blocks : (3,) int array
-        Number of blocks along each axis.
-    chosen : (C,) int array
-        Blocks in which the function is sampled, in the order of `block_centres`.
-    elsewhere : float or (B,) array
-        Value of the samples in the other blocks. Outside the grid, values are positive.
-
-    Returns
-    -------
-    vertices, faces
-        Oriented outward; no faces if the function is negative nowhere.
+    The function maps points (N, 3) to values (N,). It is sampled at ``lower + spacing * index`` in the
+    ``chosen`` blocks, in the order of `block_centres`, of a grid of ``blocks`` (3,) along each axis; the
+    samples in others have the value ``elsewhere``, of all or of each block. Outside the grid, values are
+    positive. There are no faces if the function is negative nowhere.
     """
     count = int(np.prod(blocks))
     values = np.repeat(np.broadcast_to(np.asarray(elsewhere, float), count), BLOCK**3).reshape(count, -1)
@@ -65,3 +56,29 @@ def contour(
     v, f, _, _ = marching_cubes(grid, 0.0, allow_degenerate=False)
     v, f = separate_wedges(*weld((v - 1) * spacing + lower, f.astype(np.int64), 1e-9))
     return v, f if signed_volume(v, f) > 0 else np.ascontiguousarray(f[:, ::-1])
+
+
+def remesh_on_grid(vertices: np.ndarray, faces: np.ndarray, wall: float = 0.0) -> Mesh:
+    """Extract the surface of the points with generalised winding number above 1/2 or close to a sheet.
+
+    Takes any triangle soup in the unit frame, and turns it over if its volume is negative. If ``wall`` is
+    positive, points closer to the mesh than half of it also count as inside, for sheets. The mesh is
+    closed, and empty if nothing is enclosed.
+    """
+    if signed_volume(vertices, faces) < 0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+    spacing = 2 * _BOUND / (RESOLUTION - 1)
+    blocks = np.full(3, -(-RESOLUTION // BLOCK))
+    lower = np.full(3, -_BOUND)
+    centres, radius = block_centres(lower, spacing, blocks)
+    away = distance((vertices, faces), centres)
+    winding = np.asarray(igl.fast_winding_number(vertices, faces, centres))
+    # One sample represents a block that is far from the surface and clearly inside or outside.
+    chosen = np.flatnonzero((away < radius + spacing + wall / 2) | (np.abs(winding - 0.5) < 0.4))
+
+    def field(points: np.ndarray) -> np.ndarray:
+        away = distance((vertices, faces), points)
+        inside = np.asarray(igl.fast_winding_number(vertices, faces, points)) > 0.5
+        return np.minimum(np.where(inside, -away, away), away - wall / 2 if wall else np.inf)
+
+    return contour(field, lower, spacing, blocks, chosen, np.where(winding > 0.5, -away, away))

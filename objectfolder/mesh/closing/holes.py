@@ -29,29 +29,16 @@ _OFFSET = 1e-4  # start of the rays above the cap, unit frame
 def close_piece(
     piece: Mesh, scene: RayCaster | None, wall: float, least: float = LARGE
 ) -> tuple[Mesh, int, int]:
-    """Close an open manifold piece.
+    """Close an open manifold piece, consistently oriented, in the unit frame.
 
-    Parameters
-    ----------
-    piece : vertices and faces, unit frame
-        Consistently oriented; no edge has more than two faces.
-    scene : RayCaster or None
-        All pieces, for visibility. None caps every loop.
-    wall : float
-        Thickness given to a sheet, unit frame. The sheet becomes the outer side; of a flat one, the side to
-        which its winding points. Where there is no room for the wall, the openings are capped instead.
-    least : float
-        Area, as a fraction of the piece's, above which a visible loop is an opening.
+    A visible loop whose area is more than ``least`` of the piece's is an opening, others are capped;
+    without a ``scene`` of all pieces, for visibility, all are. A piece with an opening is a sheet, which
+    gets a wall: it becomes the outer side; of a flat one, the side to which its winding points. Where there
+    is no room for the wall, the openings are capped instead.
 
-    Returns
-    -------
-    piece : the closed piece
-    capped : int
-        Number of capped loops.
-    openings : int
-        Number of openings of a sheet.
+    Returns the closed piece, the number of capped loops, and that of openings of a sheet.
     """
-    vertices, faces, loops, flat = _turned_outward(piece)
+    vertices, faces, loops, flat = _turn_outward(piece)
     area = face_areas(vertices, faces).sum()
     openings = [
         loop
@@ -66,14 +53,14 @@ def close_piece(
     if not openings:
         return closed, len(holes), 0
     sheet = thicken(*closed, wall)
-    if _turned_over(closed[0], sheet[0][len(closed[0]) :], closed[1]) > NO_ROOM:
+    if _inverted_share(closed[0], sheet[0][len(closed[0]) :], closed[1]) > NO_ROOM:
         return cap(vertices, faces, loops), len(loops), 0
     return sheet, len(holes), len(openings)
 
 
 def visible_loops(piece: Mesh, scene: RayCaster, least: float = 0) -> Iterator[float]:
     """Yield the areas of the visible loops, as fractions of the piece's, from the largest to ``least``."""
-    vertices, faces, loops, flat = _turned_outward(piece)
+    vertices, faces, loops, flat = _turn_outward(piece)
     area = face_areas(vertices, faces).sum()
     shares = [float(np.linalg.norm(area_vector(vertices[loop])) / area) for loop in loops]
     for k in np.argsort(shares, kind="stable")[::-1]:
@@ -83,7 +70,7 @@ def visible_loops(piece: Mesh, scene: RayCaster, least: float = 0) -> Iterator[f
             yield shares[k]
 
 
-def _turned_outward(piece: Mesh) -> tuple[np.ndarray, np.ndarray, list[np.ndarray], bool]:
+def _turn_outward(piece: Mesh) -> tuple[np.ndarray, np.ndarray, list[np.ndarray], bool]:
     """Return vertices, faces that show outward once capped, boundary loops, and whether the piece is flat."""
     vertices, faces = piece
     loops = boundary_loops(faces)
@@ -98,7 +85,10 @@ def _turned_outward(piece: Mesh) -> tuple[np.ndarray, np.ndarray, list[np.ndarra
 
 def _is_visible(vertices: np.ndarray, loop: np.ndarray, scene: RayCaster, flat: bool) -> bool:
     """Test whether a loop's cap would be seen from outside; of a flat piece, from either side."""
-    return max(_seen(vertices[side], scene) for side in ([loop, loop[::-1]] if flat else [loop])) > SEEN
+    return (
+        max(_measure_visibility(vertices[side], scene) for side in ([loop, loop[::-1]] if flat else [loop]))
+        > SEEN
+    )
 
 
 def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> Mesh:
@@ -131,7 +121,7 @@ def thicken(vertices: np.ndarray, faces: np.ndarray, wall: float) -> Mesh:
     return np.concatenate([vertices, inner]), np.concatenate([faces, faces[:, ::-1] + count, rim])
 
 
-def _turned_over(vertices: np.ndarray, inner: np.ndarray, faces: np.ndarray) -> float:
+def _inverted_share(vertices: np.ndarray, inner: np.ndarray, faces: np.ndarray) -> float:
     """Compute the area fraction of faces with an edge reversed on the inner side."""
     outward, inward = (np.roll(side[faces], -1, 1) - side[faces] for side in (vertices, inner))
     area = face_areas(vertices, faces)
@@ -152,7 +142,7 @@ def _offset_directions(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normal / np.clip(mean, 0.5, 1)[:, None]
 
 
-def _seen(loop: np.ndarray, scene: RayCaster) -> float:
+def _measure_visibility(loop: np.ndarray, scene: RayCaster) -> float:
     """Compute the fraction of cosine-weighted outward rays from a cap that hit nothing."""
     rng = np.random.default_rng(0)
     count = len(loop)

@@ -13,27 +13,14 @@ _FLAT = 1e-15  # twice the area of a triangle without a direction
 _SMOOTH = np.cos(np.radians([30, 0.1]))  # of the angle between neighbours on a round surface
 
 
-def joint(
+def make_joint(
     a: Mesh, b: Mesh, solids: tuple[manifold3d.Manifold, manifold3d.Manifold], gap: float
 ) -> manifold3d.Manifold | None:
-    """Fill the gap where faces of two closed pieces lie opposite each other.
+    """Fill the gap where faces of two closed pieces, given also as solids, lie opposite each other.
 
     Each triangle of a piece near the other is extruded across the gap. The joint is the intersection of the
-    extrusions of both pieces, so it ends where either face ends.
-
-    Parameters
-    ----------
-    a, b : vertices and faces, unit frame
-    solids : two manifold3d solids
-        The same pieces.
-    gap : float
-        Distance between the pieces.
-
-    Returns
-    -------
-    solid or None
-        None if no faces lie opposite each other there, there are more than `MAX_FACETS`, or they are round:
-        their extrusions part from each other.
+    extrusions of both pieces, so it ends where either face ends. None if no faces lie opposite each other
+    there, there are more than `MAX_FACETS`, or they are round: their extrusions part from each other.
     """
     sides = []
     for piece, other, solid in ((a, b, solids[1]), (b, a, solids[0])):

@@ -12,15 +12,10 @@ _LEVEL = 1e-9  # an edge whose ends are nearer to the plane of a face lies in it
 
 
 def self_intersections(vertices: np.ndarray, faces: np.ndarray) -> int:
-    """Count the edges of a surface that pierce a face which shares no vertex with them.
+    """Count the edges of a surface, unit frame, that pierce a face which shares no vertex with them.
 
     Of two triangles that intersect, an edge of one pierces the other. Rays in single precision find the
     pairs; only the first other face along each edge is tested, in double precision.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
     """
     edges = igl.edges(np.ascontiguousarray(faces, np.int64))
     along = vertices[edges[:, 1]] - vertices[edges[:, 0]]

@@ -5,9 +5,9 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.closing.contour import BLOCK, block_centres, contour
-from objectfolder.mesh.closing.joints import joint
+from objectfolder.mesh.closing.joints import make_joint
 from objectfolder.mesh.scanline import winding_certificate
-from objectfolder.mesh.topology import Mesh, compact, face_components, face_volumes, signed_volume
+from objectfolder.mesh.topology import Mesh, compact, distance, face_components, face_volumes, signed_volume
 
 SPECKS = 1e-3  #: volume fraction below which small bodies are dropped (broken-off rims of scans)
 TOUCHING = 1e-3  #: pieces so near to each other, unit frame, are meant to touch: 1 mm of a cupboard
@@ -20,13 +20,8 @@ _BRIDGE_DEPTH = 1.25 / 512  # overlap of a bridge with the pieces
 def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:
     """Unite closed pieces; an inner piece of opposite orientation is a cavity.
 
-    A piece inside a cavity, oriented like the outermost one, is solid again.
-
-    Returns
-    -------
-    mesh : vertices and faces, oriented outward; empty if nothing is enclosed
-    cavities : int
-        Number of subtracted pieces.
+    A piece inside a cavity, oriented like the outermost one, is solid again. Returns the mesh, oriented
+    outward and empty if nothing is enclosed, and the number of cavities.
     """
     volumes = [signed_volume(*piece) for piece in pieces]
     pieces = [piece for piece, volume in zip(pieces, volumes) if abs(volume) > _NOTHING]
@@ -43,12 +38,12 @@ def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:
         bool(outer) and volume * volumes[max(outer, key=size.__getitem__)] < 0
         for outer, volume in zip(around, volumes)
     ]
-    solids = [manifold((v, f if volume > 0 else f[:, ::-1])) for (v, f), volume in zip(pieces, volumes)]
+    solids = [to_manifold((v, f if volume > 0 else f[:, ::-1])) for (v, f), volume in zip(pieces, volumes)]
     for k in np.flatnonzero(hollow).tolist():
         for o in around[k]:
             solids[o] = solids[o] if hollow[o] else solids[o] - solids[k]
     shells = [solid for solid, inner in zip(solids, hollow) if not inner]
-    return arrays(manifold3d.Manifold.batch_boolean(shells, manifold3d.OpType.Add)), sum(hollow)
+    return to_arrays(manifold3d.Manifold.batch_boolean(shells, manifold3d.OpType.Add)), sum(hollow)
 
 
 def untangle(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
@@ -57,10 +52,10 @@ def untangle(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     Boolean operations work between solids, so the body is cut by planes until no part overlaps itself, and
     the parts are united. Empty if that takes too many cuts.
     """
-    pending, parts, cuts = [manifold((vertices, faces))], [], 0
+    pending, parts, cuts = [to_manifold((vertices, faces))], [], 0
     while pending:
         for part in pending.pop().decompose():
-            mesh = arrays(part)
+            mesh = to_arrays(part)
             if winding_certificate(*mesh).solid:
                 parts.append(part)
                 continue
@@ -72,18 +67,13 @@ def untangle(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
             # Off the middle, where symmetric meshes have vertices.
             place = lower[axis] + 0.5013 * (upper - lower)[axis]
             pending += part.split_by_plane(np.eye(3)[axis].tolist(), place)
-    return arrays(manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add))
+    return to_arrays(manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add))
 
 
-def bodies(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def label_bodies(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Label the solid bodies of a closed surface: shells with their cavities.
 
-    Returns
-    -------
-    body : (F,) int
-        Body of each face, numbered by decreasing volume.
-    volumes : (B,) float
-        Volumes without cavities.
+    Returns the body of each face, (F,), numbered by decreasing volume, and their volumes without cavities.
     """
     shell = face_components(faces, len(vertices))
     volume = np.bincount(shell, weights=face_volumes(vertices, faces))
@@ -102,12 +92,12 @@ def bodies(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndar
     return rank[label[shell]], volumes[order]
 
 
-def without_specks(vertices: np.ndarray, faces: np.ndarray, across: float = np.inf) -> tuple[Mesh, int]:
+def drop_specks(vertices: np.ndarray, faces: np.ndarray, across: float = np.inf) -> tuple[Mesh, int]:
     """Drop the smallest bodies that together hold at most `SPECKS` of the volume; returns their number.
 
     Bodies whose longest side is ``across`` or more are kept.
     """
-    body, volumes = bodies(vertices, faces)
+    body, volumes = label_bodies(vertices, faces)
     after = volumes.sum() - np.cumsum(volumes)  # volume of the smaller ones
     small = np.arange(len(volumes)) > int(np.argmax(after <= SPECKS * volumes.sum()))
     for k in np.flatnonzero(small) if across < np.inf else ():
@@ -115,9 +105,9 @@ def without_specks(vertices: np.ndarray, faces: np.ndarray, across: float = np.i
     return compact(vertices, faces[~small[body]]), int(small.sum())
 
 
-def gaps(pieces: list[Mesh], reach: float) -> list[tuple[float, int, int]]:
+def find_gaps(pieces: list[Mesh], reach: float) -> list[tuple[float, int, int]]:
     """Find gaps below ``reach`` between pieces: (gap, i, j), smallest first."""
-    solids = [manifold(piece) for piece in pieces]
+    solids = [to_manifold(piece) for piece in pieces]
     lower, upper = (np.array([bound(v, axis=0) for v, _ in pieces]) for bound in (np.min, np.max))
     found = []
     for j in range(len(pieces)):
@@ -132,37 +122,31 @@ def bridge(vertices: np.ndarray, faces: np.ndarray, reach: float) -> tuple[Mesh,
     """Join bodies separated by gaps below ``reach`` with material in the gaps only.
 
     Bodies that touch, within `TOUCHING`, are bonded wherever they do; wider gaps are filled only until all
-    bodies hang together.
-
-    Returns
-    -------
-    mesh : vertices and faces
-    bridged : list of float
-        Widths of the filled gaps.
+    bodies hang together. Returns the mesh and the widths of the filled gaps.
     """
-    body, volumes = bodies(vertices, faces)
+    body, volumes = label_bodies(vertices, faces)
     pieces = [compact(vertices, faces[body == k]) for k in range(len(volumes))]
-    solids = [manifold(piece) for piece in pieces]
+    solids = [to_manifold(piece) for piece in pieces]
     tree = np.arange(len(pieces))
-    joined, bridged = [manifold((vertices, faces))], []
-    for gap, i, j in gaps(pieces, reach):
+    joined, bridged = [to_manifold((vertices, faces))], []
+    for gap, i, j in find_gaps(pieces, reach):
         if gap <= TOUCHING or tree[i] != tree[j]:
             tree[tree == tree[j]] = tree[i]
-            flat = joint(pieces[i], pieces[j], (solids[i], solids[j]), gap)
-            joined.append(manifold(_filler(pieces[i], pieces[j], gap)) if flat is None else flat)
+            flat = make_joint(pieces[i], pieces[j], (solids[i], solids[j]), gap)
+            joined.append(to_manifold(_filler(pieces[i], pieces[j], gap)) if flat is None else flat)
             bridged.append(gap)
     if not bridged:
         return (vertices, faces), []
-    return arrays(manifold3d.Manifold.batch_boolean(joined, manifold3d.OpType.Add)), bridged
+    return to_arrays(manifold3d.Manifold.batch_boolean(joined, manifold3d.OpType.Add)), bridged
 
 
-def manifold(piece: Mesh) -> manifold3d.Manifold:
+def to_manifold(piece: Mesh) -> manifold3d.Manifold:
     """Convert a piece to a manifold3d solid; empty if it is not closed."""
     vertices, faces = (np.ascontiguousarray(part) for part in piece)
     return manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
 
 
-def arrays(solid: manifold3d.Manifold) -> Mesh:
+def to_arrays(solid: manifold3d.Manifold) -> Mesh:
     """Convert a manifold3d solid to vertices and faces."""
     mesh = solid.to_mesh64()
     return np.asarray(mesh.vert_properties)[:, :3].copy(), np.asarray(mesh.tri_verts, np.int64)
@@ -187,8 +171,3 @@ def _filler(a: Mesh, b: Mesh, gap: float) -> Mesh:
     return contour(
         lambda points: distance(a, points) + distance(b, points) - near, lower, spacing, blocks, chosen, near
     )
-
-
-def distance(piece: Mesh, points: np.ndarray) -> np.ndarray:
-    """Compute exact unsigned distances of points (N, 3) to a surface; (N,)."""
-    return np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(points), *piece)[0])

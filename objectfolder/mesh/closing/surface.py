@@ -1,6 +1,6 @@
-"""Closed physical surface from any triangle mesh, by a ladder of repairs that avoids remeshing.
+"""Closed physical surface from any triangle mesh, by a series of repairs that avoids remeshing.
 
-clean -> cap, thicken -> union -> untangle -> grid -> specks -> bridge -> specks: each rung is used only where
+clean -> cap, thicken -> union -> untangle -> grid -> specks -> bridge -> specks: each step is used only where
 needed. Remeshing on a grid fills cavities and doubles thin walls, so it is the last resort and gives a
 warning. All lengths are in the unit frame (longest side 1).
 """
@@ -11,9 +11,9 @@ import igl
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError, plural
+from objectfolder.mesh.closing.contour import RESOLUTION, remesh_on_grid
 from objectfolder.mesh.closing.holes import close_piece, visible_loops
-from objectfolder.mesh.closing.remesh import RESOLUTION, remesh_on_grid
-from objectfolder.mesh.closing.solids import SPECKS, bodies, bridge, distance, unite, untangle, without_specks
+from objectfolder.mesh.closing.solids import SPECKS, bridge, drop_specks, label_bodies, unite, untangle
 from objectfolder.mesh.closing.weld import clean, opposite_pairs
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface
@@ -22,11 +22,12 @@ from objectfolder.mesh.topology import (
     Mesh,
     compact,
     connected_pieces,
+    distance,
     edge_defects,
     face_areas,
     face_components,
     is_closed,
-    merged,
+    join_meshes,
     signed_volume,
 )
 
@@ -41,8 +42,8 @@ _PROBES = 20_000  # points at which the deviation is measured
 
 
 @dataclass(frozen=True)
-class Rung:
-    """Step of the ladder that changed the mesh."""
+class RepairStep:
+    """Step of the repair that changed the mesh."""
 
     name: str  #: clean, cap, thicken, union, untangle, specks, bridge or grid
     detail: str  #: description of the change
@@ -60,7 +61,7 @@ class ClosedSurface:
 
     vertices: np.ndarray  #: (V, 3) float64
     faces: np.ndarray  #: (F, 3) int64
-    rungs: list[Rung]
+    repairs: list[RepairStep]
     weld_tolerance: float
     certificate: Certificate  #: that it is closed, with winding numbers 0 and 1
     warnings: list[str] = field(default_factory=list)
@@ -80,7 +81,7 @@ class ClosedSurface:
     @property
     def components(self) -> int:
         """Number of solid bodies."""
-        return len(bodies(self.vertices, self.faces)[1])
+        return len(label_bodies(self.vertices, self.faces)[1])
 
     @property
     def cavities(self) -> int:
@@ -88,24 +89,19 @@ class ClosedSurface:
         return int(face_components(self.faces, len(self.vertices)).max()) + 1 - self.components
 
     @property
-    def rung(self) -> str:
-        """Name of the last rung other than ``clean``; ``keep`` if there is none."""
-        return next((r.name for r in reversed(self.rungs) if r.name != "clean"), "keep")
-
-    @property
-    def steps(self) -> list[str]:
-        """Descriptions of all steps, in order."""
-        return [f"{r.name}: {r.detail}" for r in self.rungs]
+    def last_step(self) -> str:
+        """Name of the last step other than ``clean``; ``keep`` if there is none."""
+        return next((r.name for r in reversed(self.repairs) if r.name != "clean"), "keep")
 
     @property
     def deviation_max(self) -> float:
         """Largest distance between this surface and the source mesh."""
-        return self.rungs[-1].deviation_max
+        return self.repairs[-1].deviation_max
 
     @property
     def deviation_mean(self) -> float:
         """Area-weighted mean distance from this surface to the source mesh."""
-        return self.rungs[-1].deviation_mean
+        return self.repairs[-1].deviation_mean
 
 
 def close_surface(
@@ -138,51 +134,51 @@ def close_surface(
         Unless the result is closed, has winding number 0 or 1, and one body holds 99.9 % of its volume. The
         message lists the pieces with their volumes and gaps.
     """
-    ladder = _Ladder(name, np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
-    tolerance = ladder.clean()
-    openings = ladder.close_pieces(SHEET_WALL if wall is None else wall, asked=wall is not None)
+    repair = _Repair(name, np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
+    tolerance = repair.clean()
+    openings = repair.close_pieces(SHEET_WALL if wall is None else wall, asked=wall is not None)
     if openings and wall is None:
         metres = "" if scale is None else f" ({SHEET_WALL * scale:.3g} m)"
-        ladder.warnings.append(
+        repair.warnings.append(
             f"{plural(openings, 'open sheet')} got a wall of {SHEET_WALL:.0%} of the size{metres}; "
             "set `wall` in metres, or close the hole in the mesh, if it is solid"
         )
     if wall is not None and not openings:
         thickness = f"{wall:.2%} of the size" if scale is None else f"{wall * scale:.3g} m"
-        ladder.warnings.append(
+        repair.warnings.append(
             f"no piece is an open sheet with room for a wall of {thickness}: `wall` is not used"
         )
-    ladder.join()
-    if not ladder.solid:
-        ladder.untangle()
-    if not ladder.solid:
-        ladder.remesh(openings and (SHEET_WALL if wall is None else wall))
+    repair.join()
+    if not repair.solid:
+        repair.untangle()
+    if not repair.solid:
+        repair.remesh(openings and (SHEET_WALL if wall is None else wall))
     # Small parts, such as knobs, may be within reach of a bridge; crumbs are not worth one.
-    ladder.drop_specks(BRIDGED_GAP if bridging else np.inf)
-    before = bridged = ladder.mesh
+    repair.drop_specks(BRIDGED_GAP if bridging else np.inf)
+    before = bridged = repair.mesh
     if bridging:
-        ladder.bridge()
-        bridged = ladder.mesh
-        ladder.drop_specks()
-    ladder.accept(bridging)
-    ladder.note_cancelled()
+        repair.bridge()
+        bridged = repair.mesh
+        repair.drop_specks()
+    repair.accept(bridging)
+    repair.note_cancelled()
     return ClosedSurface(
-        *ladder.mesh,
-        ladder.rungs,
+        *repair.mesh,
+        repair.repairs,
         tolerance,
-        winding_certificate(*ladder.mesh),
-        ladder.warnings,
+        winding_certificate(*repair.mesh),
+        repair.warnings,
         None if before is bridged else before,
-        ladder.holes,
+        repair.holes,
     )
 
 
-class _Ladder:
+class _Repair:
     """Mesh under repair, with the record of its steps."""
 
     def __init__(self, name: str, vertices: np.ndarray, faces: np.ndarray):
         self.name, self.source, self.mesh = name, (vertices, faces), (vertices, faces)
-        self.rungs: list[Rung] = []
+        self.repairs: list[RepairStep] = []
         self.warnings: list[str] = []
         self.cancelled: Mesh = (vertices, faces[:0])  # faces that their reversed copies cancelled
         self.holes = 0  # visible ones that were capped
@@ -252,7 +248,7 @@ class _Ladder:
             "thicken" if sheets else "cap",
             f"{', '.join(detail)} in {sum(is_open)} open of {len(pieces)} pieces",
             before,
-            merged(pieces),
+            join_meshes(pieces),
         )
         return sheets
 
@@ -292,7 +288,7 @@ class _Ladder:
 
     def drop_specks(self, across: float = np.inf) -> None:
         before = self.mesh
-        mesh, dropped = without_specks(*before, across)
+        mesh, dropped = drop_specks(*before, across)
         if dropped:
             share = 1 - signed_volume(*mesh) / signed_volume(*before)
             detail = f"{plural(dropped, 'piece')} with {share:.2e} of the volume dropped"
@@ -300,7 +296,7 @@ class _Ladder:
 
     def bridge(self) -> None:
         before = self.mesh
-        if 1 < len(bodies(*before)[1]) <= MAX_BODIES:
+        if 1 < len(label_bodies(*before)[1]) <= MAX_BODIES:
             mesh, bridged = bridge(*before, BRIDGED_GAP)
             if bridged:
                 detail = f"{plural(len(bridged), 'gap')} up to {max(bridged):.3%} of the size filled"
@@ -316,7 +312,7 @@ class _Ladder:
                 f"overlaps itself in {overlap:.2%} of the space; expected a mesh that encloses a volume "
                 "once: close its holes or give it thickness"
             )
-        body, volumes = bodies(v, f)
+        body, volumes = label_bodies(v, f)
         if volumes[0] >= (1 - SPECKS) * volumes.sum():
             return
         pieces = [compact(v, f[body == k]) for k in range(len(volumes))]
@@ -348,7 +344,9 @@ class _Ladder:
         probes = sample_surface(*self.cancelled, _PROBES, np.random.default_rng(0))
         away = float(_away(self.mesh, probes).max())
         if away > LEFT_OUT:
-            self.rungs[-1] = replace(self.rungs[-1], deviation_max=max(away, self.rungs[-1].deviation_max))
+            self.repairs[-1] = replace(
+                self.repairs[-1], deviation_max=max(away, self.repairs[-1].deviation_max)
+            )
             self.warnings.append(
                 f"faces up to {away:.2%} of the size from the closed surface have reversed copies, with "
                 "which they enclose nothing, and are left out: delete the copies in the mesh, or "
@@ -356,12 +354,12 @@ class _Ladder:
             )
 
     def _history(self) -> str:
-        return ", ".join(rung.detail for rung in self.rungs)
+        return ", ".join(step.detail for step in self.repairs)
 
     def _record(self, name: str, detail: str, before: Mesh, after: Mesh) -> None:
         maximum, mean = (0.0, 0.0) if after is self.source else _deviation(after, self.source)
         volumes = [signed_volume(v, f) if len(f) and is_closed(f) else None for v, f in (before, after)]
-        rung = Rung(
+        step = RepairStep(
             name,
             detail,
             components_before=_pieces(before),
@@ -371,7 +369,7 @@ class _Ladder:
             deviation_max=maximum + self.moved,
             deviation_mean=mean,
         )
-        self.rungs.append(rung)
+        self.repairs.append(step)
         self.mesh = after
 
 

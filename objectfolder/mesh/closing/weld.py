@@ -25,19 +25,8 @@ _FINEST_FEATURE = 0.2  # tolerance limit in median edges, to keep intended gaps
 def clean(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, float, float]:
     """Weld with the smallest tolerance that closes the mesh, stitch cracks, orient, split bow-ties.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array, unit frame
-    faces : (F, 3) int array
-
-    Returns
-    -------
-    mesh : vertices and faces
-        May be empty.
-    tolerance : float
-        Welding distance.
-    moved : float
-        Largest displacement of a vertex or split edge.
+    Returns the mesh, in the unit frame as the given one, and perhaps empty; the welding distance; and the
+    largest displacement of a vertex or split edge.
     """
     best = None
     edges = half_edges(faces)

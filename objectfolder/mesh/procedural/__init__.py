@@ -1,4 +1,9 @@
-"""Procedural generators: parametric families of textured objects, one module each."""
+"""Procedural generators: parametric families of textured objects, one module each.
+
+Most take ``finish``, ``color``, ``accent`` and ``seed`` of `objectfolder.mesh.procedural.finish.finish`,
+and all ``texture_size``, the side of the texture in texels. A generator raises `ObjectFolderError` if an
+option is unknown or a dimension does not fit the others.
+"""
 
 import inspect
 from collections.abc import Callable
@@ -32,27 +37,11 @@ __all__ = ["GENERATORS", "generate"]
 
 #: Generators by name; all parameters have defaults, lengths are in metres.
 GENERATORS: dict[str, Callable[..., TexturedMesh]] = {
-    "airplane": airplane,
-    "appliance": appliance,
-    "bell": bell,
-    "block": block,
-    "bottle": bottle,
-    "bowl": bowl,
-    "cup": cup,
-    "die": die,
-    "electronics": electronics,
-    "hammer": hammer,
-    "mug": mug,
-    "pan": pan,
-    "plate": plate,
-    "shelf": shelf,
-    "spoon": spoon,
-    "stool": stool,
-    "table": table,
-    "teapot": teapot,
-    "toy": toy,
-    "vase": vase,
-    "wrench": wrench,
+    build.__name__: build
+    for build in (
+        *(airplane, appliance, bell, block, bottle, bowl, cup, die, electronics, hammer, mug, pan, plate),
+        *(shelf, spoon, stool, table, teapot, toy, vase, wrench),
+    )
 }
 
 
@@ -80,4 +69,4 @@ def generate(generator: str, **parameters: Any) -> TexturedMesh:
             raise ObjectFolderError(
                 f"{generator}: unknown parameter {name!r}: expected one of {', '.join(known)}"
             )
-    return build(**parameters).smoothed()
+    return build(**parameters).with_smooth_normals()

@@ -4,12 +4,7 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_not_negative,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -35,6 +30,8 @@ def airplane(
 ) -> TexturedMesh:
     """Build an airplane.
 
+    One closed surface of genus 0, facing +x, with the body's lowest point at z = 0.
+
     Parameters
     ----------
     length, span : float
@@ -48,28 +45,16 @@ def airplane(
         at the tip. The tail plane and the fin are three quarters as thick.
     sweep : float
         Distance by which the tips lie behind the root, m.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`; the accent is the wings' colour.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 0, facing +x, with the body's lowest point at z = 0.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension does not fit the others.
+    accent : str, optional
+        Colour of the wings.
     """
-    require_positive("airplane", length=length, span=span, body=body, chord=chord, wing=wing)
-    require_between("airplane", 0.5 * length, 2 * length, "0.5 to 2 lengths", span=span)
-    require_between("airplane", 0.08 * length, 0.25 * length, "8 % to 25 % of the length", body=body)
-    require_between("airplane", 0.1 * length, 0.35 * length, "10 % to 35 % of the length", chord=chord)
-    require_between("airplane", 0.02 * chord, 0.4 * body, "2 % of the chord to 40 % of the body", wing=wing)
-    require_not_negative("airplane", 0.3 * length, "30 % of the length", sweep=sweep)
-    require_texture_size("airplane", texture_size)
+    check = Checks("airplane", texture_size)
+    check.positive(length=length, span=span, body=body, chord=chord, wing=wing)
+    check.between(0.5 * length, 2 * length, "0.5 to 2 lengths", span=span)
+    check.between(0.08 * length, 0.25 * length, "8 % to 25 % of the length", body=body)
+    check.between(0.1 * length, 0.35 * length, "10 % to 35 % of the length", chord=chord)
+    check.between(0.02 * chord, 0.4 * body, "2 % of the chord to 40 % of the body", wing=wing)
+    check.not_negative(0.3 * length, "30 % of the length", sweep=sweep)
 
     look = Look(finish, max(length, span), color, accent, seed)
     nose = length / 2
@@ -88,7 +73,7 @@ def airplane(
     fin = fin.trim_by_plane((0.0, 0.0, 1.0), 0.0).translate((stern[0], 0.0, 0.5 * body))
 
     fuselage = look.paint((1.0, 0.0, 0.0))
-    trim = look.dyed(look.accent)
+    trim = look.dye(look.accent)
     parts = [
         PaintedPart.of(hull, fuselage),
         PaintedPart.of(wings, trim.paint((0.0, 1.0, 0.0), 1)),
@@ -105,11 +90,6 @@ def _pair(span: float, chord: float, thickness: float, sweep: float) -> manifold
     out = np.abs(y)
     end = np.sqrt(np.maximum(1 - np.clip((out - 1 + BLUNT) / BLUNT, 0, 1) ** 2, 0.02))
     path = np.stack([0 * y, span / 2 * y, 0 * y], 1)
-    made = tube(
-        path,
-        chord * (1 - (1 - TIP) * out) * end,
-        thickness * (1 - 0.5 * out) * np.sqrt(end),
-        (1.0, 0.0, 0.0),
-        segments=36,
-    )
+    width, height = chord * (1 - (1 - TIP) * out) * end, thickness * (1 - 0.5 * out) * np.sqrt(end)
+    made = tube(path, width, height, (1.0, 0.0, 0.0), segments=36)
     return made.warp_batch(lambda p: p - np.outer(2 * sweep / span * np.abs(p[:, 1]), [1, 0, 0]))

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normals import area_vectors
-from objectfolder.mesh.procedural.atlas import MARGIN, Chart, pack_charts
-from objectfolder.mesh.procedural.finish import Paint, finish
+from objectfolder.mesh.procedural.atlas import MARGIN, Chart, Paint, pack_charts
+from objectfolder.mesh.procedural.finish import finish
 from objectfolder.mesh.procedural.texture import rgb
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.textured import TexturedMesh
@@ -39,7 +39,7 @@ class Look:
         direction = None if axis is None else [float(x) for x in axis]
         return finish(self.finish, self.size, self.color, self.accent, self.seed + piece, direction).paint
 
-    def dyed(self, color: str | None) -> "Look":
+    def dye(self, color: str | None) -> "Look":
         """Return the same finish in another colour; wood gets a darker shade as late wood."""
         late = None
         if self.finish == "wood" and color is not None:
@@ -83,22 +83,9 @@ def assemble(
     """Chart, paint and bake the surface of a solid made from parts by Boolean operations.
 
     A chart is a connected piece of one part's surface, projected along the part's axis that it faces.
-
-    Parameters
-    ----------
-    solid : manifold3d.Manifold or sequence
-        Solid, m; several stay closed pieces of their own, as in most models of furniture.
-    parts : sequence of PaintedPart
-        All operands, cutting tools included.
-    look : Look
-        Finish that sets roughness and metallic.
-    texture_size : int
-        Side of the texture, texels.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the texture is too small for the object's charts.
+    ``parts`` are all operands, cutting tools included; several solids stay closed pieces of their own, as in
+    most models of furniture. The finish of ``look`` sets roughness and metallic. Raises `ObjectFolderError`
+    if ``texture_size``, texels, is too small for the charts.
     """
     # Boolean operations leave long edges where flats meet: divide them.
     solids = [solid] if isinstance(solid, manifold3d.Manifold) else solid

@@ -11,13 +11,16 @@ from objectfolder.errors import ObjectFolderError
 MARGIN = 4  #: texels painted beyond each border of a chart, to hide seams from bilinear filtering
 
 
+Paint = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> sRGB (N, 3) in [0, 1]
+
+
 @dataclass(frozen=True)
 class Chart:
     """Flat map, in metres, of one part of a surface."""
 
     size: tuple[float, float]  #: width and height of the map, m
     locate: Callable[[np.ndarray], np.ndarray]  #: (M, 2) map coordinates, m -> (M, 3) surface points, m
-    paint: Callable[[np.ndarray], np.ndarray]  #: (M, 3) surface points, m -> (M, 3) sRGB in [0, 1]
+    paint: Paint
 
 
 @dataclass(frozen=True)
@@ -73,10 +76,7 @@ def _shelves(sizes: np.ndarray, resolution: int) -> np.ndarray | None:
 def pack_charts(charts: Sequence[Chart], resolution: int) -> Atlas:
     """Pack charts at the largest common texel density that fits a ``resolution`` x ``resolution`` square.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the square is too small for the charts.
+    Raises `ObjectFolderError` if the square is too small.
     """
     sizes = np.array([chart.size for chart in charts])
     low, high = 0.0, resolution / sizes.max()

@@ -5,9 +5,9 @@ from scipy.interpolate import CubicSpline
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural.atlas import pack_charts
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
-from objectfolder.mesh.procedural.revolution import arc, disc, polyline, sleeve
-from objectfolder.mesh.procedural.solid import textured, weld_patches
+from objectfolder.mesh.procedural.parameters import Checks
+from objectfolder.mesh.procedural.revolution import arc, arc_length, disc, polyline, sleeve
+from objectfolder.mesh.procedural.solid import bake_mesh, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -22,6 +22,8 @@ def bell(
 ) -> TexturedMesh:
     """Build a hand-bell: a flared shell, open below, with a stem and a ball to hold.
 
+    One closed surface of genus 0; x and y from -radius to radius, z from 0 to height.
+
     Parameters
     ----------
     height : float
@@ -30,23 +32,11 @@ def bell(
         Outer radius at the lip, m.
     wall : float
         Thickness of the shell, m; half as much again at the lip.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 0; x and y from -radius to radius, z from 0 to height.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or the shell could not have that wall.
     """
-    require_positive("bell", height=height, radius=radius, wall=wall)
-    require_between("bell", 1.4 * radius, 4.0 * radius, "1.4 to 4 radii", height=height)
-    require_between("bell", 0.02 * radius, 0.10 * radius, "2 % to 10 % of the radius", wall=wall)
-    require_texture_size("bell", texture_size)
+    check = Checks("bell", texture_size)
+    check.positive(height=height, radius=radius, wall=wall)
+    check.between(1.4 * radius, 4.0 * radius, "1.4 to 4 radii", height=height)
+    check.between(0.02 * radius, 0.10 * radius, "2 % to 10 % of the radius", wall=wall)
 
     decor = _Decor(height, radius)
     dome, inside, outside, crown, stem, ball = profiles(height, radius, wall)
@@ -59,33 +49,20 @@ def bell(
         disc(ball, 5, decor.outside),
     ]
     atlas = pack_charts([chart for _, chart in parts], texture_size)
-    return textured(weld_patches([patch for patch, _ in parts], atlas), atlas, roughness=0.35)
+    return bake_mesh(weld_patches([patch for patch, _ in parts], atlas), atlas, roughness=0.35)
 
 
 def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:
     """Return half of the bell's section, m, from the axis inside, around the lip, to the axis on top.
 
-    Returns
-    -------
-    list of ndarray, each (N, 2)
-        Dome and wall inside, wall and crown outside, stem, ball: one per chart.
+    Polylines (N, 2), one per chart: dome and wall inside, wall and crown outside, stem, ball.
     """
     lip = RIM * wall / 2
     shell = SHELL * height
-    knots = np.array(
-        [
-            [1.00, 0.0],
-            [0.96, 0.09],
-            [0.87, 0.19],
-            [0.75, 0.34],
-            [0.64, 0.58],
-            [0.54, 0.80],
-            [0.40, 0.94],
-            [0.20, 0.99],
-            [0.00, 1.00],
-        ]
-    ) * [radius, shell - lip] + [0, lip]
-    chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1)))
+    r = np.array([1.00, 0.96, 0.87, 0.75, 0.64, 0.54, 0.40, 0.20, 0.00])
+    z = np.array([0.0, 0.09, 0.19, 0.34, 0.58, 0.80, 0.94, 0.99, 1.00])
+    knots = np.stack([r * radius, z * (shell - lip) + lip], 1)
+    chord = arc_length(knots)
     # Vertical at the lip and level on the axis, so that both sides of the wall meet them squarely.
     curve = CubicSpline(chord, knots, bc_type=((1, [0.0, 1.0]), (1, [-1.0, 0.0])))
     t = np.linspace(0, chord[-1], 29)
@@ -111,9 +88,8 @@ def profiles(height: float, radius: float, wall: float) -> list[np.ndarray]:
     join = np.arcsin(neck / grip)
     # A quarter ellipse carries the crown into the stem.
     bend = np.linspace(-np.pi / 2, -np.pi, 7)
-    collar = np.array([collar_r, collar_z + 0.9 * (collar_r - neck)]) + (
-        np.stack([np.cos(bend), np.sin(bend)], 1) * [collar_r - neck, 0.9 * (collar_r - neck)]
-    )
+    span = np.array([collar_r - neck, 0.9 * (collar_r - neck)])
+    collar = [collar_r, collar_z + span[1]] + np.stack([np.cos(bend), np.sin(bend)], 1) * span
     return [
         inner[shoulder:][::-1],
         np.concatenate([inner[: shoulder + 1][::-1], rim[1 : len(rim) // 2 + 1]]),
@@ -142,9 +118,8 @@ class _Decor:
         r = np.hypot(points[:, 0], points[:, 1]) / self.radius
         z = points[:, 2] / self.height
         turn = points[:, :2] / np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)[:, None]
-        lathe = np.column_stack(
-            [1.5 * turn * np.minimum(r, 1)[:, None] ** 0.5, 130 * z - 100 * r]
-        )  # r falls as z rises
+        # r falls as z rises
+        lathe = np.column_stack([1.5 * turn * np.minimum(r, 1)[:, None] ** 0.5, 130 * z - 100 * r])
         marks = noise(lathe, self.values, 3)
         cloud = noise(points / self.radius * 1.7, self.values, 4)
         colour = base * (1 + 0.065 * marks + 0.03 * cloud)[:, None]

@@ -3,17 +3,10 @@
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
+from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.boards import timber
-from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
-from objectfolder.mesh.procedural.finish import Paint
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_count,
-    require_not_negative,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.extrusion import polygon, prism, rectangle
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.texture import over
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -40,6 +33,8 @@ def block(
 ) -> TexturedMesh:
     """Build a block, optionally with a grid of holes or studs.
 
+    One closed surface; x and y about 0, z from 0.
+
     Parameters
     ----------
     length, width, height : float
@@ -56,48 +51,28 @@ def block(
         Shape: "round", "square", "hexagon", "star", or these four in turn, "mixed".
     rounding : float
         Radius of the edges, m; 0 leaves them sharp.
-    finish, color, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
     accent : str, optional
         Colour inside the holes, or of the studs; default: the block's own, darker in a hole.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface; x and y about 0, z from 0.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is unknown or a dimension does not fit the others.
     """
-    require_positive("block", length=length, width=width, height=height, diameter=diameter)
-    require_choice("block", RELIEFS, relief=relief)
-    require_choice("block", HOLES, hole=hole)
-    require_count("block", 1, 6, rows=rows, columns=columns)
+    check = Checks("block", texture_size)
+    check.positive(length=length, width=width, height=height, diameter=diameter)
+    check.choice(RELIEFS, relief=relief)
+    check.choice(HOLES, hole=hole)
+    check.count(1, 6, rows=rows, columns=columns)
     least, most = min(length, width, height), max(length, width, height)
-    require_between("block", 0, 12 * least, "no longer than 12 times its least side", size=most)
-    require_not_negative("block", 0.2 * least, "a fifth of the least side", rounding=rounding)
+    check.between(0, 12 * least, "no longer than 12 times its least side", size=most)
+    check.not_negative(0.2 * least, "a fifth of the least side", rounding=rounding)
     if relief != "plain":
         pitch = min(length / columns, width / rows)
-        require_between(
-            "block", 0.2 * pitch, 0.8 * pitch, "20 % to 80 % of the pitch of the grid", diameter=diameter
-        )
+        check.between(0.2 * pitch, 0.8 * pitch, "20 % to 80 % of the pitch of the grid", diameter=diameter)
         room = min(0.2 * (pitch - diameter), 0.15 * diameter)
-        require_not_negative("block", room, "so that neighbouring edges stay apart", rounding=rounding)
+        check.not_negative(room, "so that neighbouring edges stay apart", rounding=rounding)
     through = depth is None or (relief == "holes" and depth == height)
     if depth is not None and relief != "plain" and not through:
         deepest = height - 2 * rounding - 0.02 * height if relief == "holes" else diameter
-        require_between(
-            "block",
-            2.2 * rounding + 0.02 * height,
-            deepest,
-            "a hole with a floor, or a low stud",
-            depth=depth,
+        check.between(
+            2.2 * rounding + 0.02 * height, deepest, "a hole with a floor, or a low stud", depth=depth
         )
-    require_texture_size("block", texture_size)
 
     look = Look(finish, most, color, None, seed)
     spacing = most / 32
@@ -111,26 +86,23 @@ def block(
         if relief == "studs":
             rise = 0.4 * diameter if depth is None else depth
             sunk = 0.5 * height
-            stud = prism([regular(40, diameter / 2)], rise + sunk, spacing, min(rounding, 0.3 * rise), 2)
-            cover = skin if accent is None else look.dyed(accent).paint()
+            stud = prism([polygon(40, diameter / 2)], rise + sunk, spacing, min(rounding, 0.3 * rise), 2)
+            cover = skin if accent is None else look.dye(accent).paint()
             parts += [PaintedPart.of(stud.translate((x, y, height - sunk)), cover) for x, y in centres]
         return assemble(union(parts), parts, look, texture_size)
 
     shapes = [_shape(hole, k, diameter / 2) for k in range(len(centres))]
     bored = [shape[::-1] + centre for shape, centre in zip(shapes, centres)]
-    cover = _bored(
-        skin, centres, diameter / 2, rounding, height, None if accent is None else look.dyed(accent).paint()
-    )
+    inside = None if accent is None else look.dye(accent).paint()
+    cover = _paint_holes(skin, centres, diameter / 2, rounding, height, inside)
     parts = [PaintedPart.of(prism([outline, *bored], height, spacing, rounding, 2), cover)]
     if depth is not None and not through:
         # A plug wider than the hole's rounded rim but narrower than the pitch.
         grow = 1 + 0.5 * (pitch - diameter) / diameter
         floor = height - depth
-        plugs = [
-            prism([shape * grow], floor, spacing).translate((*centre, 0))
-            for shape, centre in zip(shapes, centres)
-        ]
-        parts += [PaintedPart.of(plug, cover) for plug in plugs]
+        for shape, centre in zip(shapes, centres):
+            plug = prism([shape * grow], floor, spacing).translate((*centre, 0))
+            parts.append(PaintedPart.of(plug, cover))
     return assemble(union(parts), parts, look, texture_size)
 
 
@@ -145,14 +117,14 @@ def _shape(hole: str, place: int, radius: float) -> np.ndarray:
     """Return the outline (N, 2), counter-clockwise, of the hole at one place."""
     kind = HOLES[place % 4] if hole == "mixed" else hole
     if kind == "star":
-        points = regular(10, radius, np.pi / 2)
+        points = polygon(10, radius, np.pi / 2)
         points[1::2] *= 0.62
         return points
     sides, turn = {"round": (32, 0.0), "square": (4, np.pi / 4), "hexagon": (6, 0.0)}[kind]
-    return regular(sides, radius, turn)
+    return polygon(sides, radius, turn)
 
 
-def _bored(
+def _paint_holes(
     skin: Paint, centres: np.ndarray, radius: float, rounding: float, height: float, inside: Paint | None
 ) -> Paint:
     """Return the paint of a block whose holes have another colour below their rims."""

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart
+from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.extrusion import prism, rectangle
-from objectfolder.mesh.procedural.finish import Paint
 from objectfolder.mesh.procedural.texture import over, stroke
 
 #: Position of the pith in ``finish``, across a grain along x, in sizes of the object.
@@ -21,19 +21,8 @@ def timber(
 ) -> Paint:
     """Return the paint of a board sawn near the pith; wide boards are glued from several planks.
 
-    Parameters
-    ----------
-    look : Look
-    piece : int
-        Number of the board, which selects the place it is sawn from.
-    middle : ndarray, shape (3,)
-        Centre of the board, m.
-    axes : ndarray, shape (3, 3)
-        As columns: along, across and through the board.
-    width : float
-        Width of the board, m.
-    seam : float
-        Width of the open joints between planks, m.
+    ``piece`` selects the place that the board is sawn from; ``middle`` (3,) is its centre, m; the columns of
+    ``axes`` (3, 3) run along, across and through it; ``seam`` is the width, m, of open joints between planks.
     """
     if look.finish != "wood":
         return look.paint(axes[:, 0], piece)
@@ -61,26 +50,11 @@ def timber(
 
 
 def board(
-    look: Look,
-    piece: int,
-    low: Sequence[float],
-    high: Sequence[float],
-    spacing: float,
-    bevel: float = 0.0,
+    look: Look, piece: int, low: Sequence[float], high: Sequence[float], spacing: float, bevel: float = 0.0
 ) -> PaintedPart:
     """Build an axis-aligned board between two corners, m, its grain along its longest side.
 
-    Parameters
-    ----------
-    look : Look
-    piece : int
-        Number of the piece of timber.
-    low, high : sequence of 3 floats
-        Opposite corners, m.
-    spacing : float
-        Distance between vertices, m.
-    bevel : float
-        Width of its chamfered edges, m.
+    Vertices are about ``spacing`` apart; ``bevel`` is the width of chamfered edges, m.
     """
     size = np.subtract(high, low)
     thin = int(np.argmin(size))

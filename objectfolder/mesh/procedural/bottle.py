@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import (
     half_outline,
     ring,
     ring_under,
-    rounded_polyline,
+    round_polyline,
     soften,
     wall_about,
 )
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -35,6 +35,8 @@ def bottle(
 ) -> TexturedMesh:
     """Build a bottle.
 
+    One closed surface of genus 0; a round one has x and y from -radius to radius, z from 0 to height.
+
     Parameters
     ----------
     radius, height, wall : float
@@ -51,54 +53,27 @@ def bottle(
         Number of lobes of the body, 0 for a round one; 4 approximate a square.
     lobe_depth : float
         Depth of the lobes, in radii; unused for a round bottle.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`; on a glazed bottle the accent is the colour inside.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 0; a round one has x and y from -radius to radius, z from 0 to height.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or does not fit the others.
+    accent : str, optional
+        On a glazed bottle the colour inside.
     """
-    require_positive(
-        "bottle",
-        radius=radius,
-        height=height,
-        wall=wall,
-        neck_radius=neck_radius,
-        neck_height=neck_height,
-        shoulder=shoulder,
-    )
-    require_between(
-        "bottle", 0.2 * radius, 0.9 * radius, "20 % to 90 % of the radius", neck_radius=neck_radius
-    )
-    require_between(
-        "bottle", 0.02 * radius, 0.35 * neck_radius, "2 % of the radius to 35 % of the neck's", wall=wall
-    )
-    require_between("bottle", 0.0, radius - neck_radius, "no wider than the body", collar=collar)
+    check = Checks("bottle", texture_size)
+    check.positive(radius=radius, height=height, wall=wall, neck_radius=neck_radius, neck_height=neck_height)
+    check.positive(shoulder=shoulder)
+    check.between(0.2 * radius, 0.9 * radius, "20 % to 90 % of the radius", neck_radius=neck_radius)
+    check.between(0.02 * radius, 0.35 * neck_radius, "2 % of the radius to 35 % of the neck's", wall=wall)
+    check.between(0.0, radius - neck_radius, "no wider than the body", collar=collar)
     lowest = max(0.5 * (radius - neck_radius), 2 * wall)
-    require_between(
-        "bottle", lowest, 0.7 * height, "half of its width to 70 % of the height", shoulder=shoulder
-    )
-    require_between(
-        "bottle", 3 * wall, 0.6 * height, "3 walls to 60 % of the height", neck_height=neck_height
-    )
+    check.between(lowest, 0.7 * height, "half of its width to 70 % of the height", shoulder=shoulder)
+    check.between(3 * wall, 0.6 * height, "3 walls to 60 % of the height", neck_height=neck_height)
     tallest = 12 * radius
     room = neck_height + shoulder + 0.8 * radius
-    require_between("bottle", room, tallest, "neck, shoulder and a body; up to 12 radii", height=height)
-    require_between("bottle", 0.0, 0.35, "a share of the radius", waist=waist)
-    require_texture_size("bottle", texture_size)
+    check.between(room, tallest, "neck, shoulder and a body; up to 12 radii", height=height)
+    check.between(0.0, 0.35, "a share of the radius", waist=waist)
 
     recess = 0.4 * wall
     floor, side, bore = recess + wall / 2, radius - wall / 2, neck_radius - wall / 2
     hip = height - neck_height - shoulder
-    foot = rounded_polyline(np.array([[0, floor], [side, floor], [side, hip]]), np.array([0.2 * radius]))
+    foot = round_polyline(np.array([[0, floor], [side, floor], [side, hip]]), np.array([0.2 * radius]))
     up = np.linspace(0, 1, 200)
     body = np.stack([np.full(200, side), foot[-2, 1] + (hip - foot[-2, 1]) * up], 1)
     body[:, 0] -= waist * radius * np.sin(np.pi * up) ** 2
@@ -119,5 +94,5 @@ def bottle(
         return smoothstep(hip + shoulder, hip, points[:, 2])
 
     look = vessel_finish(finish, height, height, recess, color, accent, seed)
-    warp = lobed("bottle", lobes, lobe_depth, weight)
-    return turned_vessel(half_outline(section, "bottle"), look, texture_size, warp)
+    warp = lobe_warp(check, lobes, lobe_depth, weight)
+    return build_vessel(half_outline(section, "bottle"), look, texture_size, warp)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import half_outline, ring_under, soften, wall_about
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -27,6 +27,8 @@ def bowl(
 ) -> TexturedMesh:
     """Build a bowl.
 
+    One closed surface of genus 0; a round one has x and y from -radius to radius, z from 0 to height.
+
     Parameters
     ----------
     radius, height, wall : float
@@ -41,40 +43,19 @@ def bowl(
         Number of lobes of the lip, 0 for a round one.
     lobe_depth : float
         Depth of the lobes, in radii; unused for a round bowl.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`; on a glazed bowl the accent is the colour inside.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 0; a round one has x and y from -radius to radius, z from 0 to height.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or does not fit the others.
+    accent : str, optional
+        On a glazed bowl the colour inside.
     """
-    require_positive(
-        "bowl",
-        radius=radius,
-        height=height,
-        wall=wall,
-        foot_radius=foot_radius,
-        foot_height=foot_height,
-        fullness=fullness,
-    )
-    require_between("bowl", 0.25 * radius, 2.5 * radius, "a quarter to 2.5 radii", height=height)
+    check = Checks("bowl", texture_size)
+    check.positive(radius=radius, height=height, wall=wall, foot_radius=foot_radius, foot_height=foot_height)
+    check.positive(fullness=fullness)
+    check.between(0.25 * radius, 2.5 * radius, "a quarter to 2.5 radii", height=height)
     thickest = min(0.15 * radius, 0.2 * height)
-    require_between("bowl", 0.015 * radius, thickest, "1.5 % to 15 % of the radius", wall=wall)
-    require_between(
-        "bowl", 0.25 * radius, 0.7 * radius, "25 % to 70 % of the radius", foot_radius=foot_radius
-    )
-    require_between("bowl", 0.2 * wall, 0.2 * height, "a low ring", foot_height=foot_height)
-    require_between("bowl", 1.6, 8.0, "cone to cylinder", fullness=fullness)
-    require_between("bowl", -0.4, 0.6, "drawn in to bent out", flare=flare)
-    require_texture_size("bowl", texture_size)
+    check.between(0.015 * radius, thickest, "1.5 % to 15 % of the radius", wall=wall)
+    check.between(0.25 * radius, 0.7 * radius, "25 % to 70 % of the radius", foot_radius=foot_radius)
+    check.between(0.2 * wall, 0.2 * height, "a low ring", foot_height=foot_height)
+    check.between(1.6, 8.0, "cone to cylinder", fullness=fullness)
+    check.between(-0.4, 0.6, "drawn in to bent out", flare=flare)
 
     # A superellipse: level on the axis, upright at the lip before the flare.
     angle = np.linspace(0, np.pi / 2, 600)
@@ -89,7 +70,7 @@ def bowl(
         concave=0.4 * foot_height,
         convex=0.3 * min(wall, foot_height),
     )
-    warp = lobed("bowl", lobes, lobe_depth, lambda p: smoothstep(0.3 * height, height, p[:, 2]))
+    warp = lobe_warp(check, lobes, lobe_depth, lambda p: smoothstep(0.3 * height, height, p[:, 2]))
     size = max(2 * radius, height)
     look = vessel_finish(finish, size, height, 0.6 * foot_height, color, accent, seed)
-    return turned_vessel(half_outline(section, "bowl"), look, texture_size, warp)
+    return build_vessel(half_outline(section, "bowl"), look, texture_size, warp)

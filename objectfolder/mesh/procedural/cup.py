@@ -3,18 +3,18 @@
 import manifold3d
 import numpy as np
 
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import (
-    evenly,
     half_outline,
+    resample_evenly,
     ring_under,
+    round_polyline,
     round_solid,
-    rounded_polyline,
     soften,
     wall_about,
 )
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -37,6 +37,8 @@ def cup(
 ) -> TexturedMesh:
     """Build a cup.
 
+    One closed surface of genus 0; z from 0 to height.
+
     Parameters
     ----------
     radius, height, wall : float
@@ -55,44 +57,28 @@ def cup(
         Number of lobes of the lip, 0 for a round one.
     lobe_depth : float
         Depth of the lobes, in radii; unused for a round cup.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`; on a glazed cup the accent is the colour inside.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 0; z from 0 to height.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or does not fit the others.
+    accent : str, optional
+        On a glazed cup the colour inside.
     """
-    require_positive(
-        "cup", radius=radius, height=height, wall=wall, base_radius=base_radius, rounding=rounding
-    )
-    require_between("cup", 0.5 * radius, 1.5 * radius, "0.5 to 1.5 radii", base_radius=base_radius)
+    check = Checks("cup", texture_size)
+    check.positive(radius=radius, height=height, wall=wall, base_radius=base_radius, rounding=rounding)
+    check.between(0.5 * radius, 1.5 * radius, "0.5 to 1.5 radii", base_radius=base_radius)
     narrow = min(radius, base_radius)
-    require_between(
-        "cup", 0.02 * radius, 0.2 * narrow, "2 % of the radius to 20 % at the narrowest", wall=wall
-    )
-    require_between("cup", wall, 0.95 * base_radius, "the wall to the radius of the base", rounding=rounding)
-    require_between("cup", -0.25, 0.4, "waisted to swollen", bulge=bulge)
+    check.between(0.02 * radius, 0.2 * narrow, "2 % of the radius to 20 % at the narrowest", wall=wall)
+    check.between(wall, 0.95 * base_radius, "the wall to the radius of the base", rounding=rounding)
+    check.between(-0.25, 0.4, "waisted to swollen", bulge=bulge)
     if stem:
-        require_positive("cup", stem=stem, foot_radius=foot_radius)
-        require_between("cup", 4 * wall, 0.65 * height, "4 walls to 65 % of the height", stem=stem)
-        require_between("cup", 0.5 * radius, 1.3 * radius, "0.5 to 1.3 radii", foot_radius=foot_radius)
+        check.positive(stem=stem, foot_radius=foot_radius)
+        check.between(4 * wall, 0.65 * height, "4 walls to 65 % of the height", stem=stem)
+        check.between(0.5 * radius, 1.3 * radius, "0.5 to 1.3 radii", foot_radius=foot_radius)
     deep = height - stem
-    require_between("cup", radius + stem, 6 * radius + stem, "1 to 6 radii above any stem", height=height)
-    require_texture_size("cup", texture_size)
+    check.between(radius + stem, 6 * radius + stem, "1 to 6 radii above any stem", height=height)
 
     recess = 0.5 * wall
     floor = (stem or recess) + wall / 2
     top = height - wall / 2
     corners = np.array([[0, floor], [base_radius - wall / 2, floor], [radius - wall / 2, top]])
-    middle = evenly(rounded_polyline(corners, np.array([rounding])))
+    middle = resample_evenly(round_polyline(corners, np.array([rounding])))
     up = (middle[:, 1] - floor) / (top - floor)
     middle[:, 0] *= 1 + bulge * np.sin(np.pi * up) ** 2 * smoothstep(0, 0.1, up)
     section = wall_about(middle, wall)
@@ -109,8 +95,8 @@ def cup(
 
     size = max(2 * radius, height)
     look = vessel_finish(finish, size, height, 0.0 if stem else recess, color, accent, seed)
-    warp = lobed("cup", lobes, lobe_depth, weight)
-    return turned_vessel(half_outline(section, "cup"), look, texture_size, warp)
+    warp = lobe_warp(check, lobes, lobe_depth, weight)
+    return build_vessel(half_outline(section, "cup"), look, texture_size, warp)
 
 
 def _stem(top: float, foot_radius: float, wall: float) -> manifold3d.CrossSection:

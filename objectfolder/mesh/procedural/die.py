@@ -3,9 +3,9 @@
 import numpy as np
 
 from objectfolder.mesh.procedural.atlas import Chart, pack_charts
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.revolution import arc, disc
-from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
+from objectfolder.mesh.procedural.solid import Patch, bake_mesh, weld_patches
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, wood
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -38,29 +38,19 @@ PIPS: dict[int, list[tuple[int, int]]] = {
 def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> TexturedMesh:
     """Build a wooden die.
 
+    One closed surface of genus 0; x and y from -edge / 2 to edge / 2, z from 0 to edge.
+
     Parameters
     ----------
     edge : float
         Edge of the bounding cube, m.
     fillet : float
         Radius of the rounded edges and corners, m.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 0; x and y from -edge / 2 to edge / 2, z from 0 to edge.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or the fillets would reach the pips.
     """
-    require_positive("die", edge=edge, fillet=fillet)
+    check = Checks("die", texture_size)
+    check.positive(edge=edge, fillet=fillet)
     room = 0.5 - PIP_PITCH - 1.08 * PIP_RADIUS
-    require_between("die", 0.01 * edge, room * edge, "so that the pips stay on the flat", fillet=fillet)
-    require_texture_size("die", texture_size)
+    check.between(0.01 * edge, room * edge, "so that the pips stay on the flat", fillet=fillet)
 
     block, charts = [], []
     lift = np.array([0, 0, edge / 2])
@@ -79,13 +69,9 @@ def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
         def locate(xy: np.ndarray, axes: np.ndarray = axes) -> np.ndarray:
             return lift + _rounded_face(xy - border, flat, fillet) @ axes.T
 
-        lines = np.concatenate(
-            [
-                np.linspace(-border, -flat, FILLET_CELLS, endpoint=False),
-                np.linspace(-flat, flat, FLAT_CELLS, endpoint=False),
-                np.linspace(flat, border, FILLET_CELLS + 1),
-            ]
-        )
+        rounded = np.linspace(-border, -flat, FILLET_CELLS, endpoint=False)
+        level = np.linspace(-flat, flat, FLAT_CELLS, endpoint=False)
+        lines = np.concatenate([rounded, level, np.linspace(flat, border, FILLET_CELLS + 1)])
         n = len(lines)
         xy = np.stack(np.meshgrid(lines, lines, indexing="ij"), 2).reshape(-1, 2) + border
         i, j = (m.ravel() for m in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
@@ -99,7 +85,7 @@ def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
     for k, (value, axes) in enumerate(FACES.items()):
         for place in PIPS[value]:
             solid -= weld_patches(_drill(edge, np.multiply(place, PIP_PITCH * edge), axes, border, k), atlas)
-    return textured(solid, atlas, roughness=0.55)
+    return bake_mesh(solid, atlas, roughness=0.55)
 
 
 def _rounded_face(xy: np.ndarray, flat: float, fillet: float) -> np.ndarray:
@@ -116,13 +102,9 @@ def _rounded_face(xy: np.ndarray, flat: float, fillet: float) -> np.ndarray:
 
 def _pip_centres(edge: float) -> np.ndarray:
     """Return the centres (21, 3) of the pips' rims, m."""
-    return np.array(
-        [
-            axes @ [PIP_PITCH * edge * x, PIP_PITCH * edge * y, edge / 2] + [0, 0, edge / 2]
-            for value, axes in FACES.items()
-            for x, y in PIPS[value]
-        ]
-    )
+    places = [(axes, x, y) for value, axes in FACES.items() for x, y in PIPS[value]]
+    pitch, half = PIP_PITCH * edge, edge / 2
+    return np.array([axes @ [pitch * x, pitch * y, half] + [0, 0, half] for axes, x, y in places])
 
 
 def _drill(edge: float, place: np.ndarray, axes: np.ndarray, border: float, chart: int) -> list[Patch]:

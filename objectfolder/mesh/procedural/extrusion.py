@@ -29,12 +29,12 @@ def rectangle(length: float, width: float, corner: float = 0.0, steps: int = 5) 
     return polyline(*quarters, quarters[0][:1], step=length + width)[:-1]
 
 
-def regular(sides: int, radius: float, turn: float = 0.0) -> np.ndarray:
+def polygon(sides: int, radius: float, turn: float = 0.0) -> np.ndarray:
     """Return the outline (sides, 2) of a regular polygon about the origin, first corner at ``turn``, rad."""
     return arc((0.0, 0.0), radius, turn, turn + 2 * np.pi, sides)[:-1]
 
 
-def rounded(corners: ArrayLike, radius: float) -> np.ndarray:
+def round_corners(corners: ArrayLike, radius: float) -> np.ndarray:
     """Round the corners of an outline (N, 2), counter-clockwise, with arcs of ``radius``, m."""
     shape = manifold3d.CrossSection([np.asarray(corners, np.float64)])
     round_ = manifold3d.JoinType.Round
@@ -51,10 +51,7 @@ def area(outline: np.ndarray) -> float:
 def inset(outline: np.ndarray, distance: float) -> np.ndarray:
     """Offset the sides of an outline (N, 2) by ``distance``, m, into the solid, with mitred corners.
 
-    Raises
-    ------
-    ObjectFolderError
-        If a side would vanish.
+    Raises `ObjectFolderError` if a side would vanish.
     """
     side = np.roll(outline, -1, axis=0) - outline
     side /= np.linalg.norm(side, axis=1, keepdims=True)
@@ -77,25 +74,11 @@ def prism(
     bevel: float = 0.0,
     steps: int = ROUND_STEPS,
 ) -> manifold3d.Manifold:
-    """Extrude a plate from z = 0 to ``height``, with an even mesh on its flats.
+    """Extrude a plate from z = 0 to ``height``, m, with an even mesh on its flats.
 
-    Parameters
-    ----------
-    outlines : sequence of ndarray, each (N, 2)
-        The outer outline, then holes.
-    height : float
-        Height, m.
-    spacing : float
-        Approximate largest distance between neighbouring vertices, m.
-    bevel : float
-        Radius of the rounded edges between sides and flats, m; 0 leaves them sharp.
-    steps : int
-        Facets of a rounded edge; 1 makes a chamfer.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the edge radius is too large.
+    The first outline is the outer one, others are holes. Neighbouring vertices are at most about ``spacing``
+    apart. Edges between sides and flats have the radius ``bevel`` and ``steps`` facets: 1 makes a chamfer.
+    Raises `ObjectFolderError` if the radius is too large.
     """
     if 2 * bevel >= height:
         raise ObjectFolderError(
@@ -129,12 +112,8 @@ def prism(
     return solid(np.concatenate([vertices, *lids]), np.concatenate([sides, bottom[:, ::-1], top]))
 
 
-def across(
-    outlines: Sequence[np.ndarray],
-    width: float,
-    spacing: float,
-    bevel: float = 0.0,
-    steps: int = ROUND_STEPS,
+def extrude_y(
+    outlines: Sequence[np.ndarray], width: float, spacing: float, bevel: float = 0.0, steps: int = ROUND_STEPS
 ) -> manifold3d.Manifold:
     """Extrude outlines in x and z along y, from -width / 2 to width / 2, m; parameters of `prism`."""
     plate = prism(outlines, width, spacing, bevel, steps)
@@ -156,12 +135,8 @@ def solid(vertices: np.ndarray, faces: np.ndarray) -> manifold3d.Manifold:
 def triangulate(rings: Sequence[np.ndarray], spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Fill outlines with triangles of about ``spacing``, m, on a side.
 
-    Returns
-    -------
-    inner : ndarray, shape (M, 2)
-        Added inner vertices.
-    triangles : ndarray, shape (T, 3)
-        Counter-clockwise; indices into the outlines' vertices followed by the inner ones.
+    Returns the added inner vertices (M, 2), and triangles (T, 3), counter-clockwise, as indices into the
+    outlines' vertices followed by the inner ones.
     """
     border = np.concatenate(rings)
     low, high = border.min(0), border.max(0)

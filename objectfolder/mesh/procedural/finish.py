@@ -12,11 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, wood
-
-__all__ = ["FINISHES", "Finish", "Paint", "finish"]
-
-Paint = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> sRGB (N, 3) in [0, 1]
 
 BOARD = 0.2  #: object size, m, above which the width of wood rings no longer grows with the object
 #: Rotates the noise lattice off the axes of the object, to hide its rows and period.
@@ -44,15 +41,12 @@ class _Look:
     accent: np.ndarray
     seed: int
     axis: np.ndarray | None  #: unit vector of the grain
-
-    def flat(self, points: np.ndarray) -> np.ndarray:
-        """Return a constant colour (N, 3)."""
-        return np.broadcast_to(self.color, points.shape)
+    values: np.ndarray  #: `lattice` of the seed
 
 
 @dataclass(frozen=True)
 class _Recipe:
-    maker: Callable[[_Look], Paint]
+    paint: Callable[[np.ndarray, _Look], np.ndarray]
     color: str
     accent: str | None  #: None: same as the colour
     roughness: float
@@ -100,15 +94,10 @@ def finish(
         raise ObjectFolderError(f"finish {name}: seed={seed!r}: expected a whole number from 0")
     base = _colour(name, "color", recipe.color if color is None else color)
     second = recipe.accent if accent is None else accent
-    look = _Look(
-        float(size),
-        base,
-        base if second is None else _colour(name, "accent", second),
-        seed,
-        None if axis is None else _direction(name, axis),
-    )
-    texture = recipe.maker(look)
-    return Finish(lambda points: np.clip(texture(points), 0, 1), recipe.roughness, recipe.metallic)
+    ink = base if second is None else _colour(name, "accent", second)
+    grain = None if axis is None else _direction(name, axis)
+    look = _Look(float(size), base, ink, seed, grain, lattice(seed))
+    return Finish(lambda points: np.clip(recipe.paint(points, look), 0, 1), recipe.roughness, recipe.metallic)
 
 
 def _colour(name: str, parameter: str, code: str) -> np.ndarray:
@@ -127,112 +116,80 @@ def _direction(name: str, axis: Sequence[float]) -> np.ndarray:
     return vector / length
 
 
-def _glaze(look: _Look) -> Paint:
+def _glaze(points: np.ndarray, look: _Look) -> np.ndarray:
     """Stoneware glaze: soft clouds, iron specks, and the accent pooled towards the foot."""
-    values = lattice(look.seed)
-    unit = look.size / 0.1
-
-    def paint(points: np.ndarray) -> np.ndarray:
-        at = points @ TILT / unit
-        clouds = noise(at / 0.012, values, 3)
-        colour = look.flat(points)
-        if look.accent is not look.color:
-            veil = noise(at / 0.030 + 17, values, 3)
-            pooled = smoothstep(0.42, 0.08, points[:, 2] / look.size + 0.05 * veil)
-            colour = over(colour, look.accent, 0.92 * pooled)
-        specks = smoothstep(2.2, 2.7, noise(at / 0.0012 + 5, values))
-        return over(colour * (1 + 0.022 * clouds)[:, None], 0.30 * colour, 0.6 * specks)
-
-    return paint
+    at = points @ TILT / (look.size / 0.1)
+    clouds = noise(at / 0.012, look.values, 3)
+    colour = np.broadcast_to(look.color, points.shape)
+    if look.accent is not look.color:
+        veil = noise(at / 0.030 + 17, look.values, 3)
+        pooled = smoothstep(0.42, 0.08, points[:, 2] / look.size + 0.05 * veil)
+        colour = over(colour, look.accent, 0.92 * pooled)
+    specks = smoothstep(2.2, 2.7, noise(at / 0.0012 + 5, look.values))
+    return over(colour * (1 + 0.022 * clouds)[:, None], 0.30 * colour, 0.6 * specks)
 
 
-def _wood(look: _Look) -> Paint:
+def _wood(points: np.ndarray, look: _Look) -> np.ndarray:
     """Planed timber, whose rings are as narrow on furniture as on a board."""
     detail = max(1.7, look.size / BOARD)
-
-    def paint(points: np.ndarray) -> np.ndarray:
-        return wood(points, look.size, look.seed, look.color, look.accent, look.axis, detail)
-
-    return paint
+    return wood(points, look.size, look.seed, look.color, look.accent, look.axis, detail)
 
 
-def _brushed(look: _Look) -> Paint:
+def _brushed(points: np.ndarray, look: _Look) -> np.ndarray:
     """Metal with fine strokes along the axis, or turned about z, under a cloudy patina."""
-    values = lattice(look.seed)
-
-    def strokes(points: np.ndarray) -> np.ndarray:
-        at = points / look.size
-        if look.axis is not None:
-            along = at @ look.axis
-            return 190 * (at - along[:, None] * look.axis) + 2.5 * along[:, None] * look.axis
+    at = points / look.size
+    if look.axis is not None:
+        along = at @ look.axis
+        strokes = 190 * (at - along[:, None] * look.axis) + 2.5 * along[:, None] * look.axis
+    else:
         r = np.hypot(at[:, 0], at[:, 1])
         turn = at[:, :2] / np.maximum(r, 1e-9)[:, None]
         # The slant keeps rings on flats as fine as bands on upright walls.
-        return np.column_stack([1.5 * turn * np.sqrt(np.minimum(r, 1))[:, None], 170 * at[:, 2] + 130 * r])
-
-    def paint(points: np.ndarray) -> np.ndarray:
-        marks = noise(strokes(points), values, 3)
-        cloud = noise(points / look.size * 3.1, values, 4)
-        colour = look.color * (1 + 0.055 * marks + 0.02 * cloud)[:, None]
-        return over(colour, look.accent, 0.22 * smoothstep(0.3, 2.4, cloud))
-
-    return paint
+        around = 1.5 * turn * np.sqrt(np.minimum(r, 1))[:, None]
+        strokes = np.column_stack([around, 170 * at[:, 2] + 130 * r])
+    marks = noise(strokes, look.values, 3)
+    cloud = noise(at * 3.1, look.values, 4)
+    colour = look.color * (1 + 0.055 * marks + 0.02 * cloud)[:, None]
+    return over(colour, look.accent, 0.22 * smoothstep(0.3, 2.4, cloud))
 
 
-def _cast(look: _Look) -> Paint:
+def _cast(points: np.ndarray, look: _Look) -> np.ndarray:
     """Sand-cast or hammered metal: an embossed grain, worn lighter here and there."""
-    values = lattice(look.seed)
-    grain = min(look.size / 90, 0.004)
+    at = points @ TILT / min(look.size / 90, 0.004)
     toward = np.array([0.32, 0.21, 0.45])  # light direction of the embossing, in grains
-
-    def paint(points: np.ndarray) -> np.ndarray:
-        at = points @ TILT / grain
-        relief = noise(at, values, 2) - noise(at + toward, values, 2)
-        cloud = noise(points / look.size * 3.7 + 3, values, 4)
-        pits = smoothstep(1.6, 2.6, noise(at * 0.8 + 9, values))
-        colour = over(look.flat(points), look.accent, 0.30 * smoothstep(0.2, 2.2, cloud))
-        return over(colour * (1 + 0.16 * relief + 0.05 * cloud)[:, None], 0.45 * colour, 0.5 * pits)
-
-    return paint
+    relief = noise(at, look.values, 2) - noise(at + toward, look.values, 2)
+    cloud = noise(points / look.size * 3.7 + 3, look.values, 4)
+    pits = smoothstep(1.6, 2.6, noise(at * 0.8 + 9, look.values))
+    plain = np.broadcast_to(look.color, points.shape)
+    colour = over(plain, look.accent, 0.30 * smoothstep(0.2, 2.2, cloud))
+    return over(colour * (1 + 0.16 * relief + 0.05 * cloud)[:, None], 0.45 * colour, 0.5 * pits)
 
 
-def _plastic(look: _Look) -> Paint:
+def _plastic(points: np.ndarray, look: _Look) -> np.ndarray:
     """Moulded plastic: one colour with a faint, soft speckle."""
-    values = lattice(look.seed)
-
-    def paint(points: np.ndarray) -> np.ndarray:
-        at = points @ TILT / look.size
-        mottle = noise(at * 160, values, 2)
-        drift = noise(at * 2.3 + 5, values, 2)
-        fleck = smoothstep(1.9, 2.4, noise(at * 110 + 11, values))
-        return over(look.color * (1 + 0.012 * mottle + 0.015 * drift)[:, None], look.accent, 0.5 * fleck)
-
-    return paint
+    at = points @ TILT / look.size
+    mottle = noise(at * 160, look.values, 2)
+    drift = noise(at * 2.3 + 5, look.values, 2)
+    fleck = smoothstep(1.9, 2.4, noise(at * 110 + 11, look.values))
+    return over(look.color * (1 + 0.012 * mottle + 0.015 * drift)[:, None], look.accent, 0.5 * fleck)
 
 
-def _print(look: _Look) -> Paint:
+def _print(points: np.ndarray, look: _Look) -> np.ndarray:
     """Ink in stripes, dots or waves on a plain ground."""
-    values = lattice(look.seed)
+    at = points / look.size
     pattern = PATTERNS[look.seed % len(PATTERNS)]
-    jitter = 0.5 + 0.3 * np.tanh(np.stack([lattice(look.seed + k) for k in range(3)], -1))
-
-    def ink(at: np.ndarray) -> np.ndarray:
-        """Return the opacity (N,) of the ink at points in sizes of the object."""
-        if pattern == "stripes":
-            # Tilted towards x, so that level flats have stripes too.
-            phase = (at @ [0.35, 0.0, 0.95]) * 9.0 % 1.0 - 0.5
-            return smoothstep(0.26, 0.24, np.abs(phase)) - smoothstep(0.10, 0.08, np.abs(phase))
-        if pattern == "dots":
-            return smoothstep(1.0, 0.93, _nearest_dot(at @ TILT * 11.0, jitter) / 0.33)
-        swell = at[:, 2] * 7.0 + 0.42 * noise(at * 2.6, values, 2)
-        return smoothstep(0.22, 0.20, np.abs(swell % 1.0 - 0.5))
-
-    def paint(points: np.ndarray) -> np.ndarray:
-        at = points / look.size
-        colour = over(look.flat(points), look.accent, ink(at))
-        return colour * (1 + 0.014 * noise(at @ TILT * 90, values, 2))[:, None]
-
-    return paint
+    if pattern == "stripes":
+        # Tilted towards x, so that level flats have stripes too.
+        phase = np.abs((at @ [0.35, 0.0, 0.95]) * 9.0 % 1.0 - 0.5)
+        ink = smoothstep(0.26, 0.24, phase) - smoothstep(0.10, 0.08, phase)
+    elif pattern == "dots":
+        places = 0.5 + 0.3 * np.tanh(np.stack([lattice(look.seed + k) for k in range(3)], -1))
+        ink = smoothstep(1.0, 0.93, _nearest_dot(at @ TILT * 11.0, places) / 0.33)
+    else:
+        swell = at[:, 2] * 7.0 + 0.42 * noise(at * 2.6, look.values, 2)
+        ink = smoothstep(0.22, 0.20, np.abs(swell % 1.0 - 0.5))
+    colour = over(np.broadcast_to(look.color, points.shape), look.accent, ink)
+    return colour * (1 + 0.014 * noise(at @ TILT * 90, look.values, 2))[:, None]
 
 
 def _nearest_dot(at: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -247,18 +204,14 @@ def _nearest_dot(at: np.ndarray, places: np.ndarray) -> np.ndarray:
     return np.sqrt(nearest)
 
 
-def _glass(look: _Look) -> Paint:
+def _glass(points: np.ndarray, look: _Look) -> np.ndarray:
     """Tinted glass with faint streaks and small bubbles."""
-    values = lattice(look.seed)
-
-    def paint(points: np.ndarray) -> np.ndarray:
-        at = points / look.size
-        streak = noise(at * [4.0, 4.0, 1.2] + 0.35 * noise(at * 3, values)[:, None], values, 3)
-        bubble = smoothstep(2.6, 2.9, noise(at @ TILT * 70 + 3, values))
-        colour = over(look.flat(points), look.accent, 0.45 * smoothstep(-0.8, 2.2, streak))
-        return over(colour, np.ones(3), 0.3 * bubble)
-
-    return paint
+    at = points / look.size
+    streak = noise(at * [4.0, 4.0, 1.2] + 0.35 * noise(at * 3, look.values)[:, None], look.values, 3)
+    bubble = smoothstep(2.6, 2.9, noise(at @ TILT * 70 + 3, look.values))
+    plain = np.broadcast_to(look.color, points.shape)
+    colour = over(plain, look.accent, 0.45 * smoothstep(-0.8, 2.2, streak))
+    return over(colour, np.ones(3), 0.3 * bubble)
 
 
 #: Finishes by name.

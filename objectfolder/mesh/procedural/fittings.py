@@ -1,84 +1,87 @@
 """Parts that appliances have in common: turned bodies, knobs, slots, rings; in sizes of the object."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import manifold3d
 import numpy as np
 from numpy.typing import ArrayLike
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
-from objectfolder.mesh.procedural.extrusion import across, prism, rectangle
-from objectfolder.mesh.procedural.section import even_rows, evenly, rounded_polyline
+from objectfolder.mesh.procedural.extrusion import extrude_y, prism, rectangle
+from objectfolder.mesh.procedural.section import resample_evenly, resample_rows, round_polyline
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.textured import TexturedMesh
 
 SPACING = 1 / 30  #: distance between vertices of flats
+DARK, METAL = "2e2f33", "b9bdc2"
 SEGMENTS = 56  #: facets of a full circle
 
 #: Points (N, 3) in sizes of the object and colours (N, 3) -> decorated colours (N, 3).
 Decor = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Kit:
-    """Parts of an object: what is cut from the bodies leaves the details whole."""
+    """Parts of an object, in its sizes: what is cut from the bodies leaves the details whole.
 
-    bodies: Sequence[PaintedPart]
-    cuts: Sequence[PaintedPart] = ()
-    details: Sequence[PaintedPart] = ()
+    Each method takes a colour, hexadecimal or None for that of the finish, solids, and how to paint them:
+    the ``axis`` of the grain, None to turn it about z; the number of the ``piece`` of material; and
+    ``decor``, painted over the finish.
+    """
 
-    def build(self, look: Look, texture_size: int) -> TexturedMesh:
+    look: Look
+    bodies: list[PaintedPart] = field(default_factory=list)
+    cuts: list[PaintedPart] = field(default_factory=list)
+    details: list[PaintedPart] = field(default_factory=list)
+
+    def body(self, color: str | None, *solids: manifold3d.Manifold, **how: Any) -> None:
+        """Add solids to the bodies."""
+        self.bodies += [self._paint(solid, color, **how) for solid in solids]
+
+    def cut(self, color: str | None, *solids: manifold3d.Manifold, **how: Any) -> None:
+        """Cut solids from the bodies; the cuts have their colour."""
+        self.cuts += [self._paint(solid, color, **how) for solid in solids]
+
+    def detail(self, color: str | None, *solids: manifold3d.Manifold, **how: Any) -> None:
+        """Add solids that nothing is cut from."""
+        self.details += [self._paint(solid, color, **how) for solid in solids]
+
+    def _paint(
+        self,
+        solid: manifold3d.Manifold,
+        color: str | None,
+        axis: Sequence[float] | None = (1.0, 0.0, 0.0),
+        piece: int = 0,
+        decor: Decor | None = None,
+    ) -> PaintedPart:
+        """Scale a solid to m, and dye it."""
+        size = self.look.size
+        plain = self.look.dye(color).paint(axis, piece)
+
+        def paint(points: np.ndarray) -> np.ndarray:
+            colour = plain(points)
+            return colour if decor is None else decor(points / size, colour)
+
+        return PaintedPart.of(solid.scale((size, size, size)), paint)
+
+    def build(self, texture_size: int) -> TexturedMesh:
         """Unite the bodies, cut them, add the details, and paint the surface."""
-        parts = [*self.bodies, *self.cuts, *self.details]
         whole = union(self.bodies)
         if self.cuts:
             whole = whole - union(self.cuts)
         added = [PaintedPart(whole, self.bodies[0].paint), *self.details]
-        return assemble(union(added), parts, look, texture_size)
+        return assemble(union(added), [*self.bodies, *self.cuts, *self.details], self.look, texture_size)
 
 
-def painted(
-    look: Look,
-    solid: manifold3d.Manifold,
-    color: str | None,
-    axis: Sequence[float] | None = (1.0, 0.0, 0.0),
-    piece: int = 0,
-    decor: Decor | None = None,
-) -> PaintedPart:
-    """Scale a solid from sizes of the object to m, and dye it.
-
-    Parameters
-    ----------
-    look : Look
-    solid : manifold3d.Manifold
-        In sizes of the object.
-    color : str, optional
-        Hexadecimal sRGB; default: that of the finish.
-    axis : sequence of 3 floats, optional
-        Direction of the grain; None turns it about z.
-    piece : int
-        Number of the piece of material.
-    decor : callable, optional
-        Painted over the finish.
-    """
-    size = look.size
-    plain = look.dyed(color).paint(axis, piece)
-
-    def paint(points: np.ndarray) -> np.ndarray:
-        colour = plain(points)
-        return colour if decor is None else decor(points / size, colour)
-
-    return PaintedPart.of(solid.scale((size, size, size)), paint)
-
-
-def turned(profile: ArrayLike, coarse: float = 1e-3) -> manifold3d.Manifold:
+def turn_profile(profile: ArrayLike, coarse: float = 1e-3) -> manifold3d.Manifold:
     """Revolve a profile (N, 2) of radius and height, from the lower to the upper axis, about z.
 
     ``coarse`` is the allowed deviation from the profile, in its sizes.
     """
     dense = np.asarray(profile, np.float64)
-    return manifold3d.CrossSection([even_rows(dense, dense, coarse)]).revolve(SEGMENTS)
+    return manifold3d.CrossSection([resample_rows(dense, dense, coarse)]).revolve(SEGMENTS)
 
 
 def torus(radius: float, wire: float, segments: int = 16) -> manifold3d.Manifold:
@@ -92,7 +95,7 @@ def loop(
 ) -> manifold3d.Manifold:
     """Sweep a handle, ``width`` along y, along a polyline (N, 2) in x and z with bends of radius ``bend``."""
     corners = np.asarray(corners, np.float64)
-    path = evenly(rounded_polyline(corners, np.full(len(corners) - 2, bend)), 44)
+    path = resample_evenly(round_polyline(corners, np.full(len(corners) - 2, bend)), 44)
     spatial = np.stack([path[:, 0], 0 * path[:, 0], path[:, 1]], 1)
     return tube(spatial, width, thickness, (0.0, 1.0, 0.0), 20, squareness)
 
@@ -102,12 +105,10 @@ def bars(
 ) -> manifold3d.Manifold:
     """Build level bars with round ends, one above the other, about the origin, ``depth`` long along y."""
     rise = pitch * (np.arange(len(lengths)) - (len(lengths) - 1) / 2)
-    tools = [
-        across([rectangle(length, width, width / 2, 4)], depth, SPACING, bevel, 2).translate(
-            (0.0, 0.0, float(z))
-        )
-        for length, z in zip(lengths, rise)
-    ]
+    tools = []
+    for length, z in zip(lengths, rise):
+        tool = extrude_y([rectangle(length, width, width / 2, 4)], depth, SPACING, bevel, 2)
+        tools.append(tool.translate((0.0, 0.0, float(z))))
     return manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add)
 
 
@@ -119,8 +120,8 @@ def knob(radius: float, height: float, flutes: int = 10, turn: float = 0.0) -> m
     angle = 2 * np.pi * np.arange(6 * flutes) / (6 * flutes)
     r = radius * (0.97 + 0.03 * np.cos(flutes * angle))
     outline = np.stack([r * np.cos(angle), r * np.sin(angle)], 1)
-    base = across([outline], height, SPACING, min(0.12 * radius, 0.3 * height), 2)
-    ridge = across([rectangle(0.22 * radius, 0.8 * radius, 0.1 * radius, 3)], 0.4 * height, SPACING)
+    base = extrude_y([outline], height, SPACING, min(0.12 * radius, 0.3 * height), 2)
+    ridge = extrude_y([rectangle(0.22 * radius, 0.8 * radius, 0.1 * radius, 3)], 0.4 * height, SPACING)
     ridge = ridge.translate((0.0, -0.5 * height, 0.45 * radius)).rotate((0.0, turn, 0.0))
     return (base + ridge).translate((0.0, -0.4 * height, 0.0))
 

@@ -5,13 +5,8 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import timber
-from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.extrusion import polygon, prism, rectangle
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import bar, tube
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -32,6 +27,8 @@ def hammer(
 ) -> TexturedMesh:
     """Build a hammer in one piece.
 
+    One closed surface, the handle along x, its lowest point on z = 0.
+
     Parameters
     ----------
     length : float
@@ -42,44 +39,19 @@ def hammer(
         Width of the grip, m.
     head : str
         "claw", "club" (eight sides, two faces) or "mallet" (a round block).
-    finish, color, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
     accent : str, optional
         Colour of the handle; default: that of the head.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface, the handle along x, its lowest point on z = 0.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is unknown or a dimension does not fit the others.
     """
-    require_positive(
-        "hammer",
-        length=length,
-        head_length=head_length,
-        head_diameter=head_diameter,
-        handle_width=handle_width,
-    )
-    require_choice("hammer", HEADS, head=head)
+    check = Checks("hammer", texture_size)
+    check.positive(length=length, head_length=head_length, head_diameter=head_diameter)
+    check.positive(handle_width=handle_width)
+    check.choice(HEADS, head=head)
     low, high = {"claw": (3.2, 5.5), "club": (1.6, 4.0), "mallet": (1.2, 3.0)}[head]
     d = head_diameter
-    require_between(
-        "hammer", low * d, high * d, f"{low} to {high} diameters of a {head}", head_length=head_length
-    )
-    require_between("hammer", head_length, 5 * head_length, "1 to 5 lengths of the head", length=length)
-    require_between(
-        "hammer", 0.25 * d, 1.1 * d, "25 % to 110 % of the head's diameter", handle_width=handle_width
-    )
-    require_between(
-        "hammer", 0.04 * length, 0.2 * length, "4 % to 20 % of the length", handle_width=handle_width
-    )
-    require_texture_size("hammer", texture_size)
+    check.between(low * d, high * d, f"{low} to {high} diameters of a {head}", head_length=head_length)
+    check.between(head_length, 5 * head_length, "1 to 5 lengths of the head", length=length)
+    check.between(0.25 * d, 1.1 * d, "25 % to 110 % of the head's diameter", handle_width=handle_width)
+    check.between(0.04 * length, 0.2 * length, "4 % to 20 % of the length", handle_width=handle_width)
 
     look = Look(finish, max(length, head_length), color, None, seed)
     spacing = look.size / 70
@@ -91,19 +63,11 @@ def hammer(
         # Outline in z and y; extruded along x.
         wedge = wedge.transform(np.array([[0, 0, 1.0, -2 * d], [0, 1.0, 0, 0], [-1.0, 0, 0, 0]]))
         cuts = [PaintedPart.of(wedge, parts[0].paint)]
-    grip = (
-        look
-        if accent is None
-        else Look("wood" if finish == "wood" else "plastic", look.size, accent, None, seed)
-    )
+    material = "wood" if finish == "wood" else "plastic"
+    grip = look if accent is None else Look(material, look.size, accent, None, seed)
     handle = _handle(grip, length, 0.62 * d if head != "mallet" else 0.5 * d, handle_width, spacing)
-    whole = union(parts)
-    whole = union(
-        [
-            PaintedPart(whole - union(cuts), parts[0].paint) if cuts else PaintedPart(whole, parts[0].paint),
-            handle,
-        ]
-    )
+    whole = union(parts) - union(cuts) if cuts else union(parts)
+    whole = union([PaintedPart(whole, parts[0].paint), handle])
     floor = whole.bounding_box()[2]
     return assemble(whole.translate((0, 0, -floor)), [*parts, *cuts, handle], look, texture_size)
 
@@ -134,23 +98,17 @@ def _upright(
 
 
 def _mallet(look: Look, length: float, diameter: float, spacing: float) -> list[PaintedPart]:
-    block = _upright(regular(64, diameter / 2), -length / 2, length / 2, spacing, 0.08 * diameter)
+    block = _upright(polygon(64, diameter / 2), -length / 2, length / 2, spacing, 0.08 * diameter)
     axes = np.eye(3)[:, [1, 2, 0]]
     return [PaintedPart.of(block, timber(look, 2, np.zeros(3), axes, diameter), axes)]
 
 
 def _club(look: Look, length: float, diameter: float, spacing: float) -> list[PaintedPart]:
     cheek = 0.97 * diameter
-    body = _upright(
-        regular(8, diameter / 2 / np.cos(np.pi / 8), np.pi / 8),
-        -length / 2,
-        length / 2,
-        spacing,
-        0.13 * diameter,
-    )
-    waist = _upright(
-        rectangle(cheek, 1.12 * cheek, 0.2 * cheek), -0.17 * length, 0.17 * length, spacing, 0.06 * diameter
-    )
+    octagon = polygon(8, diameter / 2 / np.cos(np.pi / 8), np.pi / 8)
+    body = _upright(octagon, -length / 2, length / 2, spacing, 0.13 * diameter)
+    block = rectangle(cheek, 1.12 * cheek, 0.2 * cheek)
+    waist = _upright(block, -0.17 * length, 0.17 * length, spacing, 0.06 * diameter)
     metal = look.paint((0, 1, 0), 2)
     return [PaintedPart.of(body, metal), PaintedPart.of(waist, metal)]
 
@@ -159,15 +117,10 @@ def _claw(look: Look, length: float, diameter: float, spacing: float) -> list[Pa
     """Build the head: face towards +y, claw towards -y and bent towards the handle."""
     front, rear = 0.46 * length, 0.54 * length
     metal = look.paint((0, 1, 0), 2)
-    face = _upright(regular(48, diameter / 2), front - 0.55 * diameter, front, spacing, 0.07 * diameter)
+    face = _upright(polygon(48, diameter / 2), front - 0.55 * diameter, front, spacing, 0.07 * diameter)
     neck = bar((0, 0, 0), (0, front - 0.3 * diameter, 0), (0.78 * diameter, 0.72 * diameter), spacing, 40)
-    cheek = _upright(
-        rectangle(0.98 * diameter, 0.92 * diameter, 0.18 * diameter),
-        -0.55 * diameter,
-        0.55 * diameter,
-        spacing,
-        0.1 * diameter,
-    )
+    block = rectangle(0.98 * diameter, 0.92 * diameter, 0.18 * diameter)
+    cheek = _upright(block, -0.55 * diameter, 0.55 * diameter, spacing, 0.1 * diameter)
     t = np.linspace(0, 1, 28)
     y = -rear * (0.02 + 0.98 * np.sin(t * np.pi / 2 * 0.92) / np.sin(np.pi / 2 * 0.92))
     bend = 0.95 * diameter * t**2.2

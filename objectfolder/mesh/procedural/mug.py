@@ -1,13 +1,19 @@
 """A ceramic mug: a hollow cup with a swept handle, in metres, standing on z = 0."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from objectfolder.mesh.procedural.atlas import Chart, pack_charts
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
-from objectfolder.mesh.procedural.revolution import arc, disc, polyline, sleeve
-from objectfolder.mesh.procedural.solid import Patch, textured, weld_patches
+from objectfolder.mesh.procedural.atlas import Chart, Paint, pack_charts
+from objectfolder.mesh.procedural.parameters import Checks
+from objectfolder.mesh.procedural.revolution import (
+    arc,
+    arc_length,
+    disc,
+    grid_faces,
+    points_along,
+    polyline,
+    sleeve,
+)
+from objectfolder.mesh.procedural.solid import Patch, bake_mesh, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -30,6 +36,8 @@ def mug(
 ) -> TexturedMesh:
     """Build a ceramic mug.
 
+    One closed surface of genus 1; x from -radius to radius + handle_reach, z from 0 to height.
+
     Parameters
     ----------
     radius, height, wall : float
@@ -38,37 +46,18 @@ def mug(
         Height of the inner floor above the table, m; the base is slightly hollow.
     handle_reach : float
         Protrusion of the handle from the wall, m.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 1; x from -radius to radius + handle_reach, z from 0 to height.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or does not fit the others.
     """
-    require_positive(
-        "mug",
-        radius=radius,
-        height=height,
-        wall=wall,
-        bottom=bottom,
-        handle_reach=handle_reach,
-    )
-    require_between("mug", 0.03 * radius, 0.2 * radius, "3 % to 20 % of the radius", wall=wall)
-    require_between("mug", 0.08 * radius, 0.25 * height, "a floor above the foot", bottom=bottom)
-    require_between("mug", 1.2 * radius, 6.0 * radius, "1.2 to 6 radii", height=height)
+    check = Checks("mug", texture_size)
+    check.positive(radius=radius, height=height, wall=wall, bottom=bottom, handle_reach=handle_reach)
+    check.between(0.03 * radius, 0.2 * radius, "3 % to 20 % of the radius", wall=wall)
+    check.between(0.08 * radius, 0.25 * height, "a floor above the foot", bottom=bottom)
+    check.between(1.2 * radius, 6.0 * radius, "1.2 to 6 radii", height=height)
     # The flared ends of the handle must stop inside the wall, which curves away from them.
     grip = np.sqrt(radius * wall - wall**2 / 4) / (0.20 * (1 + FLARE)) * 0.95
     # Their upper and lower edges keep clear of the rounded lip and base.
     upright = 0.9 * min(0.17 * height - wall / 2, 0.23 * height - 0.2 * radius) / (0.12 * (1 + FLARE))
     widest = min(grip, upright)
-    require_between("mug", 0.3 * radius, widest, "a handle that the wall can hold", handle_reach=handle_reach)
-    require_texture_size("mug", texture_size)
+    check.between(0.3 * radius, widest, "a handle that the wall can hold", handle_reach=handle_reach)
 
     edge = 0.2 * radius  # rounding outside, where the wall meets the base
     foot = min(FOOT * radius / 0.041, 0.3 * bottom)
@@ -76,19 +65,12 @@ def mug(
     lip = wall / 2
     step = height / 16
     top = height - lip
-    under = polyline(
-        np.array([[0, foot], [0.70 * radius, foot], [0.73 * radius, 0], [radius - edge, 0]]), step=step
-    )
-    outside = polyline(
-        arc((radius - edge, edge), edge, -np.pi / 2, 0, 7),
-        arc((radius - lip, top), lip, 0, np.pi / 2, 5),
-        step=step,
-    )
-    inside = polyline(
-        arc((radius - lip, top), lip, np.pi / 2, np.pi, 5),
-        arc((radius - wall - inner, bottom + inner), inner, 0, -np.pi / 2, 8),
-        step=step,
-    )
+    base = np.array([[0, foot], [0.70 * radius, foot], [0.73 * radius, 0], [radius - edge, 0]])
+    under = polyline(base, step=step)
+    bend = arc((radius - edge, edge), edge, -np.pi / 2, 0, 7)
+    outside = polyline(bend, arc((radius - lip, top), lip, 0, np.pi / 2, 5), step=step)
+    bend = arc((radius - wall - inner, bottom + inner), inner, 0, -np.pi / 2, 8)
+    inside = polyline(arc((radius - lip, top), lip, np.pi / 2, np.pi, 5), bend, step=step)
     floor = polyline(np.array([[radius - wall - inner, bottom], [0, bottom]]), step=step)
 
     decor = _Decor(radius, height)
@@ -101,16 +83,11 @@ def mug(
     handle, handle_chart = _handle(radius, height, wall, handle_reach, 4, decor.handle)
     atlas = pack_charts([*(chart for _, chart in parts), handle_chart], texture_size)
     cup = weld_patches([patch for patch, _ in parts], atlas)
-    return textured(cup + weld_patches(handle, atlas), atlas, roughness=0.25)
+    return bake_mesh(cup + weld_patches(handle, atlas), atlas, roughness=0.25)
 
 
 def _handle(
-    radius: float,
-    height: float,
-    wall: float,
-    reach: float,
-    chart: int,
-    paint: Callable[[np.ndarray], np.ndarray],
+    radius: float, height: float, wall: float, reach: float, chart: int, paint: Paint
 ) -> tuple[list[Patch], Chart]:
     """Sweep an ellipse along a D-shaped path whose ends lie in the middle of the wall."""
     thick, wide = 0.12 * reach, 0.20 * reach  # half axes of the section
@@ -118,28 +95,19 @@ def _handle(
     across, up = radius + reach - thick - start, 0.30 * height
     fine = np.linspace(-np.pi / 2, np.pi / 2, 4001)
     # A superellipse leaves the wall squarely and has room for fingers.
-    path = np.stack(
-        [
-            start + across * np.cos(fine).clip(0) ** 0.8,
-            0.53 * height + up * np.sign(fine) * np.abs(np.sin(fine)) ** 0.8,
-        ],
-        1,
-    )
-    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    total = length[-1]
+    x = start + across * np.cos(fine).clip(0) ** 0.8
+    path = np.stack([x, 0.53 * height + up * np.sign(fine) * np.abs(np.sin(fine)) ** 0.8], 1)
+    total = arc_length(path)[-1]
 
     def station(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return centre, outward normal in the plane of the path, and size of the section."""
         s = np.clip(s, 0, total)
-        centre = np.stack([np.interp(s, length, path[:, k]) for k in (0, 1)], 1)
-        near = np.clip(np.stack([s - 0.01 * total, s + 0.01 * total]), 0, total)
-        chord = [
-            np.interp(near[1], length, path[:, k]) - np.interp(near[0], length, path[:, k]) for k in (0, 1)
-        ]
-        normal = np.stack([chord[1], -chord[0]], 1)
+        before, after = (points_along(path, np.clip(s + d * total, 0, total)) for d in (-0.01, 0.01))
+        normal = (after - before)[:, ::-1] * [1, -1]
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         distance = np.minimum(s, total - s) - wall / 2
-        return centre, normal, 1 + FLARE * np.exp(-((np.maximum(distance, 0) / (0.16 * reach)) ** 2))
+        size = 1 + FLARE * np.exp(-((np.maximum(distance, 0) / (0.16 * reach)) ** 2))
+        return points_along(path, s), normal, size
 
     def surface(s: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Return points (N, 3) at arc length s, m, and turn in [0, 1] around the section from its inside."""
@@ -150,15 +118,11 @@ def _handle(
 
     around = np.pi * (3 * (thick + wide) - np.sqrt((3 * thick + wide) * (thick + 3 * wide)))  # Ramanujan
     rows, n = STATIONS + 1, ROUND
-    s, turn = (
-        k.ravel() for k in np.meshgrid(np.linspace(0, total, rows), np.arange(n + 1) / n, indexing="ij")
-    )
+    grid = np.meshgrid(np.linspace(0, total, rows), np.arange(n + 1) / n, indexing="ij")
+    s, turn = (k.ravel() for k in grid)
     vertices = surface(s, turn % 1.0)
-    i, j = (k.ravel() for k in np.meshgrid(np.arange(rows - 1), np.arange(n), indexing="ij"))
-    a, d = i * (n + 1) + j, (i + 1) * (n + 1) + j
-    faces = np.concatenate([np.stack([a, a + 1, d + 1], 1), np.stack([a, d + 1, d], 1)])
     xy = np.stack([s, (1 - turn) * around], 1)  # horizontal: the atlas packs low charts better
-    tube = Patch(vertices, faces, xy, chart)
+    tube = Patch(vertices, grid_faces(rows, n + 1), xy, chart)
 
     ring = np.arange(n)
     cap = np.stack([np.full(n - 2, 0), ring[2:], ring[1:-1]], 1)
@@ -223,11 +187,8 @@ class _Decor:
 
         crest = max(3, round(around / 0.0215))
         for level, ink, shift in ((0.0265, SAGE, 0.9), (0.0225, TEAL, 0.0), (0.0165, DEEP, 2.1)):
-            wave = (
-                level
-                + 0.0019 * np.sin(crest * angle + shift)
-                + 0.0006 * np.sin(2 * crest * angle + 1.7 * shift)
-            )
+            ripple = 0.0006 * np.sin(2 * crest * angle + 1.7 * shift)
+            wave = level + 0.0019 * np.sin(crest * angle + shift) + ripple
             colour = over(colour, GLAZE, smoothstep(soft / u, -soft / u, z - wave - 0.0008))
             colour = over(colour, self._glaze(points, ink), smoothstep(soft / u, -soft / u, z - wave))
 

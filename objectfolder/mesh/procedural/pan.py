@@ -4,17 +4,17 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import (
     half_outline,
+    round_polyline,
     round_solid,
-    rounded_polyline,
     soften,
     wall_about,
 )
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import revolved
+from objectfolder.mesh.procedural.vessel import revolve_solid
 from objectfolder.mesh.textured import TexturedMesh
 
 HOLE = 0.24  #: radius of the hanging hole, in widths of the handle
@@ -40,6 +40,8 @@ def pan(
 ) -> TexturedMesh:
     """Build a pan.
 
+    One closed surface of genus 1; x from -radius to about radius + handle_length, the lip at z = height.
+
     Parameters
     ----------
     radius, height, wall : float
@@ -54,49 +56,26 @@ def pan(
         Height of the handle's end above its root, m.
     handle_finish, handle_color : str, optional
         Default: those of the pan.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 1; x from -radius to about radius + handle_length, the lip at z = height.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or does not fit the others.
     """
-    require_positive(
-        "pan",
-        radius=radius,
-        height=height,
-        wall=wall,
-        base_radius=base_radius,
-        rounding=rounding,
-        handle_length=handle_length,
-        handle_width=handle_width,
-        handle_thickness=handle_thickness,
-    )
-    require_between("pan", 0.2 * radius, 1.6 * radius, "0.2 to 1.6 radii", height=height)
-    require_between("pan", 0.6 * radius, 1.0 * radius, "60 % to 100 % of the radius", base_radius=base_radius)
-    require_between("pan", 0.01 * radius, 0.08 * radius, "1 % to 8 % of the radius", wall=wall)
-    require_between("pan", wall, 0.6 * height, "the wall to 60 % of the height", rounding=rounding)
-    require_between("pan", radius / 2, 3 * radius, "0.5 to 3 radii", handle_length=handle_length)
+    check = Checks("pan", texture_size)
+    check.positive(radius=radius, height=height, wall=wall, base_radius=base_radius, rounding=rounding)
+    check.positive(handle_length=handle_length, handle_width=handle_width, handle_thickness=handle_thickness)
+    check.between(0.2 * radius, 1.6 * radius, "0.2 to 1.6 radii", height=height)
+    check.between(0.6 * radius, 1.0 * radius, "60 % to 100 % of the radius", base_radius=base_radius)
+    check.between(0.01 * radius, 0.08 * radius, "1 % to 8 % of the radius", wall=wall)
+    check.between(wall, 0.6 * height, "the wall to 60 % of the height", rounding=rounding)
+    check.between(radius / 2, 3 * radius, "0.5 to 3 radii", handle_length=handle_length)
     widest = min(0.4 * radius, 0.3 * handle_length)
-    require_between("pan", 0.08 * radius, widest, "a bar that the wall can hold", handle_width=handle_width)
+    check.between(0.08 * radius, widest, "a bar that the wall can hold", handle_width=handle_width)
     thickest = min(handle_width, 0.35 * height)
-    require_between("pan", 1.2 * wall, thickest, "flat and low", handle_thickness=handle_thickness)
-    require_between("pan", 0.0, 0.5 * handle_length, "less than half its length", handle_rise=handle_rise)
-    require_texture_size("pan", texture_size)
+    check.between(1.2 * wall, thickest, "flat and low", handle_thickness=handle_thickness)
+    check.between(0.0, 0.5 * handle_length, "less than half its length", handle_rise=handle_rise)
 
     floor, lip = wall / 2, height - wall / 2
     corners = np.array([[0, floor], [base_radius - wall / 2, floor], [radius - wall / 2, lip]])
-    middle = rounded_polyline(corners, np.array([rounding]))
-    shell = revolved(half_outline(soften(wall_about(middle, wall), convex=0.45 * wall), "pan"))
-    core = revolved(half_outline(round_solid(np.append(middle, [[0, lip]], axis=0)), "pan"))
+    middle = round_polyline(corners, np.array([rounding]))
+    shell = revolve_solid(half_outline(soften(wall_about(middle, wall), convex=0.45 * wall), "pan"))
+    core = revolve_solid(half_outline(round_solid(np.append(middle, [[0, lip]], axis=0)), "pan"))
 
     # The root is below the lip by the handle's thickness; the core cuts it off in the middle of the wall.
     root = height - wall - handle_thickness
@@ -111,9 +90,8 @@ def pan(
     thickness = handle_thickness * (1 - 0.25 * smoothstep(0.3, 0.9, t)) * np.sqrt(blunt)
     handle = tube(path, width, thickness, (0.0, 1.0, 0.0), segments=32, squareness=2.6)
     eye = stop - 0.75 * handle_width
-    drill = manifold3d.Manifold.cylinder(
-        4 * handle_width, HOLE * handle_width, circular_segments=48, center=True
-    ).translate((eye, 0.0, float(np.interp(eye, path[:, 0], path[:, 2]))))
+    drill = manifold3d.Manifold.cylinder(4 * handle_width, HOLE * handle_width, -1.0, 48, center=True)
+    drill = drill.translate((eye, 0.0, float(np.interp(eye, path[:, 0], path[:, 2]))))
 
     size = 2 * radius + handle_length
     look = Look(finish, size, color, accent, seed)
@@ -121,9 +99,6 @@ def pan(
     grip = Look(handle_finish or finish, size, handle_color or own, None, seed)
     # The pan has the rings of turned metal, the handle is brushed lengthwise.
     paint = grip.paint((1.0, 0.0, 0.0))
-    body, bar, hole = (
-        PaintedPart.of(shell, look.paint()),
-        PaintedPart.of(handle - core, paint),
-        PaintedPart.of(drill, paint),
-    )
+    body = PaintedPart.of(shell, look.paint())
+    bar, hole = PaintedPart.of(handle - core, paint), PaintedPart.of(drill, paint)
     return assemble(body.solid + bar.solid - hole.solid, [body, bar, hole], look, texture_size)

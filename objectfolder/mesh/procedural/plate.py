@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import (
     half_outline,
     ring_under,
-    rounded_polyline,
+    round_polyline,
     soften,
     wall_about,
 )
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -32,6 +32,8 @@ def plate(
 ) -> TexturedMesh:
     """Build a plate.
 
+    One closed surface of genus 0; a round one has x and y from -radius to radius, z from 0 to height.
+
     Parameters
     ----------
     radius, height, wall : float
@@ -46,42 +48,25 @@ def plate(
         Number of lobes of the rim, 0 for a round one; 4 approximate a square.
     lobe_depth : float
         Depth of the lobes, in radii; unused for a round plate.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`; on a glazed plate the accent is the upper side's
-        colour.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 0; a round one has x and y from -radius to radius, z from 0 to height.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or does not fit the others.
+    accent : str, optional
+        On a glazed plate the colour of the upper side.
     """
-    require_positive(
-        "plate", radius=radius, height=height, wall=wall, well_radius=well_radius, foot_height=foot_height
-    )
-    require_between(
-        "plate", 0.4 * radius, 0.85 * radius, "40 % to 85 % of the radius", well_radius=well_radius
-    )
+    check = Checks("plate", texture_size)
+    check.positive(radius=radius, height=height, wall=wall, well_radius=well_radius, foot_height=foot_height)
+    check.between(0.4 * radius, 0.85 * radius, "40 % to 85 % of the radius", well_radius=well_radius)
     room = 0.8 * (radius - well_radius)
-    require_between("plate", 0.0, room, "0 to 80 % of what the well leaves", rim=rim)
-    require_between("plate", 0.01 * radius, 0.08 * radius, "1 % to 8 % of the radius", wall=wall)
-    require_between("plate", 0.2 * wall, wall, "a fifth of the wall to the wall", foot_height=foot_height)
+    check.between(0.0, room, "0 to 80 % of what the well leaves", rim=rim)
+    check.between(0.01 * radius, 0.08 * radius, "1 % to 8 % of the radius", wall=wall)
+    check.between(0.2 * wall, wall, "a fifth of the wall to the wall", foot_height=foot_height)
     lowest = 1.2 * wall + foot_height
-    require_between("plate", lowest, 0.5 * radius, "above the well, below half the radius", height=height)
-    require_texture_size("plate", texture_size)
+    check.between(lowest, 0.5 * radius, "above the well, below half the radius", height=height)
 
     low, top, edge = foot_height + wall / 2, height - wall / 2, radius - wall / 2
     corners = [[0, low], [well_radius, low], [edge, top]]
     if rim:
         corners.insert(2, [edge - rim, low + 0.72 * (top - low)])
     bend = 0.5 * (radius - well_radius)
-    middle = rounded_polyline(np.array(corners), np.array([bend] * (len(corners) - 2)))
+    middle = round_polyline(np.array(corners), np.array([bend] * (len(corners) - 2)))
     section = soften(
         wall_about(middle, wall) + ring_under(middle, 0.96 * well_radius, max(wall, 0.06 * well_radius)),
         concave=0.8 * foot_height,
@@ -92,5 +77,5 @@ def plate(
         return smoothstep(0.8 * well_radius, radius, np.hypot(points[:, 0], points[:, 1]))
 
     look = vessel_finish(finish, 2 * radius, height, 0.5 * foot_height, color, accent, seed)
-    warp = lobed("plate", lobes, lobe_depth, weight)
-    return turned_vessel(half_outline(section, "plate"), look, texture_size, warp)
+    warp = lobe_warp(check, lobes, lobe_depth, weight)
+    return build_vessel(half_outline(section, "plate"), look, texture_size, warp)

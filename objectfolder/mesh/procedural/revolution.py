@@ -4,12 +4,11 @@ A profile is a polyline (N, 2) of radius and height, m, with the solid to its le
 an inner one.
 """
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
-from objectfolder.mesh.procedural.atlas import Chart
+from objectfolder.mesh.procedural.atlas import Chart, Paint
 from objectfolder.mesh.procedural.solid import Patch
 
 SEGMENTS = 120  #: facets of a full circle; a multiple of 8, so that bounds are exact
@@ -36,8 +35,22 @@ def polyline(*parts: np.ndarray, step: float) -> np.ndarray:
     return np.concatenate([*divided, points[-1:]])
 
 
-def _arc_length(profile: np.ndarray) -> np.ndarray:
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(profile, axis=0), axis=1)))
+def arc_length(curve: np.ndarray) -> np.ndarray:
+    """Return the length (N,) along a polyline (N, 2) up to each point."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
+
+
+def points_along(curve: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Interpolate a polyline (N, 2) at arc lengths (M,), constant beyond both ends; (M, 2)."""
+    length = arc_length(curve)
+    return np.stack([np.interp(s, length, curve[:, k]) for k in (0, 1)], 1)
+
+
+def grid_faces(rows: int, columns: int) -> np.ndarray:
+    """Triangulate a grid of ``rows`` x ``columns`` vertices, numbered row by row."""
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij"))
+    a, d = i * columns + j, (i + 1) * columns + j
+    return np.concatenate([np.stack([a, a + 1, d + 1], 1), np.stack([a, d + 1, d], 1)])
 
 
 def spin(rz: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -45,16 +58,10 @@ def spin(rz: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.stack([rz[:, 0] * np.cos(angle), rz[:, 0] * np.sin(angle), rz[:, 1]], 1)
 
 
-def _profile_at(profile: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Interpolate radius and height (M, 2) at arc length `s` (M,), constant beyond both ends."""
-    length = _arc_length(profile)
-    return np.stack([np.interp(s, length, profile[:, k]) for k in (0, 1)], 1)
-
-
-def sleeve(profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray]) -> tuple[Patch, Chart]:
+def sleeve(profile: np.ndarray, chart: int, paint: Paint) -> tuple[Patch, Chart]:
     """Revolve a profile off the axis; the chart is angle by arc length, cut at angle 0."""
     rows, n = len(profile), SEGMENTS
-    length = _arc_length(profile)
+    length = arc_length(profile)
     # The area-weighted mean radius makes texels square on average.
     radius = np.average(profile[:, 0], weights=np.gradient(length) * profile[:, 0])
     width = 2 * np.pi * radius
@@ -63,19 +70,14 @@ def sleeve(profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.nda
     angle = 2 * np.pi * (np.arange(n + 1) % n) / n
     vertices = spin(np.repeat(profile, n + 1, axis=0), np.tile(angle, rows))
     xy = np.stack([np.tile(turn * width, rows), np.repeat(length, n + 1)], 1)
-    i, j = (k.ravel() for k in np.meshgrid(np.arange(rows - 1), np.arange(n), indexing="ij"))
-    a, d = i * (n + 1) + j, (i + 1) * (n + 1) + j
-    faces = np.concatenate([np.stack([a, a + 1, d + 1], 1), np.stack([a, d + 1, d], 1)])
 
     def locate(at: np.ndarray) -> np.ndarray:
-        return spin(_profile_at(profile, at[:, 1]), 2 * np.pi * at[:, 0] / width)
+        return spin(points_along(profile, at[:, 1]), 2 * np.pi * at[:, 0] / width)
 
-    return Patch(vertices, faces, xy, chart), Chart((width, length[-1]), locate, paint)
+    return Patch(vertices, grid_faces(rows, n + 1), xy, chart), Chart((width, length[-1]), locate, paint)
 
 
-def disc(
-    profile: np.ndarray, chart: int, paint: Callable[[np.ndarray], np.ndarray], segments: int = SEGMENTS
-) -> tuple[Patch, Chart]:
+def disc(profile: np.ndarray, chart: int, paint: Paint, segments: int = SEGMENTS) -> tuple[Patch, Chart]:
     """Revolve a profile that starts or ends near or on the axis; the chart is polar, without a cut.
 
     Towards the axis the number of facets halves repeatedly, which avoids needle triangles. A disc with a
@@ -83,7 +85,7 @@ def disc(
     """
     outward = profile[0, 0] < profile[-1, 0]
     spokes = profile if outward else profile[::-1]  # from the axis out
-    along = spokes[0, 0] + _arc_length(spokes)
+    along = spokes[0, 0] + arc_length(spokes)
     # Seen from outside, the angle is reversed where the profile runs outward.
     sense = -1.0 if outward else 1.0
     reach = along[-1]
@@ -104,15 +106,13 @@ def disc(
     if closed:
         xy[0] = reach
 
-    faces = [
-        _strip(inner, outer, start, start + inner) for inner, outer, start in zip(counts, counts[1:], starts)
-    ]
-    triangles = np.concatenate(faces)
+    rings = zip(counts, counts[1:], starts)
+    triangles = np.concatenate([_strip(one, other, start, start + one) for one, other, start in rings])
 
     def locate(at: np.ndarray) -> np.ndarray:
         x, y = (at - reach).T
         s = np.hypot(x, y) - spokes[0, 0]
-        return spin(_profile_at(spokes, s), np.arctan2(sense * y, x))
+        return spin(points_along(spokes, s), np.arctan2(sense * y, x))
 
     patch = Patch(spin(spokes[ring], angle), triangles if outward else triangles[:, ::-1], xy, chart)
     return patch, Chart((2 * reach, 2 * reach), locate, paint)
@@ -129,28 +129,14 @@ def _strip(inner: int, outer: int, a: int, b: int) -> np.ndarray:
         far = b + (j + 1) % outer
         return np.concatenate([np.stack([a + j, after, far], 1), np.stack([a + j, far, b + j], 1)])
     first, middle, last = (b + (2 * j + k) % outer for k in range(3))
-    return np.concatenate(
-        [
-            np.stack([a + j, middle, first], 1),
-            np.stack([a + j, after, middle], 1),
-            np.stack([after, last, middle], 1),
-        ]
-    )
+    fans = ([a + j, middle, first], [a + j, after, middle], [after, last, middle])
+    return np.concatenate([np.stack(fan, 1) for fan in fans])
 
 
-def revolve(
-    profile: np.ndarray, first_chart: int, paint: Callable[[np.ndarray], np.ndarray]
-) -> list[tuple[Patch, Chart]]:
-    """Revolve any profile, cut into few sleeves and discs with little texture distortion.
+def revolve(profile: np.ndarray, first_chart: int, paint: Paint) -> list[tuple[Patch, Chart]]:
+    """Revolve any profile (N, 2), cut into few sleeves and discs with little texture distortion.
 
-    Parameters
-    ----------
-    profile : ndarray, shape (N, 2)
-        May start or end on the axis.
-    first_chart : int
-        Index of the first chart; the others follow.
-    paint : callable
-        Paint of all charts.
+    Charts are numbered from ``first_chart`` on.
     """
     parts: list[tuple[Patch, Chart]] = []
     for start, stop, flat in _runs(profile):
@@ -173,9 +159,8 @@ def _runs(profile: np.ndarray) -> list[tuple[int, int, int]]:
             break
         # Length relative to the distance from the axis: short runs join a neighbour.
         spans = np.diff(length[edges])
-        reach = np.array(
-            [span / profile[a : b + 1, 0].mean() for span, (a, b) in zip(spans, pairwise(edges))]
-        )
+        means = [profile[a : b + 1, 0].mean() for a, b in pairwise(edges)]
+        reach = spans / np.array(means)
         if profile[0, 0] == 0:
             reach[0] = np.inf
         if profile[-1, 0] == 0:

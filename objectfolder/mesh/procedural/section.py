@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.mesh.procedural.revolution import arc_length, points_along
 
 SLIVER = 1e-6  #: width, m, of the strip that represents a curve before it is thickened
 ARC = 160  #: segments of a full circle in rounded corners
@@ -18,7 +19,7 @@ COARSE = 4e-4  #: largest distance between chords and curve, in sizes of the sec
 STEP = 0.055  #: longest segment of a profile, in sizes of the section
 
 
-def rounded_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
+def round_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
     """Round the inner corners of a polyline ``corners`` (N, 2) with arcs of ``radii`` (N - 2,).
 
     An arc uses at most half of each adjacent segment.
@@ -45,11 +46,9 @@ def rounded_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
     return np.concatenate([*pieces, corners[-1:]])
 
 
-def evenly(curve: np.ndarray, pieces: int = 400) -> np.ndarray:
+def resample_evenly(curve: np.ndarray, pieces: int = 400) -> np.ndarray:
     """Resample a polyline (N, 2) at even distances; (pieces + 1, 2)."""
-    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
-    at = np.linspace(0, length[-1], pieces + 1)
-    return np.stack([np.interp(at, length, curve[:, k]) for k in (0, 1)], 1)
+    return points_along(curve, np.linspace(0, arc_length(curve)[-1], pieces + 1))
 
 
 def round_solid(half: np.ndarray) -> manifold3d.CrossSection:
@@ -66,7 +65,7 @@ def ring(corners: ArrayLike) -> manifold3d.CrossSection:
 
 def wall_about(middle: np.ndarray, thickness: float) -> manifold3d.CrossSection:
     """Build a wall of even thickness about a curve (N, 2) that starts on the axis, its free end round."""
-    middle = evenly(middle)
+    middle = resample_evenly(middle)
     whole = np.concatenate([middle[:0:-1] * [-1, 1], middle])
     along = np.gradient(whole, axis=0)
     normal = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1, keepdims=True)
@@ -101,10 +100,7 @@ def offset(section: manifold3d.CrossSection, distance: float) -> manifold3d.Cros
 def half_outline(section: manifold3d.CrossSection, generator: str) -> np.ndarray:
     """Return the dense profile (N, 2) of the half at positive radius, from the lower to the upper axis.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the section is not one piece without holes that meets the axis once.
+    Raises `ObjectFolderError` if the section is not one piece without holes that meets the axis once.
     """
     left, low, right, high = section.bounds()
     span = max(right - left, high - low)
@@ -128,10 +124,10 @@ def half_outline(section: manifold3d.CrossSection, generator: str) -> np.ndarray
 def split_at_lip(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Split a vessel's profile at the top of its lip into outside and inside, each with even rows."""
     lip = int(np.argmax(profile[:, 1]))
-    return even_rows(profile[: lip + 1], profile), even_rows(profile[lip:], profile)
+    return resample_rows(profile[: lip + 1], profile), resample_rows(profile[lip:], profile)
 
 
-def even_rows(part: np.ndarray, whole: np.ndarray, coarse: float = COARSE) -> np.ndarray:
+def resample_rows(part: np.ndarray, whole: np.ndarray, coarse: float = COARSE) -> np.ndarray:
     """Resample ``part`` (N, 2), denser where it bends, keeping its lowest and widest points; (M, 2).
 
     Chords deviate from the curve by about ``coarse`` times the size of ``whole``.
@@ -139,11 +135,11 @@ def even_rows(part: np.ndarray, whole: np.ndarray, coarse: float = COARSE) -> np
     size = np.ptp(whole * [2, 1], axis=0).max()
     stops = {0, len(part) - 1, int(np.argmin(part[:, 1])), int(np.argmax(part[:, 0]))}
     ends = sorted(stops)
-    pieces = [_even_piece(part[a : b + 1], size, coarse) for a, b in pairwise(ends)]
+    pieces = [_resample_piece(part[a : b + 1], size, coarse) for a, b in pairwise(ends)]
     return np.concatenate([pieces[0], *(piece[1:] for piece in pieces[1:])])
 
 
-def _even_piece(curve: np.ndarray, size: float, coarse: float) -> np.ndarray:
+def _resample_piece(curve: np.ndarray, size: float, coarse: float) -> np.ndarray:
     chord = np.diff(curve, axis=0)
     keep = np.append(True, np.linalg.norm(chord, axis=1) > 1e-9 * size)
     keep[-1] = True

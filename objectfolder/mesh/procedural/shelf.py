@@ -4,15 +4,8 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import board, timber
-from objectfolder.mesh.procedural.extrusion import prism, regular
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_count,
-    require_not_negative,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.extrusion import polygon, prism
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.textured import TexturedMesh
 
 FRONTS = ("open", "doors", "drawers")
@@ -39,6 +32,9 @@ def shelf(
 ) -> TexturedMesh:
     """Build a bookcase, a cabinet or a chest of drawers, its front towards -y.
 
+    One closed surface if joined; x from -width / 2 to width / 2, y of the case from -depth / 2 to depth /
+    2.
+
     Parameters
     ----------
     width, depth, height : float
@@ -58,39 +54,20 @@ def shelf(
         Radius of rounded edges, m; 0 leaves them sharp.
     joined : bool
         Whether the boards are united; otherwise each is a closed piece of its own, and they overlap.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface if joined; x from -width / 2 to width / 2, y of the case from -depth / 2 to
-        depth / 2.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is unknown or a dimension does not fit the others.
     """
-    require_positive("shelf", width=width, depth=depth, height=height, board_thickness=board_thickness)
-    require_choice("shelf", FRONTS, front=front)
-    require_count("shelf", 1, 8, bays=bays)
+    check = Checks("shelf", texture_size)
+    check.positive(width=width, depth=depth, height=height, board_thickness=board_thickness)
+    check.choice(FRONTS, front=front)
+    check.count(1, 8, bays=bays)
     t = board_thickness
     largest = max(width, depth, height)
-    require_between(
-        "shelf", 0.012 * largest, 0.12 * min(width, depth), "a board for that case", board_thickness=t
-    )
-    require_not_negative("shelf", 2 * t, "twice the boards' thickness", back=back)
-    require_not_negative("shelf", 0.3 * height, "30 % of the height", plinth=plinth)
-    require_between(
-        "shelf", plinth + (bays + 1) * t + bays * 3 * t, np.inf, "room for those bays", height=height
-    )
-    require_not_negative("shelf", 0.1 * t, "a tenth of the boards' thickness", bevel=bevel)
+    check.between(0.012 * largest, 0.12 * min(width, depth), "a board for that case", board_thickness=t)
+    check.not_negative(2 * t, "twice the boards' thickness", back=back)
+    check.not_negative(0.3 * height, "30 % of the height", plinth=plinth)
+    check.between(plinth + (bays + 1) * t + bays * 3 * t, np.inf, "room for those bays", height=height)
+    check.not_negative(0.1 * t, "a tenth of the boards' thickness", bevel=bevel)
     if back > 0:
-        require_between("shelf", 0.3 * t, 2 * t, "0.3 to 2 thicknesses of the boards", back=back)
-    require_texture_size("shelf", texture_size)
+        check.between(0.3 * t, 2 * t, "0.3 to 2 thicknesses of the boards", back=back)
 
     look = Look(finish, largest, color, accent, seed)
     spacing = largest / {"open": 28, "doors": 24, "drawers": 17}[front]
@@ -144,12 +121,8 @@ def _fronts(
         for k, (a, b) in enumerate(panels)
     ]
     radius = 0.75 * t
-    knob = prism([regular(20, radius)], 1.5 * t, spacing, 0.35 * radius, 2).rotate((90, 0, 0))
+    knob = prism([polygon(20, radius)], 1.5 * t, spacing, 0.35 * radius, 2).rotate((90, 0, 0))
     for k, (at, z) in enumerate(knobs):
-        place = knob.translate((at, near + 0.5 * t, z))
-        parts.append(
-            PaintedPart.of(
-                place, timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius)
-            )
-        )
+        grain = timber(look, 24 + k, np.array([at, near, z]), np.eye(3)[:, [1, 0, 2]], 2 * radius)
+        parts.append(PaintedPart.of(knob.translate((at, near + 0.5 * t, z)), grain))
     return parts

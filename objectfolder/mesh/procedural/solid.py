@@ -31,7 +31,7 @@ def weld_patches(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
     starts = np.cumsum([0, *(len(p.vertices) for p in patches)])
     faces = np.concatenate([p.faces + start for p, start in zip(patches, starts)])
 
-    first, group = coincident(positions)
+    first, group = group_coincident(positions)
     twin = first[group]
     copies = np.flatnonzero(twin != np.arange(len(twin)))
     mesh = manifold3d.Mesh64(
@@ -46,7 +46,7 @@ def weld_patches(patches: Sequence[Patch], atlas: Atlas) -> manifold3d.Manifold:
     return solid
 
 
-def coincident(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def group_coincident(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Group coincident positions (V, 3): first member of each group (G,), and group of each (V,)."""
     # An irregular factor, so that round dimensions do not fall on the border between two grains.
     grain = 1.234567e-7 * np.ptp(positions, axis=0).max()
@@ -54,7 +54,7 @@ def coincident(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, group.ravel()
 
 
-def textured(
+def bake_mesh(
     solid: manifold3d.Manifold, atlas: Atlas, roughness: float, metallic: float = 0.0
 ) -> TexturedMesh:
     """Bake the atlas and return the textured mesh of a solid from `weld_patches`."""

@@ -4,12 +4,8 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_not_negative,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.parameters import Checks
+from objectfolder.mesh.procedural.revolution import arc_length, points_along
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -34,6 +30,8 @@ def spoon(
 ) -> TexturedMesh:
     """Build a spoon, or a ladle if the bowl is deep and the handle high and hooked.
 
+    One closed surface, along x, the middle of the bowl at x = 0.
+
     Parameters
     ----------
     length : float
@@ -50,57 +48,22 @@ def spoon(
         Radius of the hook at the end of the handle, m; 0 for none.
     point : float
         Narrowing of the bowl's tip relative to an ellipse, 0 to 0.3.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface, along x, the middle of the bowl at x = 0.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension does not fit the others.
     """
-    require_positive(
-        "spoon",
-        length=length,
-        bowl_length=bowl_length,
-        bowl_width=bowl_width,
-        depth=depth,
-        wall=wall,
-        handle_width=handle_width,
+    check = Checks("spoon", texture_size)
+    check.positive(length=length, bowl_length=bowl_length, bowl_width=bowl_width, depth=depth, wall=wall)
+    check.positive(handle_width=handle_width)
+    check.between(0.4 * bowl_length, bowl_length, "40 % to 100 % of the bowl's length", bowl_width=bowl_width)
+    check.between(0.15 * bowl_width, 0.9 * bowl_width, "15 % to 90 % of the bowl's width", depth=depth)
+    check.between(0.02 * bowl_width, 0.45 * depth, "2 % of the width to 45 % of the depth", wall=wall)
+    check.between(1.5 * bowl_length, 8 * bowl_length, "1.5 to 8 lengths of the bowl", length=length)
+    check.between(
+        0.1 * bowl_width, 0.45 * bowl_width, "10 % to 45 % of the bowl's width", handle_width=handle_width
     )
-    require_between(
-        "spoon", 0.4 * bowl_length, bowl_length, "40 % to 100 % of the bowl's length", bowl_width=bowl_width
-    )
-    require_between(
-        "spoon", 0.15 * bowl_width, 0.9 * bowl_width, "15 % to 90 % of the bowl's width", depth=depth
-    )
-    require_between(
-        "spoon", 0.02 * bowl_width, 0.45 * depth, "2 % of the width to 45 % of the depth", wall=wall
-    )
-    require_between(
-        "spoon", 1.5 * bowl_length, 8 * bowl_length, "1.5 to 8 lengths of the bowl", length=length
-    )
-    require_between(
-        "spoon",
-        0.1 * bowl_width,
-        0.45 * bowl_width,
-        "10 % to 45 % of the bowl's width",
-        handle_width=handle_width,
-    )
-    require_not_negative("spoon", 1.5 * length, "1.5 lengths", rise=rise)
-    require_not_negative("spoon", 0.12 * length, "12 % of the length", hook=hook)
+    check.not_negative(1.5 * length, "1.5 lengths", rise=rise)
+    check.not_negative(0.12 * length, "12 % of the length", hook=hook)
     if hook > 0:
-        require_between(
-            "spoon", 0.8 * handle_width, 0.5 * rise, "so that it curls clear of handle and table", hook=hook
-        )
-    require_not_negative("spoon", 0.3, "a blunt tip", point=point)
-    require_texture_size("spoon", texture_size)
+        check.between(0.8 * handle_width, 0.5 * rise, "so that it curls clear of handle and table", hook=hook)
+    check.not_negative(0.3, "a blunt tip", point=point)
 
     size = max(length, rise + depth)
     look = Look(finish, size, color, accent, seed)
@@ -109,21 +72,17 @@ def spoon(
     outer = ball.scale((a, b, depth))
     inner = ball.scale((a - wall, b - wall, depth - wall))
     # Extends upwards, to remove the handle's root from the bowl.
-    opening = inner + manifold3d.Manifold.hull(
-        inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth)
-        + inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth).translate((0, 0, size))
-    )
+    rim = inner.trim_by_plane((0, 0, 1.0), -1e-3 * depth)
+    opening = inner + manifold3d.Manifold.hull(rim + rim.translate((0, 0, size)))
 
     def pointed(points: np.ndarray) -> np.ndarray:
         narrow = 1 + point * np.clip(points[:, 0] / a, -1, 0.35)
         return points * np.column_stack([np.ones_like(narrow), narrow, np.ones_like(narrow)])
 
     metal = look.paint((1, 0, 0))
-    parts = [
-        PaintedPart.of(outer.warp_batch(pointed), metal),
-        PaintedPart.of(_handle(a, length - a, wall, handle_width, rise, hook), metal),
-        PaintedPart.of(opening.warp_batch(pointed), metal),
-    ]
+    handle = _handle(a, length - a, wall, handle_width, rise, hook)
+    solids = (outer.warp_batch(pointed), handle, opening.warp_batch(pointed))
+    parts = [PaintedPart.of(solid, metal) for solid in solids]
     whole = parts[0].solid + parts[1].solid - parts[2].solid
     return assemble(whole.translate((0, 0, depth)), parts, look, texture_size)
 
@@ -141,13 +100,12 @@ def _handle(a: float, end: float, wall: float, width: float, rise: float, hook: 
         across = np.array([along[1], -along[0]])  # to the right: down
         turn = np.linspace(0, np.deg2rad(200), 101)[1:, None]
         path = np.concatenate([path, tip + hook * (np.sin(turn) * along + (1 - np.cos(turn)) * across)])
-    s = np.append(0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    total = s[-1]
+    total = arc_length(path)[-1]
     # Even stations, closer where the end is rounded.
     cap = 0.5 * width
     even = np.linspace(0, total - cap, int((total - cap) / (0.22 * width)) + 2)
     at = np.append(even, total - cap * (1 - np.sin(np.linspace(0, np.pi / 2, 9)[1:])))
-    path = np.stack([np.interp(at, s, path[:, k]) for k in (0, 1)], 1)
+    path = points_along(path, at)
     u = at / total
     wide = width * (0.48 + 0.52 * u**1.5 + 0.45 * np.exp(-((at / (0.9 * width)) ** 2)))
     rounding = np.sqrt(np.clip(1 - np.clip((at - total + cap) / cap, 0, 1) ** 2, 0.02, 1))

@@ -5,14 +5,8 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.mesh.procedural.boards import timber
-from objectfolder.mesh.procedural.extrusion import prism, regular
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_count,
-    require_not_negative,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.extrusion import polygon, prism
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import bar
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -37,6 +31,8 @@ def stool(
 ) -> TexturedMesh:
     """Build a stool.
 
+    One closed surface, standing on z = 0 about the z axis.
+
     Parameters
     ----------
     diameter, height : float
@@ -53,39 +49,23 @@ def stool(
         Height of the rungs above the floor, m; 0 for none.
     dish : float
         Depth of the hollow of the seat, m.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface, standing on z = 0 about the z axis.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension does not fit the others.
     """
-    require_positive("stool", diameter=diameter, height=height, seat=seat, leg_diameter=leg_diameter)
-    require_count("stool", 3, 6, legs=legs)
-    require_between("stool", 0.4 * diameter, 3 * diameter, "0.4 to 3 diameters of the seat", height=height)
-    require_between("stool", 0.05 * diameter, 0.2 * height, "a seat that bears", seat=seat)
-    require_between(
-        "stool", 0.05 * diameter, 0.15 * diameter, "5 % to 15 % of the seat", leg_diameter=leg_diameter
-    )
-    require_not_negative("stool", 0.3 * height, "30 % of the height", splay=splay)
-    require_not_negative("stool", 0.7 * (height - seat), "clear of the seat", rung_height=rung_height)
+    check = Checks("stool", texture_size)
+    check.positive(diameter=diameter, height=height, seat=seat, leg_diameter=leg_diameter)
+    check.count(3, 6, legs=legs)
+    check.between(0.4 * diameter, 3 * diameter, "0.4 to 3 diameters of the seat", height=height)
+    check.between(0.05 * diameter, 0.2 * height, "a seat that bears", seat=seat)
+    check.between(0.05 * diameter, 0.15 * diameter, "5 % to 15 % of the seat", leg_diameter=leg_diameter)
+    check.not_negative(0.3 * height, "30 % of the height", splay=splay)
+    check.not_negative(0.7 * (height - seat), "clear of the seat", rung_height=rung_height)
     if rung_height > 0:
-        require_between("stool", leg_diameter, height, "clear of the floor", rung_height=rung_height)
-    require_not_negative("stool", 0.25 * seat, "a quarter of the seat", dish=dish)
-    require_texture_size("stool", texture_size)
+        check.between(leg_diameter, height, "clear of the floor", rung_height=rung_height)
+    check.not_negative(0.25 * seat, "a quarter of the seat", dish=dish)
 
     look = Look(finish, max(diameter, height), color, accent, seed)
     spacing = look.size / 30
     under = height - seat
-    plate = prism([regular(SIDES, diameter / 2)], seat, diameter / 24, 0.3 * seat)
+    plate = prism([polygon(SIDES, diameter / 2)], seat, diameter / 24, 0.3 * seat)
 
     def hollow(points: np.ndarray) -> np.ndarray:
         r = np.hypot(points[:, 0], points[:, 1]) / (0.45 * diameter)
@@ -108,18 +88,18 @@ def stool(
     for k in range(legs):
         ends = middle(k, -leg_diameter), middle(k, under + SUNK * seat - 0.75 * dish)
         post = bar(*ends, (0.75 * leg_diameter, leg_diameter), spacing, 24).trim_by_plane((0, 0, 1), 0)
-        parts.append(_turned(look, 1 + k, post, ends, leg_diameter))
+        parts.append(_place_bar(look, 1 + k, post, ends, leg_diameter))
     if rung_height > 0:
         for k in range(legs):
             # Staggered, so that neighbours meet a leg at different heights.
             z = rung_height * (1.0 + 0.18 * (k % 2))
             ends = middle(k, z), middle((k + 1) % legs, z)
             rung = bar(*ends, (0.55 * leg_diameter, 0.55 * leg_diameter), spacing, 20)
-            parts.append(_turned(look, 11 + k, rung, ends, leg_diameter))
+            parts.append(_place_bar(look, 11 + k, rung, ends, leg_diameter))
     return assemble(union(parts), parts, look, texture_size)
 
 
-def _turned(
+def _place_bar(
     look: Look, piece: int, solid: manifold3d.Manifold, ends: tuple[np.ndarray, np.ndarray], diameter: float
 ) -> PaintedPart:
     """Build the part of a bar between two ends, its grain along it."""

@@ -14,20 +14,11 @@ def tube(
     segments: int = 24,
     squareness: float = 2.0,
 ) -> manifold3d.Manifold:
-    """Sweep a superellipse along a path in a plane.
+    """Sweep a superellipse along a path (N, 3), m, in a plane whose unit normal is ``side`` (3,).
 
-    Parameters
-    ----------
-    path : ndarray, shape (N, 3)
-        Centres of the sections, m.
-    width, thickness : ndarray, shape (N,), or float
-        Full size of the section along and across ``side``, m.
-    side : ndarray, shape (3,)
-        Unit normal of the path's plane.
-    segments : int
-        Facets around the section, a multiple of 4.
-    squareness : float
-        Exponent of the superellipse: 2 is an ellipse, 4 nearly a rectangle.
+    ``width`` and ``thickness`` are full sizes of the section along and across ``side``, m, one or (N,);
+    ``segments``, a multiple of 4, are facets around it; a ``squareness`` of 2 is an ellipse, 4 nearly a
+    rectangle.
     """
     side = np.asarray(side, np.float64)
     path = np.asarray(path, np.float64)

@@ -4,14 +4,8 @@ import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
 from objectfolder.mesh.procedural.boards import board, leg, timber
-from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_not_negative,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.extrusion import polygon, prism, rectangle
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.sweep import bar
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -40,6 +34,8 @@ def table(
 ) -> TexturedMesh:
     """Build a table.
 
+    One closed surface; x and y about 0, z from 0 to ``height``.
+
     Parameters
     ----------
     length, width, height : float
@@ -60,37 +56,19 @@ def table(
         "legs", four, or "pillar", one with a round foot.
     bevel : float
         Radius of rounded edges, m; 0 leaves them sharp.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface; x and y about 0, z from 0 to ``height``.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is unknown or a dimension does not fit the others.
     """
-    require_positive(
-        "table", length=length, width=width, height=height, top=top, leg_size=leg_size, taper=taper
-    )
-    require_choice("table", ("rectangle", "oval"), shape=shape)
-    require_choice("table", ("legs", "pillar"), base=base)
-    require_between("table", width, 4 * width, "1 to 4 widths", length=length)
-    require_between("table", 0.2 * width, 3 * width, "0.2 to 3 widths", height=height)
-    require_between("table", 0.01 * length, 0.25 * height, "a top that bears itself", top=top)
-    require_between(
-        "table", 0.02 * length, 0.15 * width, "2 % of the length to 15 % of the width", leg_size=leg_size
-    )
-    require_between("table", 0.4, 1.0, "sizes of a leg", taper=taper)
-    require_not_negative("table", 0.15 * width, "so that the legs stay apart", overhang=overhang)
-    require_not_negative("table", 0.5 * (height - top), "half the height under the top", apron=apron)
-    require_not_negative("table", 0.2 * min(top, taper * leg_size), "a fifth of top and leg", bevel=bevel)
-    require_texture_size("table", texture_size)
+    check = Checks("table", texture_size)
+    check.positive(length=length, width=width, height=height, top=top, leg_size=leg_size, taper=taper)
+    check.choice(("rectangle", "oval"), shape=shape)
+    check.choice(("legs", "pillar"), base=base)
+    check.between(width, 4 * width, "1 to 4 widths", length=length)
+    check.between(0.2 * width, 3 * width, "0.2 to 3 widths", height=height)
+    check.between(0.01 * length, 0.25 * height, "a top that bears itself", top=top)
+    check.between(0.02 * length, 0.15 * width, "2 % of the length to 15 % of the width", leg_size=leg_size)
+    check.between(0.4, 1.0, "sizes of a leg", taper=taper)
+    check.not_negative(0.15 * width, "so that the legs stay apart", overhang=overhang)
+    check.not_negative(0.5 * (height - top), "half the height under the top", apron=apron)
+    check.not_negative(0.2 * min(top, taper * leg_size), "a fifth of top and leg", bevel=bevel)
 
     look = Look(finish, max(length, width, height), color, accent, seed)
     spacing = look.size / 40
@@ -98,7 +76,7 @@ def table(
         outline = rectangle(length, width, 4 * bevel)
         corner = np.array([length, width]) / 2 - overhang - leg_size / 2
     else:
-        outline = regular(SIDES, 0.5) * [length, width]
+        outline = polygon(SIDES, 0.5) * [length, width]
         # Legs stand on the oval's diagonal.
         corner = (np.array([length, width]) / 2 - overhang - leg_size / 2) / np.sqrt(2)
     plate = prism([outline], top, spacing, bevel, 1).translate((0, 0, height - top))
@@ -133,16 +111,13 @@ def _pillar(
     """Build a turned pillar on a round foot, with a collar under the top."""
     foot = 0.6 * top + 0.01 * across
     collar = 0.4 * foot
-    disc = prism([regular(SIDES, 0.30 * across)], foot, spacing, 4 * bevel)
-    plate = prism([regular(SIDES, 2.2 * radius)], 1.5 * collar, spacing, bevel)
+    disc = prism([polygon(SIDES, 0.30 * across)], foot, spacing, 4 * bevel)
+    plate = prism([polygon(SIDES, 2.2 * radius)], 1.5 * collar, spacing, bevel)
     pillar = bar((0, 0, 0.5 * foot), (0, 0, under + SUNK * top), (2.0 * radius, 1.7 * radius), spacing, 48)
+    plate = plate.translate((0, 0, under - collar))
+    level, upright = np.eye(3), np.eye(3)[:, [2, 0, 1]]
     return [
-        PaintedPart.of(disc, timber(look, 11, np.array([0, 0, foot / 2]), np.eye(3), 0.6 * across)),
-        PaintedPart.of(
-            plate.translate((0, 0, under - collar)),
-            timber(look, 14, np.array([0, 0, under]), np.eye(3), 4 * radius),
-        ),
-        PaintedPart.of(
-            pillar, timber(look, 15, np.array([0, 0, under / 2]), np.eye(3)[:, [2, 0, 1]], 2 * radius)
-        ),
+        PaintedPart.of(disc, timber(look, 11, np.array([0, 0, foot / 2]), level, 0.6 * across)),
+        PaintedPart.of(plate, timber(look, 14, np.array([0, 0, under]), level, 4 * radius)),
+        PaintedPart.of(pillar, timber(look, 15, np.array([0, 0, under / 2]), upright, 2 * radius)),
     ]

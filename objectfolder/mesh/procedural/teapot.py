@@ -6,11 +6,11 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import half_outline, offset, ring, round_solid, soften
 from objectfolder.mesh.procedural.sweep import tube
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import revolved
+from objectfolder.mesh.procedural.vessel import revolve_solid
 from objectfolder.mesh.textured import TexturedMesh
 
 BODY = 0.74  #: height of the body without lid, in heights of the teapot
@@ -34,6 +34,9 @@ def teapot(
 ) -> TexturedMesh:
     """Build a teapot.
 
+    One closed surface of genus 1: the inside is open through the spout, which points along x. x from
+    about -radius - handle_reach to about radius + spout_reach, z from 0 to height.
+
     Parameters
     ----------
     radius, height, wall : float
@@ -44,42 +47,18 @@ def teapot(
         Radius of the lid, m; it is fused with the body.
     spout_reach, handle_reach : float
         Protrusion of the spout's tip and of the handle from the body, m.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`; on a glazed teapot the accent is the colour of lid,
-        handle and spout's tip.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 1: the inside is open through the spout, which points along x. x from
-        about -radius - handle_reach to about radius + spout_reach, z from 0 to height.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or does not fit the others.
+    accent : str, optional
+        On a glazed teapot the colour of lid, handle and spout's tip.
     """
-    require_positive(
-        "teapot",
-        radius=radius,
-        height=height,
-        wall=wall,
-        fullness=fullness,
-        lid_radius=lid_radius,
-        spout_reach=spout_reach,
-        handle_reach=handle_reach,
-    )
-    require_between("teapot", 1.3 * radius, 3.0 * radius, "1.3 to 3 radii", height=height)
-    require_between("teapot", 0.03 * radius, 0.09 * radius, "3 % to 9 % of the radius", wall=wall)
-    require_between("teapot", 1.8, 5.0, "double cone to cylinder", fullness=fullness)
-    require_between(
-        "teapot", 0.35 * radius, 0.65 * radius, "35 % to 65 % of the radius", lid_radius=lid_radius
-    )
-    require_between("teapot", 0.5 * radius, 1.3 * radius, "0.5 to 1.3 radii", spout_reach=spout_reach)
-    require_between("teapot", 0.45 * radius, 1.2 * radius, "0.45 to 1.2 radii", handle_reach=handle_reach)
-    require_texture_size("teapot", texture_size)
+    check = Checks("teapot", texture_size)
+    check.positive(radius=radius, height=height, wall=wall, fullness=fullness, lid_radius=lid_radius)
+    check.positive(spout_reach=spout_reach, handle_reach=handle_reach)
+    check.between(1.3 * radius, 3.0 * radius, "1.3 to 3 radii", height=height)
+    check.between(0.03 * radius, 0.09 * radius, "3 % to 9 % of the radius", wall=wall)
+    check.between(1.8, 5.0, "double cone to cylinder", fullness=fullness)
+    check.between(0.35 * radius, 0.65 * radius, "35 % to 65 % of the radius", lid_radius=lid_radius)
+    check.between(0.5 * radius, 1.3 * radius, "0.5 to 1.3 radii", spout_reach=spout_reach)
+    check.between(0.45 * radius, 1.2 * radius, "0.45 to 1.2 radii", handle_reach=handle_reach)
 
     tall = BODY * height
     half = tall * (1 + SUNK) / 2
@@ -90,17 +69,10 @@ def teapot(
         return radius * (1 - np.abs((np.asarray(z) - middle) / half) ** fullness).clip(0) ** (1 / fullness)
 
     angle = np.linspace(-np.pi / 2, np.pi / 2, 401)
-    curve = np.stack(
-        [
-            radius * np.cos(angle) ** (2 / fullness),
-            middle + half * np.sign(angle) * np.abs(np.sin(angle)) ** (2 / fullness),
-        ],
-        1,
-    )
-    curve = curve[curve[:, 1] > 0]
-    bulb = soften(
-        round_solid(np.concatenate([[[0.0, 0.0], [float(width(0.0)), 0.0]], curve])), convex=0.08 * radius
-    )
+    z = middle + half * np.sign(angle) * np.abs(np.sin(angle)) ** (2 / fullness)
+    curve = np.stack([radius * np.cos(angle) ** (2 / fullness), z], 1)[z > 0]
+    base = [[0.0, 0.0], [float(width(0.0)), 0.0]]
+    bulb = soften(round_solid(np.concatenate([base, curve])), convex=0.08 * radius)
     cavity = offset(bulb, -wall)
     knob = 0.5 * (height - tall) * 0.62
     seat = middle + half * (1 - (lid_radius / radius) ** fullness) ** (1 / fullness)
@@ -115,16 +87,15 @@ def teapot(
     ball = np.stack([1.15 * knob * np.cos(turn), height - knob + knob * np.sin(turn)], 1)
     slim, foot, head = 0.55 * knob, tall - wall, height - knob
     stalk = np.array([[0.0, foot], [slim, foot], [slim, head], [0.0, head]])
-    outline = soften(
-        bulb + lid + round_solid(ball) + round_solid(stalk), concave=0.4 * wall, convex=0.25 * wall
-    )
+    whole = bulb + lid + round_solid(ball) + round_solid(stalk)
+    outline = soften(whole, concave=0.4 * wall, convex=0.25 * wall)
 
     spout, bore = _spout(radius, tall, spout_reach, wall)
     handle = _handle(width, radius, tall, handle_reach)
 
     size = 2 * radius + spout_reach + handle_reach
     look = Look(finish, size, color, None if finish == "glaze" else accent, seed)
-    trim = look if finish != "glaze" or accent is None else look.dyed(accent)
+    trim = look if finish != "glaze" or accent is None else look.dye(accent)
     plain, second = look.paint(), trim.paint()
 
     def dipped(points: np.ndarray) -> np.ndarray:
@@ -134,39 +105,28 @@ def teapot(
         share = np.where(on_lid, 1.0, smoothstep(0.62, 0.64, (points[:, 0] - radius) / spout_reach))
         return plain(points) + share[:, None] * (second(points) - plain(points))
 
-    body = PaintedPart.of(revolved(half_outline(outline, "teapot")), dipped)
+    body = PaintedPart.of(revolve_solid(half_outline(outline, "teapot")), dipped)
     pipe, grip = PaintedPart.of(spout, dipped), PaintedPart.of(handle, second)
-    inside = [
-        PaintedPart.of(revolved(half_outline(cavity, "teapot"), HIDDEN), plain),
-        PaintedPart.of(bore, plain),
-    ]
-    whole = body.solid + pipe.solid + grip.solid - inside[0].solid - inside[1].solid
-    return assemble(whole, [body, pipe, grip, *inside], look, texture_size)
+    hollow = PaintedPart.of(revolve_solid(half_outline(cavity, "teapot"), HIDDEN), plain)
+    drill = PaintedPart.of(bore, plain)
+    solid = body.solid + pipe.solid + grip.solid - hollow.solid - drill.solid
+    return assemble(solid, [body, pipe, grip, hollow, drill], look, texture_size)
 
 
-def _bezier(corners: np.ndarray, pieces: int) -> np.ndarray:
-    """Sample a cubic Bezier curve with control points (4, 2) in the x-z plane; (pieces + 1, 3)."""
+def _bezier(x: list[float], z: list[float], pieces: int) -> np.ndarray:
+    """Sample a cubic Bezier curve with four control points in the x-z plane; (pieces + 1, 3)."""
     t = np.linspace(0, 1, pieces + 1)[:, None]
     weights = np.concatenate([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], 1)
-    x, z = (weights @ corners).T
-    return np.stack([x, 0 * x, z], 1)
+    across, up = (weights @ np.stack([x, z], 1)).T
+    return np.stack([across, 0 * across, up], 1)
 
 
 def _spout(
     radius: float, tall: float, reach: float, wall: float
 ) -> tuple[manifold3d.Manifold, manifold3d.Manifold]:
     """Build the spout and its bore, which extends beyond the tip."""
-    path = _bezier(
-        np.array(
-            [
-                [0.45 * radius, 0.34 * tall],
-                [radius + 0.50 * reach, 0.30 * tall],
-                [radius + 0.30 * reach, 0.70 * tall],
-                [radius + reach - 0.06 * radius, 0.93 * tall],
-            ]
-        ),
-        36,
-    )
+    x = [0.45 * radius, radius + 0.50 * reach, radius + 0.30 * reach, radius + reach - 0.06 * radius]
+    path = _bezier(x, [0.34 * tall, 0.30 * tall, 0.70 * tall, 0.93 * tall], 36)
     t = np.linspace(0, 1, len(path))
     across = 2 * min(radius, 0.64 * tall) * (0.125 + 0.25 * (1 - t) ** 1.6)
     spout = tube(path, 0.85 * across, across, (0.0, 1.0, 0.0), segments=32)
@@ -187,17 +147,8 @@ def _handle(
     far = -(radius + reach)
     # The cubic reaches 3 / 4 of the way to its control points.
     bend = (far + 0.055 * radius) * 4 / 3 + (float(width(high)) + float(width(low)) - 2 * deep) / 2 / 3
-    path = _bezier(
-        np.array(
-            [
-                [-float(width(high)) + deep, high],
-                [bend, high + 0.25 * tall],
-                [bend, low - 0.02 * tall],
-                [-float(width(low)) + deep, low],
-            ]
-        ),
-        44,
-    )
+    x = [-float(width(high)) + deep, bend, bend, -float(width(low)) + deep]
+    path = _bezier(x, [high, high + 0.25 * tall, low - 0.02 * tall, low], 44)
     t = np.linspace(0, 1, len(path))
     swell = 1 + 0.45 * (smoothstep(0.2, 0.0, t) + smoothstep(0.8, 1.0, t))
     return tube(path, 0.20 * radius * swell, 0.11 * radius * swell, (0.0, 1.0, 0.0), segments=24)

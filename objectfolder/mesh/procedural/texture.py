@@ -38,14 +38,8 @@ def lattice(seed: int) -> np.ndarray:
 def noise(points: np.ndarray, values: np.ndarray, octaves: int = 1) -> np.ndarray:
     """Evaluate fractal value noise (N,) of zero mean and about unit variance.
 
-    Parameters
-    ----------
-    points : ndarray, shape (N, 3)
-        In cells of the coarsest octave.
-    values : ndarray
-        From `lattice`.
-    octaves : int
-        Number of octaves, each of twice the frequency and half the amplitude of the one before.
+    Points (N, 3) are in cells of the coarsest octave, ``values`` from `lattice`. Each octave has twice the
+    frequency and half the amplitude of the one before.
     """
     total = np.zeros(len(points))
     for k in range(octaves):
@@ -67,20 +61,9 @@ def wood(
 ) -> np.ndarray:
     """Return the colour (N, 3) of a block of wood with growth rings, fibres and pores.
 
-    Parameters
-    ----------
-    points : ndarray, shape (N, 3)
-        Points, m.
-    scale : float
-        Size of the block, m; about nine rings cross it.
-    seed : int
-        Selects the block.
-    light, dark : ndarray, shape (3,), optional
-        Colours of early and late wood.
-    axis : ndarray, shape (3,), optional
-        Unit vector along the grain.
-    detail : float
-        Factor on the frequency of rings, fibres and pores.
+    About nine rings cross the ``scale``, m, of the block that the seed selects. ``light`` and ``dark`` (3,)
+    are the colours of early and late wood, ``axis`` (3,) is the unit vector along the grain, ``detail`` a
+    factor on the frequency of rings, fibres and pores.
     """
     values = lattice(seed)
     if axis is None:

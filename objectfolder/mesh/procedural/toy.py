@@ -7,16 +7,10 @@ import numpy as np
 from skimage.measure import marching_cubes
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
+from objectfolder.mesh.procedural.atlas import Paint
 from objectfolder.mesh.procedural.boards import board
-from objectfolder.mesh.procedural.extrusion import across, prism, regular, rounded, solid
-from objectfolder.mesh.procedural.finish import Paint
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_count,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.extrusion import extrude_y, polygon, prism, round_corners, solid
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.texture import over, rgb, smoothstep, stroke
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -40,6 +34,8 @@ def toy(
 ) -> TexturedMesh:
     """Build a toy.
 
+    One closed surface, facing +x.
+
     Parameters
     ----------
     kind : str
@@ -50,28 +46,16 @@ def toy(
         Width relative to the default, 0.75 to 1.3.
     count : int
         Number of rings of a tower, 3 to 8.
-    finish, color, seed
-        See `objectfolder.mesh.procedural.finish.finish`; rings without a colour take rainbow colours.
+    color : str, optional
+        Rings without a colour take rainbow colours.
     accent : str, optional
         Colour of the wheels or the bill; rings grade from the colour to it.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface, facing +x.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the kind is unknown or a dimension is out of range.
     """
-    require_choice("toy", KINDS, kind=kind)
-    require_positive("toy", span=span, plump=plump)
-    require_between("toy", 0.75, 1.3, "usual widths", plump=plump)
-    require_count("toy", 3, 8, count=count)
-    require_texture_size("toy", texture_size)
+    check = Checks("toy", texture_size)
+    check.choice(KINDS, kind=kind)
+    check.positive(span=span, plump=plump)
+    check.between(0.75, 1.3, "usual widths", plump=plump)
+    check.count(3, 8, count=count)
 
     if kind == "rings":
         look = Look(finish, span, color, accent, seed)
@@ -88,13 +72,13 @@ def _wheels(
 ) -> list[PaintedPart]:
     """Build pairs of wheels with hubs at positions along x; `width` is between their outer sides."""
     thick, hub = 0.5 * radius, 0.55 * radius
-    tyre = look.dyed(look.accent).paint((0, 1, 0), 1)
-    cap = look.dyed("ece7da").paint((0, 1, 0), 2)
+    tyre = look.dye(look.accent).paint((0, 1, 0), 1)
+    cap = look.dye("ece7da").paint((0, 1, 0), 2)
     parts = []
     for x in places:
         for sign in (-1, 1):
-            disc = across([regular(40, radius)], thick, spacing, 0.18 * radius)
-            boss = across([regular(24, hub)], thick, spacing, 0.12 * radius)
+            disc = extrude_y([polygon(40, radius)], thick, spacing, 0.18 * radius)
+            boss = extrude_y([polygon(24, hub)], thick, spacing, 0.12 * radius)
             y = sign * (width - thick) / 2
             parts.append(PaintedPart.of(disc.translate((x, y, radius)), tyre))
             parts.append(PaintedPart.of(boss.translate((x, y + sign * 0.14 * radius, radius)), cap))
@@ -104,14 +88,14 @@ def _wheels(
 def _lamps(
     look: Look, x: float, width: float, z: float, radius: float, code: str, spacing: float
 ) -> list[PaintedPart]:
-    lamp = prism([regular(24, radius)], 3 * radius, spacing, 0.5 * radius).rotate((0, 90, 0))
-    paint = look.dyed(code).paint()
+    lamp = prism([polygon(24, radius)], 3 * radius, spacing, 0.5 * radius).rotate((0, 90, 0))
+    paint = look.dye(code).paint()
     return [
         PaintedPart.of(lamp.translate((x - 2.5 * radius, sign * 0.32 * width, z)), paint) for sign in (-1, 1)
     ]
 
 
-def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar: float | None) -> Paint:
+def _paint_cabin(body: Paint, sides: np.ndarray, width: float, border: float, pillar: float | None) -> Paint:
     """Return the paint of a cabin with windows on all sides, inside a convex outline in x and z."""
     glass, edge = rgb("9fd3e6"), np.roll(sides, -1, axis=0) - sides
     inward = np.stack([-edge[:, 1], edge[:, 0]], 1) / np.linalg.norm(edge, axis=1, keepdims=True)
@@ -125,9 +109,8 @@ def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar:
         beside = smoothstep(border - soft, border + soft, deep) * (y > 0.42 * width)
         if pillar is not None:
             beside = beside * (1 - stroke(points[:, 0] - pillar, border / 2, soft))
-        height = smoothstep(low - soft, low + soft, points[:, 2]) * smoothstep(
-            high + soft, high - soft, points[:, 2]
-        )
+        z = points[:, 2]
+        height = smoothstep(low - soft, low + soft, z) * smoothstep(high + soft, high - soft, z)
         ahead = height * smoothstep(width / 2 - border + soft, width / 2 - border - soft, y)
         ahead = ahead * (deep < 0.7 * border)
         return over(colour, glass * (0.9 + 0.1 * colour), np.maximum(beside, ahead))
@@ -138,27 +121,16 @@ def _glazed(body: Paint, sides: np.ndarray, width: float, border: float, pillar:
 def _car(look: Look, span: float, plump: float) -> list[PaintedPart]:
     s, width = span, 0.46 * span * plump
     spacing, r = span / 36, 0.125 * span
-    hull = rounded(
-        [
-            (-0.5 * s, 0.09 * s),
-            (0.5 * s, 0.09 * s),
-            (0.5 * s, 0.22 * s),
-            (0.46 * s, 0.27 * s),
-            (-0.48 * s, 0.29 * s),
-            (-0.5 * s, 0.26 * s),
-        ],
-        0.045 * s,
-    )
-    cabin_corners = [(-0.36 * s, 0.2 * s), (0.29 * s, 0.2 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
+    x, z = [-0.5, 0.5, 0.5, 0.46, -0.48, -0.5], [0.09, 0.09, 0.22, 0.27, 0.29, 0.26]
+    hull = round_corners(s * np.stack([x, z], 1), 0.045 * s)
+    cabin_corners = s * np.array([(-0.36, 0.2), (0.29, 0.2), (0.13, 0.44), (-0.27, 0.44)])
     cabin_width = 0.86 * width
-    cabin = across([rounded(cabin_corners, 0.045 * s)], cabin_width, spacing, 0.03 * s)
-    body = look.dyed(look.color).paint((1, 0, 0))
-    windows = np.array(
-        [(-0.33 * s, 0.27 * s), (0.245 * s, 0.27 * s), (0.13 * s, 0.44 * s), (-0.27 * s, 0.44 * s)]
-    )
+    cabin = extrude_y([round_corners(cabin_corners, 0.045 * s)], cabin_width, spacing, 0.03 * s)
+    body = look.dye(look.color).paint((1, 0, 0))
+    windows = s * np.array([(-0.33, 0.27), (0.245, 0.27), (0.13, 0.44), (-0.27, 0.44)])
     return [
-        PaintedPart.of(across([hull], width, spacing, 0.032 * s), body),
-        PaintedPart.of(cabin, _glazed(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
+        PaintedPart.of(extrude_y([hull], width, spacing, 0.032 * s), body),
+        PaintedPart.of(cabin, _paint_cabin(body, windows, cabin_width, 0.032 * s, -0.06 * s)),
         *_wheels(look, [-0.29 * s, 0.29 * s], r, 1.04 * width, spacing),
         *_lamps(look, 0.5 * s, width, 0.19 * s, 0.032 * s, "f6e9a8", spacing),
         *_lamps(look, -0.45 * s, width, 0.20 * s, 0.025 * s, "a01f1f", spacing),
@@ -168,21 +140,11 @@ def _car(look: Look, span: float, plump: float) -> list[PaintedPart]:
 def _truck(look: Look, span: float, plump: float) -> list[PaintedPart]:
     s, width = span, 0.40 * span * plump
     spacing, r = span / 36, 0.085 * span
-    frame = rounded(
-        [(-0.5 * s, 0.08 * s), (0.5 * s, 0.08 * s), (0.5 * s, 0.16 * s), (-0.5 * s, 0.16 * s)], 0.02 * s
-    )
-    cab_corners = [
-        (0.16 * s, 0.12 * s),
-        (0.49 * s, 0.12 * s),
-        (0.49 * s, 0.27 * s),
-        (0.43 * s, 0.45 * s),
-        (0.16 * s, 0.45 * s),
-    ]
-    windows = np.array(
-        [(0.16 * s, 0.255 * s), (0.50 * s, 0.255 * s), (0.43 * s, 0.45 * s), (0.16 * s, 0.45 * s)]
-    )
-    body = look.dyed(look.color).paint((1, 0, 0))
-    load = look.dyed("f2c83b")
+    frame = round_corners(s * np.array([(-0.5, 0.08), (0.5, 0.08), (0.5, 0.16), (-0.5, 0.16)]), 0.02 * s)
+    cab_corners = s * np.array([(0.16, 0.12), (0.49, 0.12), (0.49, 0.27), (0.43, 0.45), (0.16, 0.45)])
+    windows = s * np.array([(0.16, 0.255), (0.50, 0.255), (0.43, 0.45), (0.16, 0.45)])
+    body = look.dye(look.color).paint((1, 0, 0))
+    load = look.dye("f2c83b")
     x, y, z, t = (-0.49 * s, 0.11 * s), width / 2, (0.14 * s, 0.35 * s), 0.025 * s
     boards = [
         ((x[0], -y, z[0]), (x[1], y, z[0] + 1.6 * t)),
@@ -192,14 +154,12 @@ def _truck(look: Look, span: float, plump: float) -> list[PaintedPart]:
         ((x[1] - t, 0.5 * t - y, z[0]), (x[1], y - 0.5 * t, z[1] - 0.1 * t)),
     ]
     tray = [board(load, 10 + k, low, high, spacing, 0.2 * t) for k, (low, high) in enumerate(boards)]
-    under = across([frame], 0.8 * width, spacing, 0.012 * s)
+    cab = extrude_y([round_corners(cab_corners, 0.035 * s)], 0.96 * width, spacing, 0.025 * s)
+    under = extrude_y([frame], 0.8 * width, spacing, 0.012 * s)
     return [
         *tray,
-        PaintedPart.of(under, look.dyed("6b6e73").paint((1, 0, 0), 4)),
-        PaintedPart.of(
-            across([rounded(cab_corners, 0.035 * s)], 0.96 * width, spacing, 0.025 * s),
-            _glazed(body, windows, 0.96 * width, 0.03 * s, None),
-        ),
+        PaintedPart.of(under, look.dye("6b6e73").paint((1, 0, 0), 4)),
+        PaintedPart.of(cab, _paint_cabin(body, windows, 0.96 * width, 0.03 * s, None)),
         *_wheels(look, [-0.38 * s, -0.16 * s, 0.33 * s], r, 1.06 * width, spacing),
         *_lamps(look, 0.49 * s, width, 0.17 * s, 0.028 * s, "f6e9a8", spacing),
     ]
@@ -212,23 +172,21 @@ def _rings(look: Look, height: float, plump: float, count: int) -> list[PaintedP
     pitch = (height - foot - 1.75 * ball) / count
     thick = 1.12 * pitch  # rings overlap
     colours = ramp(look.color, look.accent, count + 2)
-    base = prism([regular(72, widest)], foot, height / 40, 0.3 * foot)
-    parts = [PaintedPart.of(base, look.dyed(colours[0]).paint((1, 0, 0)))]
-    post = prism([regular(48, 0.16 * widest)], height - foot - ball, height / 40).translate(
-        (0, 0, 0.5 * foot)
-    )
-    parts.append(PaintedPart.of(post, parts[0].paint))
+    base = prism([polygon(72, widest)], foot, height / 40, 0.3 * foot)
+    parts = [PaintedPart.of(base, look.dye(colours[0]).paint((1, 0, 0)))]
+    post = prism([polygon(48, 0.16 * widest)], height - foot - ball, height / 40)
+    parts.append(PaintedPart.of(post.translate((0, 0, 0.5 * foot)), parts[0].paint))
     for k in range(count):
         outer = widest * (0.94 - 0.46 * k / (count - 1))
         half = min(0.8 * thick, 0.42 * outer)
-        oval = regular(22, 1.0) * [half, thick / 2] + [outer - half, 0]
+        oval = polygon(22, 1.0) * [half, thick / 2] + [outer - half, 0]
         ring = manifold3d.CrossSection([oval]).revolve(72)
-        disc = prism([regular(48, outer - half)], 1.02 * pitch, height / 40).translate((0, 0, -0.51 * pitch))
+        disc = prism([polygon(48, outer - half)], 1.02 * pitch, height / 40).translate((0, 0, -0.51 * pitch))
         place = (0, 0, foot + pitch * (k + 0.5))
-        paint = look.dyed(colours[k + 1]).paint(None, k)
+        paint = look.dye(colours[k + 1]).paint(None, k)
         parts.append(PaintedPart.of((ring + disc).translate(place), paint))
     top = manifold3d.Manifold.sphere(ball, 64).translate((0, 0, height - ball))
-    parts.append(PaintedPart.of(top, look.dyed(colours[-1]).paint(None, count)))
+    parts.append(PaintedPart.of(top, look.dye(colours[-1]).paint(None, count)))
     return parts
 
 
@@ -261,9 +219,9 @@ def _duck(look: Look, span: float, plump: float) -> list[PaintedPart]:
         torso = blend(blend(body, tail, 0.16), blend(neck, head, 0.05), 0.06)
         return blend(torso, wing, 0.02)
 
-    made = _drawn(distance, np.array([[-0.66, -0.44 * plump, -0.05], [0.5, 0.44 * plump, 0.85]]))
+    made = _extract_solid(distance, np.array([[-0.66, -0.44 * plump, -0.05], [0.5, 0.44 * plump, 0.85]]))
     made = made.trim_by_plane((0, 0, 1.0), 0.02).translate((0, 0, -0.02))
-    feathers = look.dyed(look.color).paint((1, 0, 0))
+    feathers = look.dye(look.color).paint((1, 0, 0))
 
     def paint(points: np.ndarray) -> np.ndarray:
         at = (points / span + [0, 0, 0.02]) / wide
@@ -274,7 +232,7 @@ def _duck(look: Look, span: float, plump: float) -> list[PaintedPart]:
     ball = manifold3d.Manifold.sphere(1.0, 64)
     upper = ball.scale((0.15, 0.105 * plump, 0.042)).rotate((0, -8, 0)).translate((0.40, 0, 0.565))
     lower = ball.scale((0.115, 0.085 * plump, 0.036)).rotate((0, 10, 0)).translate((0.39, 0, 0.525))
-    bill = look.dyed(look.accent).paint((1, 0, 0), 1)
+    bill = look.dye(look.accent).paint((1, 0, 0), 1)
     return [PaintedPart.of(made.scale([span] * 3), paint)] + [
         PaintedPart.of(p.scale([span] * 3), bill) for p in (upper, lower)
     ]
@@ -287,7 +245,7 @@ def _ellipsoid(at: np.ndarray, middle: tuple[float, ...], half: tuple[float, ...
     return radius * (radius - 1) / np.maximum(np.linalg.norm(scaled / half, axis=1), 1e-9)
 
 
-def _drawn(distance: Callable[[np.ndarray], np.ndarray], bounds: np.ndarray) -> manifold3d.Manifold:
+def _extract_solid(distance: Callable[[np.ndarray], np.ndarray], bounds: np.ndarray) -> manifold3d.Manifold:
     """Extract the solid where a distance is negative."""
     step = np.ptp(bounds, axis=0).max() / CELLS
     axes = [np.arange(a, b + step, step) for a, b in bounds.T]

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from objectfolder.mesh.procedural.parameters import require_between, require_positive, require_texture_size
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.section import half_outline, ring_under, soften, wall_about
 from objectfolder.mesh.procedural.texture import smoothstep
-from objectfolder.mesh.procedural.vessel import lobed, turned_vessel, vessel_finish
+from objectfolder.mesh.procedural.vessel import build_vessel, lobe_warp, vessel_finish
 from objectfolder.mesh.textured import TexturedMesh
 
 
@@ -30,6 +30,8 @@ def vase(
 ) -> TexturedMesh:
     """Build a vase.
 
+    One closed surface of genus 0; a round one has x and y from -radius to radius, z from 0 to height.
+
     Parameters
     ----------
     radius, height, wall : float
@@ -44,45 +46,20 @@ def vase(
         Depth of the lobes, in radii; unused for a round vase.
     twist : float
         Rotation of the lobes from the base to the lip, turns.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`; on a glazed vase the accent is the colour inside.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface of genus 0; a round one has x and y from -radius to radius, z from 0 to height.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a dimension is not positive or does not fit the others.
+    accent : str, optional
+        On a glazed vase the colour inside.
     """
-    require_positive(
-        "vase",
-        radius=radius,
-        height=height,
-        wall=wall,
-        base_radius=base_radius,
-        neck_radius=neck_radius,
-        lip_radius=lip_radius,
-    )
-    require_between("vase", 1.2 * radius, 8 * radius, "1.2 to 8 radii", height=height)
-    for name, value in {
-        "base_radius": base_radius,
-        "neck_radius": neck_radius,
-        "lip_radius": lip_radius,
-    }.items():
-        require_between("vase", 0.2 * radius, radius, "20 % to 100 % of the radius", **{name: value})
-    narrow = min(base_radius, neck_radius, lip_radius)
-    require_between(
-        "vase", 0.02 * radius, 0.25 * narrow, "2 % of the radius to a quarter of the narrowest", wall=wall
-    )
-    require_between("vase", 0.2, 0.8, "a share of the height", belly=belly)
-    require_between("vase", belly + 0.1, 0.95, "a share of the height above the belly", neck=neck)
-    require_between("vase", -1.0, 1.0, "turns", twist=twist)
-    require_texture_size("vase", texture_size)
+    check = Checks("vase", texture_size)
+    check.positive(radius=radius, height=height, wall=wall, base_radius=base_radius, neck_radius=neck_radius)
+    check.positive(lip_radius=lip_radius)
+    check.between(1.2 * radius, 8 * radius, "1.2 to 8 radii", height=height)
+    others = {"base_radius": base_radius, "neck_radius": neck_radius, "lip_radius": lip_radius}
+    check.between(0.2 * radius, radius, "20 % to 100 % of the radius", **others)
+    narrow = min(others.values())
+    check.between(0.02 * radius, 0.25 * narrow, "2 % of the radius to a quarter of the narrowest", wall=wall)
+    check.between(0.2, 0.8, "a share of the height", belly=belly)
+    check.between(belly + 0.1, 0.95, "a share of the height above the belly", neck=neck)
+    check.between(-1.0, 1.0, "turns", twist=twist)
 
     recess = 0.5 * wall
     floor, top = recess + wall / 2, height - wall / 2
@@ -104,5 +81,5 @@ def vase(
         return smoothstep(0.05 * height, 0.4 * height, points[:, 2])
 
     look = vessel_finish(finish, height, height, recess, color, accent, seed)
-    warp = lobed("vase", lobes, lobe_depth, weight, twist / height)
-    return turned_vessel(half_outline(section, "vase"), look, texture_size, warp)
+    warp = lobe_warp(check, lobes, lobe_depth, weight, twist / height)
+    return build_vessel(half_outline(section, "vase"), look, texture_size, warp)

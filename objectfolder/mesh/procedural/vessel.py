@@ -1,19 +1,18 @@
 """Hollow turned vessels: finish of both sides, lobes, and assembly."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import manifold3d
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.procedural.atlas import Chart, pack_charts
+from objectfolder.mesh.procedural.atlas import Paint, pack_charts
 from objectfolder.mesh.procedural.extrusion import solid
-from objectfolder.mesh.procedural.finish import Finish, Paint, finish
-from objectfolder.mesh.procedural.parameters import require_between
+from objectfolder.mesh.procedural.finish import Finish, finish
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.procedural.revolution import revolve
-from objectfolder.mesh.procedural.section import COARSE, even_rows, split_at_lip
-from objectfolder.mesh.procedural.solid import Patch, coincident, textured, weld_patches
+from objectfolder.mesh.procedural.section import COARSE, resample_rows, split_at_lip
+from objectfolder.mesh.procedural.solid import bake_mesh, group_coincident, weld_patches
 from objectfolder.mesh.procedural.texture import lattice, noise, over, rgb, smoothstep
 from objectfolder.mesh.textured import TexturedMesh
 
@@ -23,48 +22,25 @@ Warp = Callable[[np.ndarray], np.ndarray]  #: points (N, 3), m -> points (N, 3),
 
 
 @dataclass(frozen=True)
-class VesselFinish:
-    """Paint of the two sides of a vessel, continuous at its lip."""
+class VesselFinish(Finish):
+    """Finish of a vessel; the paint of its inside continues that of its outside at the lip."""
 
-    outside: Paint
     inside: Paint
-    roughness: float
-    metallic: float
 
 
 def vessel_finish(
-    name: str,
-    size: float,
-    lip: float,
-    foot: float,
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
+    name: str, size: float, lip: float, foot: float, color: str | None, accent: str | None, seed: int
 ) -> VesselFinish:
-    """Return the finish of a vessel.
+    """Return the finish of a vessel; its name, colours and seed are those of ``finish``.
 
     A glazed vessel is dipped: the accent covers the inside and runs over the lip, and the foot stays bare.
-    Any other finish is the same on both sides.
-
-    Parameters
-    ----------
-    name, color, accent, seed
-        As for ``finish``.
-    size : float
-        Longest side of the vessel, m.
-    lip : float
-        Height of the lip, m.
-    foot : float
-        Height up to which the foot is bare, m.
+    Any other finish is the same on both sides. ``size`` is the vessel's longest side, ``lip`` the height of
+    its lip, and ``foot`` that up to which the foot is bare, m.
     """
     body = finish(name, size, color, accent if name != "glaze" else None, seed)
     if name != "glaze":
-        return VesselFinish(body.paint, body.paint, body.roughness, body.metallic)
+        return VesselFinish(body.paint, body.roughness, body.metallic, body.paint)
     lining = body if accent is None else finish(name, size, accent, None, seed + 1)
-    return _dipped(body, lining, size, lip, foot, seed)
-
-
-def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, seed: int) -> VesselFinish:
     values = lattice(seed)
     u = size / 0.1
     v = min(u, lip / 0.05)  # narrower on flat vessels
@@ -93,39 +69,21 @@ def _dipped(body: Finish, lining: Finish, size: float, lip: float, foot: float, 
     def inside(points: np.ndarray) -> np.ndarray:
         return thin(points, lining.paint(points))
 
-    return VesselFinish(outside, inside, body.roughness, body.metallic)
+    return VesselFinish(outside, body.roughness, body.metallic, inside)
 
 
-def lobed(
-    generator: str,
-    lobes: int,
-    depth: float,
-    weight: Callable[[np.ndarray], np.ndarray],
-    twist: float = 0.0,
+def lobe_warp(
+    check: Checks, lobes: int, depth: float, weight: Callable[[np.ndarray], np.ndarray], twist: float = 0.0
 ) -> Warp | None:
     """Return the warp of a round vessel into ``lobes`` lobes, or None without lobes.
 
-    Parameters
-    ----------
-    lobes : int
-        Number of lobes, 0 for none.
-    depth : float
-        Amplitude, in radii.
-    weight : callable
-        Maps points (N, 3) to factors (N,) on the amplitude, in [0, 1].
-    twist : float
-        Rotation of the lobes with height, turns per metre.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the number of lobes is not 0 or 3 to 12, or the depth exceeds 0.1.
+    ``depth`` is their amplitude in radii, on which ``weight`` maps points (N, 3) to factors (N,) in [0, 1];
+    ``twist`` rotates them with height, in turns per metre.
     """
-    if not isinstance(lobes, int) or isinstance(lobes, bool) or (lobes and not 3 <= lobes <= 12):
-        raise ObjectFolderError(
-            f"{generator}: lobes={lobes!r}: expected 0 (round) or a whole number from 3 to 12"
-        )
-    require_between(generator, 0.0, 0.1, "a share of the radius", lobe_depth=depth)
+    whole = isinstance(lobes, int) and not isinstance(lobes, bool)
+    if not whole or (lobes and not 3 <= lobes <= 12):
+        check.refuse("lobes", lobes, "0 (round) or a whole number from 3 to 12")
+    check.between(0.0, 0.1, "a share of the radius", lobe_depth=depth)
     if not lobes or not depth:
         return None
 
@@ -137,39 +95,32 @@ def lobed(
     return warp
 
 
-def shell(profile: np.ndarray, look: VesselFinish, warp: Warp | None = None) -> list[tuple[Patch, Chart]]:
-    """Build patches and charts of a vessel from a profile (N, 2) that starts and ends on the axis."""
-    outer, inner = split_at_lip(profile)
-    parts = revolve(outer, 0, look.outside)
-    parts += revolve(inner, len(parts), look.inside)
-    if warp is not None:
-        parts = [
-            (Patch(warp(patch.vertices), patch.faces, patch.xy, patch.chart), chart) for patch, chart in parts
-        ]
-    return parts
-
-
-def turned_vessel(
-    profile: np.ndarray, look: VesselFinish, texture_size: int, warp: Warp | None = None
+def build_vessel(
+    profile: np.ndarray, look: VesselFinish, texture_size: int, warp: Warp | None
 ) -> TexturedMesh:
-    """Build the textured mesh of a vessel without attached parts."""
-    parts = shell(profile, look, warp)
+    """Build the textured mesh of a vessel from a profile (N, 2) that starts and ends on the axis."""
+    outer, inner = split_at_lip(profile)
+    parts = revolve(outer, 0, look.paint)
+    parts += revolve(inner, len(parts), look.inside)
     atlas = pack_charts([chart for _, chart in parts], texture_size)
-    return textured(weld_patches([patch for patch, _ in parts], atlas), atlas, look.roughness, look.metallic)
+    patches = [patch for patch, _ in parts]
+    if warp is not None:
+        patches = [replace(patch, vertices=warp(patch.vertices)) for patch in patches]
+    return bake_mesh(weld_patches(patches, atlas), atlas, look.roughness, look.metallic)
 
 
-def revolved(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold:
+def revolve_solid(profile: np.ndarray, coarse: float = COARSE) -> manifold3d.Manifold:
     """Revolve a dense profile (N, 2), m, that starts and ends on the axis, into an unpainted solid.
 
     ``coarse`` is the allowed deviation from the profile, in its sizes.
     """
     top = int(np.argmax(profile[:, 1]))
     halves = [half for half in (profile[: top + 1], profile[top:]) if len(half) > 1]
-    rows = [even_rows(half, profile, coarse) for half in halves]
+    rows = [resample_rows(half, profile, coarse) for half in halves]
     even = np.concatenate([rows[0], *(row[1:] for row in rows[1:])])
     patches = [patch for patch, _ in revolve(even, 0, lambda points: points)]
     vertices = np.concatenate([patch.vertices for patch in patches])
     starts = np.cumsum([0, *(len(patch.vertices) for patch in patches)])
     faces = np.concatenate([patch.faces + start for patch, start in zip(patches, starts)])
-    first, group = coincident(vertices)
+    first, group = group_coincident(vertices)
     return solid(vertices[first], group[faces])

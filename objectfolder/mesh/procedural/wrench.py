@@ -4,13 +4,8 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.procedural.assembly import Look, PaintedPart, assemble, union
-from objectfolder.mesh.procedural.extrusion import prism, rectangle, regular
-from objectfolder.mesh.procedural.parameters import (
-    require_between,
-    require_choice,
-    require_positive,
-    require_texture_size,
-)
+from objectfolder.mesh.procedural.extrusion import polygon, prism, rectangle
+from objectfolder.mesh.procedural.parameters import Checks
 from objectfolder.mesh.textured import TexturedMesh
 
 ENDS = ("combination", "open", "ring")
@@ -34,6 +29,8 @@ def wrench(
 ) -> TexturedMesh:
     """Build a wrench.
 
+    One closed surface along x about the origin, its lower side on z = 0.
+
     Parameters
     ----------
     length : float
@@ -44,28 +41,12 @@ def wrench(
         Thickness of the bar outside its recessed panels, m; heads are thicker.
     ends : str
         "combination" of open jaws and a ring, "open" or "ring" at both ends.
-    finish, color, accent, seed
-        See `objectfolder.mesh.procedural.finish.finish`.
-    texture_size : int
-        Side of the texture, texels.
-
-    Returns
-    -------
-    TexturedMesh
-        One closed surface along x about the origin, its lower side on z = 0.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an option is unknown or a dimension does not fit the others.
     """
-    require_positive("wrench", length=length, flats=flats, thickness=thickness)
-    require_choice("wrench", ENDS, ends=ends)
-    require_between("wrench", 6 * flats, 30 * flats, "6 to 30 widths of the nut", length=length)
-    require_between(
-        "wrench", 0.2 * flats, 0.7 * flats, "20 % to 70 % of the nut's width", thickness=thickness
-    )
-    require_texture_size("wrench", texture_size)
+    check = Checks("wrench", texture_size)
+    check.positive(length=length, flats=flats, thickness=thickness)
+    check.choice(ENDS, ends=ends)
+    check.between(6 * flats, 30 * flats, "6 to 30 widths of the nut", length=length)
+    check.between(0.2 * flats, 0.7 * flats, "20 % to 70 % of the nut's width", thickness=thickness)
 
     look = Look(finish, length + 2 * flats, color, accent, seed)
     spacing = length / 60
@@ -81,7 +62,7 @@ def wrench(
     )
     shape = manifold3d.CrossSection([bar])
     for x, radius in zip(middles, radii):
-        shape += manifold3d.CrossSection([regular(72, radius) + np.array([x, 0])])
+        shape += manifold3d.CrossSection([polygon(72, radius) + np.array([x, 0])])
     fillet = 0.8 * flats
     shape = shape.offset(fillet, manifold3d.JoinType.Round, circular_segments=64)
     shape = shape.offset(-fillet, manifold3d.JoinType.Round, circular_segments=64).simplify(1e-3 * flats)
@@ -90,19 +71,17 @@ def wrench(
     metal = look.paint((1, 0, 0))
     parts, cuts = [PaintedPart.of(body, metal)], []
     for k, (kind, x, radius, s) in enumerate(zip(kinds, middles, radii, sizes)):
-        head = prism([regular(72, 1.03 * radius)], HEAD * thickness, spacing, 0.2 * thickness, 2)
+        head = prism([polygon(72, 1.03 * radius)], HEAD * thickness, spacing, 0.2 * thickness, 2)
         parts.append(PaintedPart.of(head.translate((x, 0, 0)), metal))
         outline = _jaws(s, radius, k) if kind == "open" else _star(s)
-        bite = prism(_rings(outline), 2 * HEAD * thickness, spacing).translate(
-            (x, 0, -0.5 * HEAD * thickness)
-        )
-        cuts.append(PaintedPart.of(bite, metal))
+        bite = prism(_rings(outline), 2 * HEAD * thickness, spacing)
+        cuts.append(PaintedPart.of(bite.translate((x, 0, -0.5 * HEAD * thickness)), metal))
     # Panels on both sides of the bar.
     ends_of_bar = middles[0] + 1.6 * radii[0], middles[1] - 1.6 * radii[1]
     span, across = ends_of_bar[1] - ends_of_bar[0], 0.8 * min(half)
     depth = RECESS * thickness
     panel = prism([rectangle(span, across, 0.45 * across)], 2 * depth, spacing)
-    dull = look.dyed(look.accent or "5f6468").paint((1, 0, 0), 1)
+    dull = look.dye(look.accent or "5f6468").paint((1, 0, 0), 1)
     for z in (lift - depth, lift + thickness - depth):
         cuts.append(PaintedPart.of(panel.translate((np.mean(ends_of_bar), 0, z)), dull))
     return assemble(union(parts) - union(cuts), [*parts, *cuts], look, texture_size)
@@ -115,14 +94,13 @@ def _rings(shape: manifold3d.CrossSection) -> list[np.ndarray]:
 def _jaws(size: float, radius: float, end: int) -> manifold3d.CrossSection:
     """Build the slot of the first (0) or second (1) end, open away from the bar."""
     turn = np.pi * (1 - end) + JAW_ANGLE
-    slot = manifold3d.CrossSection(
-        [rectangle(2.5 * radius, size) + np.array([1.25 * radius - 0.1 * size, 0])]
-    )
-    seat = manifold3d.CrossSection([regular(6, size / np.sqrt(3))])
+    shift = np.array([1.25 * radius - 0.1 * size, 0])
+    slot = manifold3d.CrossSection([rectangle(2.5 * radius, size) + shift])
+    seat = manifold3d.CrossSection([polygon(6, size / np.sqrt(3))])
     return (slot + seat).rotate(np.rad2deg(turn))
 
 
 def _star(size: float) -> manifold3d.CrossSection:
     """Build a hole with twelve points, for hexagons in two orientations."""
-    hexagons = [manifold3d.CrossSection([regular(6, size / np.sqrt(3), k * np.pi / 6)]) for k in (0, 1)]
+    hexagons = [manifold3d.CrossSection([polygon(6, size / np.sqrt(3), k * np.pi / 6)]) for k in (0, 1)]
     return hexagons[0] + hexagons[1]

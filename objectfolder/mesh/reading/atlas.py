@@ -12,12 +12,12 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.reading.parts import MeshPart
 from objectfolder.mesh.reading.texels import (
     base_color,
-    sampled,
-    scaled_image,
+    sample_texels,
+    scale_image,
     srgb_bytes,
     texel_places,
-    tinted_pixels,
-    wrapped,
+    tint_pixels,
+    wrap_texels,
 )
 
 MARGIN = 2  # texels around a window, to keep bilinear filtering inside
@@ -30,38 +30,20 @@ FILLED = 0.9  # fraction of the atlas that cells with an image may fill up
 def bake_atlas(
     parts: Sequence[MeshPart], texture_size: int, name: str
 ) -> tuple[list[MeshPart], dict[str, Any], list[float]]:
-    """Bake parts into one texture.
+    """Bake parts, which have texture coordinates where their material has an image, into one texture.
 
-    Parameters
-    ----------
-    parts : sequence of MeshPart
-        With texture coordinates where their material has an image.
-    texture_size : int
-        Longest side of the texture, pixels.
-    name : str
-        Name of the mesh in errors.
+    Its longest side is at most ``texture_size`` pixels; raises `ObjectFolderError` if they do not fit.
 
-    Returns
-    -------
-    list of MeshPart
-        With coordinates in the atlas; parts with vertex colours beside an image may be divided, their
-        corners are no longer shared.
-    dict
-        ``uv`` (V, 2) of all parts, and ``texture`` (H, W, 3) uint8.
-    list of float
-        Scale of each image in the atlas.
-
-    Raises
-    ------
-    ObjectFolderError
-        If they do not fit that size.
+    Returns the parts with coordinates in the atlas, of which those with vertex colours beside an image may
+    be divided and share no corners; ``uv`` (V, 2) of all parts and ``texture`` (H, W, 3) uint8; and the
+    scale of each image in the atlas.
     """
-    parts = [piece for part in parts for piece in _by_size(_near_origin(part))]
+    parts = [piece for part in parts for piece in _split_by_size(_move_near_origin(part))]
     # Parts of one material share a window; faces with vertex colours have cells.
     groups: dict[Any, list[int]] = {}
     for i, part in enumerate(parts):
         groups.setdefault(part.material if part.colors is None else i, []).append(i)
-    members = _with_cells([_Group.of([parts[i] for i in group]) for group in groups.values()], texture_size)
+    members = _choose_cells([_Group.of([parts[i] for i in group]) for group in groups.values()], texture_size)
     scale = 1.0
     while True:
         sizes = np.array([_size(group, scale, texture_size) for group in members])
@@ -92,7 +74,7 @@ def bake_atlas(
     return result, {"uv": uv, "texture": texture}, scales
 
 
-def _near_origin(part: MeshPart) -> MeshPart:
+def _move_near_origin(part: MeshPart) -> MeshPart:
     """Move the texture coordinates of every face next to the origin by whole repeats.
 
     Along an axis that is clamped, faces beyond the image have the colours of its edge, and move there.
@@ -121,7 +103,7 @@ def _near_origin(part: MeshPart) -> MeshPart:
     )
 
 
-def _by_size(part: MeshPart) -> list[MeshPart]:
+def _split_by_size(part: MeshPart) -> list[MeshPart]:
     """Part faces with vertex colours beside an image by the texels they cover, two sizes per doubling."""
     if part.colors is None or part.material.image is None:
         return [part]
@@ -180,7 +162,7 @@ class _Group:
         return self.cell if self.image is None else max(min(self.texels, round(self.cell * scale)), 1)
 
 
-def _with_cells(groups: Sequence[_Group], limit: int) -> list[_Group]:
+def _choose_cells(groups: Sequence[_Group], limit: int) -> list[_Group]:
     """Choose the sides of cells: what faces cover of their images, up to a bound that fits the free area."""
     plain = [group for group in groups if group.celled and group.image is None]
     count = sum(len(group.parts[0].faces) for group in plain)
@@ -247,9 +229,9 @@ def _paint(group: _Group, scale: float, limit: int) -> tuple[np.ndarray, list[tu
         places = [(p, np.full((len(p.vertices), 2), middle)) for p in group.parts]
         return np.broadcast_to(srgb_bytes(base_color(group.parts[0])), (side, side, 3)), places
     size, first, last = _window(group, scale, limit)
-    texels = tinted_pixels(material, scaled_image(material.image, size))
-    columns = wrapped(np.arange(first[0], last[0]), size[0], material.wrap[0])
-    rows = wrapped(np.arange(first[1], last[1]), size[1], material.wrap[1])
+    texels = tint_pixels(material, scale_image(material.image, size))
+    columns = wrap_texels(np.arange(first[0], last[0]), size[0], material.wrap[0])
+    rows = wrap_texels(np.arange(first[1], last[1]), size[1], material.wrap[1])
     places = [(p, texel_places(p.uv, size) - first) for p in group.parts if p.uv is not None]
     return texels[rows][:, columns], places
 
@@ -273,8 +255,8 @@ def _paint_faces(
     elif part.uv is not None:
         uv = np.einsum("ijk,fkc->fijc", weights, part.uv[part.faces])
         size = _scaled(group, scale, limit)
-        texels = tinted_pixels(part.material, scaled_image(part.material.image, size))
-        linear *= sampled(texels, texel_places(uv.reshape(-1, 2), size), part.material.wrap).reshape(
+        texels = tint_pixels(part.material, scale_image(part.material.image, size))
+        linear *= sample_texels(texels, texel_places(uv.reshape(-1, 2), size), part.material.wrap).reshape(
             linear.shape
         )
     cells = np.zeros((height // cell * columns, cell, cell, 3), np.uint8)

@@ -11,54 +11,35 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.reading.atlas import bake_atlas
 from objectfolder.mesh.reading.parts import MeshPart, SurfaceMaterial
-from objectfolder.mesh.reading.texels import base_color, srgb_bytes, tinted_pixels
+from objectfolder.mesh.reading.texels import base_color, srgb_bytes, tint_pixels
 from objectfolder.mesh.textured import DEFAULT_ROUGHNESS, TexturedMesh
 
 
 def join(parts: Sequence[MeshPart], texture_size: int, name: str) -> tuple[TexturedMesh, list[str]]:
-    """Join parts into one mesh.
+    """Join parts, with at least one face in total, into one mesh; and say what that changes of its look.
 
     Without textures, the result has one plain colour or vertex colours. A single texture is kept with its
-    coordinates, times vertex colours that are all equal. Otherwise an atlas is baked: for each image the
-    window used by its faces in whole texels, with repeats written out after every face was moved next to the
-    origin by whole repeats; for a plain colour one texel; for vertex colours a cell of texels per face, as
-    large as what the face covers of an image. Images are scaled down together until all fit. Roughness and
-    metallic become area-weighted means. Normals are kept, NaN in parts without.
-
-    Parameters
-    ----------
-    parts : sequence of MeshPart
-        At least one face in total.
-    texture_size : int
-        Longest side of the texture, pixels.
-    name : str
-        Name of the mesh in errors.
-
-    Returns
-    -------
-    TexturedMesh
-    list of str
-        Changes to the appearance, in words.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the atlas does not fit that size.
+    coordinates, times vertex colours that are all equal. Otherwise an atlas is baked, ``texture_size``
+    pixels at most: for each image the window used by its faces in whole texels, with repeats written out
+    after every face was moved next to the origin by whole repeats; for a plain colour one texel; for vertex
+    colours a cell of texels per face, as large as what the face covers of an image. Images are scaled down
+    together until all fit, or `ObjectFolderError` is raised. Roughness and metallic become area-weighted
+    means. Normals are kept, NaN in parts without.
     """
     parts = [part for part in parts if len(part.faces)]
     surface, notes = _roughness_metallic(parts)
     no_uv = [p for p in parts if p.material.image is not None and p.uv is None]
     if no_uv:
         notes.append(f"texture without coordinates replaced by its mean colour ({len(no_uv)})")
-    parts = [_mean_colored(p) if p.material.image is not None and p.uv is None else p for p in parts]
-    parts = _tinted(parts)
+    parts = [_replace_by_mean(p) if p.material.image is not None and p.uv is None else p for p in parts]
+    parts = _tint(parts)
     materials = list(dict.fromkeys(p.material for p in parts))
     if all(m.image is None for m in materials):
         appearance = _untextured(parts)
     elif len(materials) == 1 and all(p.colors is None for p in parts) and _plain_wrap(parts):
         appearance = {
             "uv": np.concatenate([p.uv for p in parts if p.uv is not None]),
-            "texture": tinted_pixels(materials[0], _limited(materials[0].image, texture_size)),
+            "texture": tint_pixels(materials[0], _limit_size(materials[0].image, texture_size)),
         }
     else:
         parts, appearance, scales = bake_atlas(parts, texture_size, name)
@@ -104,7 +85,7 @@ def _roughness_metallic(parts: Sequence[MeshPart]) -> tuple[dict[str, Any], list
     return result, notes
 
 
-def _mean_colored(part: MeshPart) -> MeshPart:
+def _replace_by_mean(part: MeshPart) -> MeshPart:
     assert part.material.image is not None
     counts = np.reshape(part.material.image.histogram(), (3, 256))
     mean = counts @ srgb.decode(np.arange(256) / 255) / counts.sum(1)
@@ -112,7 +93,7 @@ def _mean_colored(part: MeshPart) -> MeshPart:
     return replace(part, material=replace(part.material, image=None, color=color))
 
 
-def _tinted(parts: Sequence[MeshPart]) -> list[MeshPart]:
+def _tint(parts: Sequence[MeshPart]) -> list[MeshPart]:
     """Move vertex colours beside an image into the material where they are all equal."""
     tinted: dict[tuple[SurfaceMaterial, bytes], SurfaceMaterial] = {}
     result = []
@@ -150,7 +131,7 @@ def _plain_wrap(parts: Sequence[MeshPart]) -> bool:
     return all(p.uv is not None and p.uv[p.faces].min() >= 0 and p.uv[p.faces].max() <= 1 for p in parts)
 
 
-def _limited(image: Image.Image | None, size: int) -> Image.Image:
+def _limit_size(image: Image.Image | None, size: int) -> Image.Image:
     assert image is not None
     image = image.copy()
     if max(image.size) > size:

@@ -17,20 +17,9 @@ MAX_PATH = 1024  #: bytes of a path inside the mesh's folder
 def referenced_path(mesh: Path, name: str, beside: PurePosixPath = HERE, said_in: str = "") -> PurePosixPath:
     """Return the path of a file that a mesh names, relative to the mesh's folder.
 
-    Parameters
-    ----------
-    mesh : Path
-    name : str
-        As it is written.
-    beside : PurePosixPath
-        Folder, relative to the mesh's, that the name is relative to.
-    said_in : str
-        Suffix of the file that has the name; default: the mesh's.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it lies outside that folder, or is too long for a file system.
+    The name is relative to the folder ``beside``, itself relative to the mesh's. Errors tell to edit the
+    file of suffix ``said_in``, by default the mesh. Raises `ObjectFolderError` if the path lies outside
+    that folder, or is too long for a file system.
     """
     written = PurePosixPath(name.replace("\\", "/"))
     path = PurePosixPath(normpath(beside / written)) if beside.parts else written
@@ -48,7 +37,7 @@ def referenced_path(mesh: Path, name: str, beside: PurePosixPath = HERE, said_in
     return path
 
 
-def decoded_text(data: bytes) -> str:
+def decode_text(data: bytes) -> str:
     """Decode the text of a mesh file: UTF-8, or else Latin-1, in which any bytes are characters.
 
     Names in an unknown encoding stay apart this way, and those in Latin-1 are right.
@@ -66,10 +55,7 @@ def _size(name: str) -> int:
 def read_referenced(mesh: Path, name: str | PurePosixPath, remedy: str = "put it there") -> bytes:
     """Read a file that a mesh names, by its name or its path from `referenced_path`.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is missing, outside the mesh's folder, or cannot be read.
+    Raises `ObjectFolderError` if it is missing, outside the mesh's folder, or cannot be read.
     """
     source = mesh.parent / (referenced_path(mesh, name) if isinstance(name, str) else name)
     try:
@@ -92,21 +78,8 @@ def _other_case(path: Path) -> str:
 
 
 def read_image(data: bytes, name: str | Path, mesh: Path, mode: str = "RGB") -> Image.Image:
-    """Decode an image that a mesh refers to.
+    """Decode an image that a mesh refers to, with pixels of Pillow's ``mode``; ``name`` is for messages.
 
-    Parameters
-    ----------
-    data : bytes
-    name : str or Path
-        Name of the image in error messages.
-    mesh : Path
-        Mesh that refers to it, for error messages.
-    mode : str
-        Pillow's name of the result's pixels.
-
-    Raises
-    ------
-    ObjectFolderError
-        If `objectfolder.pictures.decoded` does not take it.
+    Raises `ObjectFolderError` if `objectfolder.pictures.decoded` does not take it.
     """
     return decoded(BytesIO(data), f"{mesh}: its texture {shortened(name)}", mode)

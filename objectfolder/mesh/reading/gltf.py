@@ -54,13 +54,7 @@ def read_gltf(path: Path) -> MeshContent:
 
 
 def uris(path: Path) -> list[str]:
-    """Return the paths of the files that a glTF file refers to, as it names them.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file is not valid.
-    """
+    """Return the paths of the files that a valid glTF file refers to, as it names them."""
     with _valid(path):
         document, _ = _document(path)
         items = [*document.get("buffers", []), *document.get("images", [])]
@@ -140,15 +134,15 @@ class _File:
         parts: list[MeshPart] = []
         shapes: dict[int, list[MeshPart]] = {}
         elements = 0
-        for mesh, transform in self._placed():
+        for mesh, transform in self._place_meshes():
             if mesh not in shapes:
                 shapes[mesh] = self._shapes(mesh)
             elements += sum(len(shape.vertices) + shape.faces.size for shape in shapes[mesh])
             self._check_size(elements)
-            parts += [_moved(shape, transform) for shape in shapes[mesh]]
+            parts += [_move(shape, transform) for shape in shapes[mesh]]
         return MeshContent(parts, [f"{what} ({n})" for what, n in sorted(self.changes.items()) if n])
 
-    def _placed(self) -> list[tuple[int, np.ndarray]]:
+    def _place_meshes(self) -> list[tuple[int, np.ndarray]]:
         """Return the scene's meshes with their transforms (4, 4), in document order."""
         nodes = self.document.get("nodes", [])
         if self.document.get("scenes"):
@@ -361,7 +355,7 @@ class _File:
         )
 
 
-def _moved(shape: MeshPart, transform: np.ndarray) -> MeshPart:
+def _move(shape: MeshPart, transform: np.ndarray) -> MeshPart:
     """Place a shape by a matrix (4, 4); one that mirrors reverses the orientation of faces."""
     linear = transform[:3, :3]
     return replace(

@@ -1,20 +1,23 @@
-"""Load a mesh with its appearance from any supported file format."""
+"""Load a mesh with its appearance from any supported file format, and list the files that it refers to."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from objectfolder.errors import ObjectFolderError
-from objectfolder.mesh.normals import usable
+from objectfolder.mesh.normals import replace_bad_normals
 from objectfolder.mesh.reading.bake import join
-from objectfolder.mesh.reading.gltf import read_gltf
-from objectfolder.mesh.reading.obj import read_obj
+from objectfolder.mesh.reading.files import referenced_path
+from objectfolder.mesh.reading.gltf import read_gltf, uris
+from objectfolder.mesh.reading.mtl import read_library, texture_path, textures
+from objectfolder.mesh.reading.obj import mtl_names, read_obj
 from objectfolder.mesh.reading.off import read_off
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart
-from objectfolder.mesh.reading.polygons import read_polygons
+from objectfolder.mesh.reading.polygons import ply_textures, read_polygons
 from objectfolder.mesh.textured import TexturedMesh, z_up
 
 READERS: dict[str, Callable[[Path], MeshContent]] = {
@@ -49,7 +52,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     """Load a mesh, rotate it z up, and bake its appearance into one texture or vertex colours.
 
     Vertex normals of the file are kept; bad ones are replaced by face normals, see
-    `objectfolder.mesh.normals.usable`.
+    `objectfolder.mesh.normals.replace_bad_normals`.
 
     Parameters
     ----------
@@ -93,7 +96,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     mesh, notes = join([_finite(part) for part in parts], texture_size, str(path))
     bad = 0.0
     if mesh.normals is not None:
-        corners, bad = usable(mesh.vertices, mesh.faces, mesh.normals)
+        corners, bad = replace_bad_normals(mesh.vertices, mesh.faces, mesh.normals)
         mesh = replace(mesh, normals=None) if corners is None else mesh.with_normals(corners)
         if corners is None:
             notes.append(
@@ -101,7 +104,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
             )
     appearance |= {"normals_bad_fraction": bad, "notes": [*source.notes, *notes]}
     mesh = replace(mesh, source=appearance)
-    return mesh.turned(z_up) if up == "y" else mesh
+    return mesh.rotate(z_up) if up == "y" else mesh
 
 
 def _read(path: Path, reader: Callable[[Path], MeshContent]) -> MeshContent:
@@ -173,3 +176,31 @@ def _source_report(parts: Sequence[MeshPart]) -> dict[str, Any]:
         "uv_outside_fraction": float(outside.sum() / count),
         "uv_not_finite_fraction": float((~finite).sum() / count),
     }
+
+
+def references(mesh: Path) -> Iterator[PurePosixPath]:
+    """Yield the paths of the files that a mesh refers to, relative to its folder.
+
+    An ``.mtl``, which is read after it was yielded, is followed by the textures that it names, also by those
+    that no face needs. They may be missing; one outside the mesh's folder is left out.
+
+    Raises
+    ------
+    ObjectFolderError
+        If another file lies outside the mesh's folder, an ``.mtl`` does not exist, or a glTF file is not
+        valid.
+    """
+    suffix = mesh.suffix.lower()
+    if suffix == ".obj":
+        for name in mtl_names(mesh):
+            library = referenced_path(mesh, name)
+            yield library
+            for _, texture in textures(read_library(mesh, library)):
+                with suppress(ObjectFolderError):  # outside: no face may need it, which the reader knows
+                    yield texture_path(mesh, library.parent, texture)
+    elif suffix == ".ply":
+        for name in ply_textures(mesh.read_bytes()):
+            yield referenced_path(mesh, name)
+    elif suffix in (".gltf", ".glb"):
+        for uri in uris(mesh):
+            yield referenced_path(mesh, uri)

@@ -12,7 +12,7 @@ from PIL import Image
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
-from objectfolder.mesh.reading.files import decoded_text, read_image, read_referenced, referenced_path
+from objectfolder.mesh.reading.files import decode_text, read_image, read_referenced, referenced_path
 from objectfolder.mesh.reading.parts import SurfaceMaterial
 
 MAP = re.compile(r"map_\w+|bump|disp|decal|norm", re.I)
@@ -90,7 +90,9 @@ class MaterialLibraries:
         if lines is None:
             return MtlMaterial()
         options, file = _options(lines.get("map_kd", ""))
-        dropped = _dropped(lines) | {f"option -{key} of map_Kd" for key in DROPPED_OPTIONS if key in options}
+        dropped = _list_dropped(lines) | {
+            f"option -{key} of map_Kd" for key in DROPPED_OPTIONS if key in options
+        }
         roughness, metallic = _fraction(lines.get("pr", "")), _fraction(lines.get("pm", ""))
         if file:
             wrap = "clamp" if options.get("clamp", "").lower() == "on" else "repeat"
@@ -111,21 +113,17 @@ class MaterialLibraries:
 
 def read_library(mesh: Path, path: PurePosixPath) -> str:
     """Read the text of a material library, given its path relative to the mesh's folder."""
-    return decoded_text(read_referenced(mesh, path, "put it there, or delete the line mtllib"))
+    return decode_text(read_referenced(mesh, path, "put it there, or delete the line mtllib"))
 
 
 def texture_path(mesh: Path, beside: PurePosixPath, name: str) -> PurePosixPath:
     """Return the path of a texture relative to the mesh's folder: beside its library, or else the mesh.
 
-    The name counts as it is written, or as `bare` if only that file exists.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it lies outside the mesh's folder, or its name is too long.
+    The name counts as it is written, or as `strip_comment` if only that file exists. Raises
+    `ObjectFolderError` if it lies outside the mesh's folder, or its name is too long.
     """
     for folder in dict.fromkeys((beside, PurePosixPath())):
-        for written in dict.fromkeys((name, bare(name))):
+        for written in dict.fromkeys((name, strip_comment(name))):
             with suppress(ObjectFolderError, OSError):  # outside, or too long
                 path = referenced_path(mesh, written, folder, ".mtl")
                 if (mesh.parent / path).is_file():
@@ -157,7 +155,7 @@ def _options(rest: str) -> tuple[dict[str, str], str]:
     return options, rest[start:]
 
 
-def bare(name: str) -> str:
+def strip_comment(name: str) -> str:
     """Return a name without quotes and a comment after it, ``# such as this``; ``Material #25`` has none."""
     return re.split(r"\s#(?!\S)", name, maxsplit=1)[0].strip().strip('"')
 
@@ -190,7 +188,7 @@ def _color(values: np.ndarray) -> np.ndarray | None:
     return linear
 
 
-def _dropped(lines: dict[str, str]) -> set[str]:
+def _list_dropped(lines: dict[str, str]) -> set[str]:
     """Name what a material's statements say that is not supported."""
     dropped = {DROPPED_MAPS.get(key, key) for key in lines if MAP.fullmatch(key) and key != "map_kd"}
     dropped |= {what for key, what in DROPPED_VALUES.items() if _floats(lines.get(key, "")).any()}

@@ -1,35 +1,23 @@
 """Read Wavefront ``.obj`` with its ``.mtl`` material libraries and textures."""
 
 import re
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from trimesh.exchange.obj import load_obj
+from trimesh.visual.texture import unmerge_faces
 
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.mesh.polygon import needs_ears, split
-from objectfolder.mesh.reading.files import decoded_text
-from objectfolder.mesh.reading.from_trimesh import as_points, color_unit, fan_triangles
-from objectfolder.mesh.reading.mtl import MaterialLibraries, MtlMaterial, bare
-from objectfolder.mesh.reading.parts import MeshContent, MeshPart
+from objectfolder.mesh.polygon import split
+from objectfolder.mesh.reading.mtl import MaterialLibraries, MtlMaterial, strip_comment
+from objectfolder.mesh.reading.objlines import COORDINATE, NORMAL, NOT_NUMBERS, VERTEX, ObjLines
+from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial, color_unit
+from objectfolder.mesh.textured import PLAIN
 
-FACE = re.compile(r"^f[ \t]+\S.*", re.M | re.A)
-POLYGON = re.compile(r"^f(?:[ \t]++\d[\d/]*+){4,}+[ \t]*+$", re.M | re.A)
-#: Faces by what their corners name: vertices, and texture coordinates, and normals, and both.
-FORMS = [
-    re.compile(rf"^f(?:[ \t]++{corner}(?=\s|$))++[ \t]*+$", re.M | re.A)
-    for corner in (r"\d++/*+", r"\d++/\d++/?+", r"\d++//\d++", r"\d++/\d++/\d++")
-]
-#: Beginnings of lines that trimesh would skip: indented, or a keyword before a tab.
-_SKIPPED = re.compile(r"\n(?:[ \t]++(v[tn]?|f|usemtl|mtllib|[ogs])[ \t]|(v[tn]?|f|usemtl|mtllib|[ogs])\t)")
-_USED = re.compile(r"^usemtl (.*)", re.M)
-MAX_MATERIALS = 4096  # trimesh takes time in proportion to the square of their number
+MAX_MATERIALS = 4096  # each becomes a part, and may take a window of the texture
 
 
 def read_obj(path: Path) -> MeshContent:
@@ -41,224 +29,143 @@ def read_obj(path: Path) -> MeshContent:
     Raises
     ------
     ObjectFolderError
-        If a file it refers to is missing or unreadable, or a face index is out of range.
+        If a file it refers to is missing or unreadable, a line of numbers has other words, or a face index is
+        out of range.
     """
-    text = _plain(decoded_text(path.read_bytes()))
-    _check_materials(path, text)
-    text = _counted_from_start(path, text)
-    _check_zero(path, text)
-    libraries = MaterialLibraries(path, mtl_names(text))
-    materials = libraries.statements
-    text = _named(text, materials)
-    # trimesh gets names only: it would ignore options of textures, and give materials without Kd a colour.
-    library = "\n".join(f"newmtl {name}" for name in materials).encode()
-    try:
-        geometry = [
-            content
-            for one_form in _by_form(path, _concave_split(text))
-            for content in load_obj(BytesIO(one_form.encode()), resolver=defaultdict(lambda: library))
-            .get("geometry", {})
-            .values()
-        ]
-    except IndexError:
-        _check_vertices(path, text)
-        raise
-    unit = color_unit(max((_brightest(content) for content in geometry), default=0))
+    lines = ObjLines(path)
+    libraries = MaterialLibraries(path, _library_names(lines))
+    statements, names = _used_materials(lines, libraries.statements)
+    positions, colors = _vertices(lines)
+    coordinates, normals = lines.table(COORDINATE, 2)[0], lines.table(NORMAL, 3)[0]
+    rows, sizes, corners = lines.corners()
+    beyond = corners[:, 0] > len(positions)
+    problem = f"uses a vertex beyond the {len(positions)} of the file; export the mesh again"
+    lines.refuse(np.repeat(rows, sizes)[beyond], problem)
+    # A face has what all of its corners have. Coordinates and normals that are not in the file, none has.
+    held = (corners > 0) & (corners <= [len(positions), len(coordinates), len(normals)])
+    held = np.logical_and.reduceat(held, np.cumsum(sizes) - sizes)
+    corners -= 1
+    triangles, face = _triangles(corners[:, 0], sizes, positions)
+    used = np.zeros(len(positions), bool)
+    used[corners[triangles, 0]] = True
+    colors /= color_unit(np.fmax.reduce(colors[used], None, initial=0))
+    names = ["", *names]  # of faces before any usemtl
+    distinct = list(dict.fromkeys(names))
+    numbers = {name: number for number, name in enumerate(distinct)}
+    material = np.array([numbers[name] for name in names])[np.searchsorted(statements, rows)]
     parts: list[MeshPart] = []
     notes: list[str] = []
-    used: dict[str, MtlMaterial] = {}
-    for content in geometry:
-        visual, colors = content.get("visual"), content.get("vertex_colors")
-        name = (None if visual is None else visual.material.name) or ""
-        if name not in used:
-            used[name] = libraries.material(name)
-        material = used[name]
-        surface = material.surface
-        colors = None if colors is None else srgb.decode(np.clip(colors[:, :3] / unit, 0, 1))
-        if colors is not None and surface.image is not None:
-            notes.append("vertex colours beside a texture left out")
-            colors = None
-        if colors is not None and surface.color is not None and (colors == 1).all():
-            notes.append("white vertex colours beside Kd left out")
-            colors = None
-        if colors is not None:
-            surface = replace(surface, color=None)
-        uv = None if visual is None or visual.uv is None else np.asarray(visual.uv, np.float64)[:, :2]
-        uv = None if uv is None else material.image_coordinates(uv)
-        vertices, faces = as_points(content["vertices"]), fan_triangles(content["faces"])
-        normals = content.get("vertex_normals")
-        parts.append(
-            MeshPart(vertices, faces, surface, uv, colors, None if normals is None else as_points(normals))
-        )
-    named = dict.fromkeys(name.strip() for name in re.findall(r"^usemtl[ \t](.*)", text, re.MULTILINE))
-    missing = [shortened(name) for name in named if name and name not in materials]
+    materials: dict[str, MtlMaterial] = {}
+    for group in _groups(material[face], held[face]):
+        one = face[group[0]]
+        name = distinct[material[one]]
+        if name not in materials:
+            materials[name] = libraries.material(name)
+        columns = np.flatnonzero(held[one])
+        faces, indices = _join_corners(corners[triangles[group]][..., columns])
+        index = dict(zip(columns.tolist(), indices))
+        surface, part_colors, left_out = _choose_colors(colors[index[VERTEX]], materials[name].surface)
+        uv = coordinates[index[COORDINATE]] if COORDINATE in index else None
+        uv = None if uv is None else materials[name].image_coordinates(uv)
+        part_normals = normals[index[NORMAL]] if NORMAL in index else None
+        parts.append(MeshPart(positions[index[VERTEX]], faces, surface, uv, part_colors, part_normals))
+        notes += left_out
+    missing = [shortened(name) for name in distinct if name and name not in libraries.statements]
     if missing:
         colored = any(part.colors is not None for part in parts)
-        seen = "faces have no colour but that of their vertices" if colored else "faces have no colour"
-        notes.append(f"material {', '.join(missing[:5])} is not defined: its {seen}")
-    if materials and not named:
+        look = "faces have no colour but that of their vertices" if colored else "faces have no colour"
+        notes.append(f"material {', '.join(missing[:5])} is not defined: its {look}")
+    if libraries.statements and not any(names):
         notes.append("materials left out: no face says which it has (usemtl)")
-    dropped = Counter(what for material in used.values() for what in material.dropped)
+    dropped = Counter(what for found in materials.values() for what in found.dropped)
     notes += [f"{what} left out ({count})" for what, count in sorted(dropped.items())]
     return MeshContent(parts, list(dict.fromkeys(notes)))
 
 
-def mtl_names(obj: str) -> list[str]:
-    """Return the material libraries named in the text of an ``.obj``, in order; names may contain spaces."""
-    lines = [line.strip() for line in re.findall(r"^mtllib[ \t](.*)", _plain(obj), re.MULTILINE)]
-    names = [name for line in lines if line for name in _libraries(line)]
-    return list(dict.fromkeys(names))
+def mtl_names(path: Path) -> list[str]:
+    """Return the material libraries that an ``.obj`` names, in order; names may contain spaces."""
+    return _library_names(ObjLines(path))
 
 
-def _libraries(line: str) -> list[str]:
-    names = re.split(r"(?<=\.mtl)\s+", line, flags=re.I)
-    return [name for name in names if name.lower().endswith(".mtl")] or [line]
+def _library_names(lines: ObjLines) -> list[str]:
+    names: dict[str, None] = {}
+    for text in filter(None, lines.statements("mtllib")[1]):
+        several = re.split(r"(?<=\.mtl)\s+", text, flags=re.I)
+        names |= dict.fromkeys([name for name in several if name.lower().endswith(".mtl")] or [text])
+    return list(names)
 
 
-def _plain(obj: str) -> str:
-    """End lines in a newline, join continued ones, as trimesh does, and begin each with keyword and space."""
-    joined = "\n" + obj.replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
-    return _SKIPPED.sub(lambda start: f"\n{start[1] or start[2]} ", joined)[1:]
-
-
-def _named(text: str, materials: Collection[str]) -> str:
-    """Write the names of materials that faces have as the libraries do: spaces and comments may differ."""
-    known = {bare(name): name for name in materials} | {name: name for name in materials}
-
-    def line(match: re.Match[str]) -> str:
-        name = " ".join(match[1].split())
-        return f"usemtl {known.get(name, known.get(bare(name), name))}"
-
-    return _USED.sub(line, text)
-
-
-def _check_materials(path: Path, text: str) -> None:
-    count = len(set(re.findall("usemtl (.*)", text)))  # as trimesh finds them
+def _used_materials(lines: ObjLines, materials: Collection[str]) -> tuple[list[int], list[str]]:
+    """Return the lines ``usemtl`` and their names as the libraries write them: spaces and comments differ."""
+    rows, texts = lines.statements("usemtl")
+    known = {strip_comment(name): name for name in materials} | {name: name for name in materials}
+    names = [" ".join(text.split()) for text in texts]
+    count = len(set(names))
     if count > MAX_MATERIALS:
         raise ObjectFolderError(
-            f"{path} uses {count} materials, expected at most {MAX_MATERIALS}; join them, such as by baking "
-            "them into one texture"
+            f"{lines.path} uses {count} materials, expected at most {MAX_MATERIALS}; join them, such as by "
+            "baking them into one texture"
         )
+    return rows, [known.get(name, known.get(strip_comment(name), name)) for name in names]
 
 
-def _check_zero(path: Path, text: str) -> None:
-    """Raise for the index 0, which trimesh misinterprets."""
-    faces = "\n".join(re.findall(r"^f\s.*", text, re.MULTILINE))
-    zero = re.search(r"[\s/]0+(?=[/\s]|$)", faces)
-    if zero:
-        line = faces[faces.rfind("\nf", 0, zero.end()) + 1 :].partition("\n")[0].strip()
-        raise ObjectFolderError(f"{path}: {shortened(line)!r} has the index 0, but .obj counts from 1")
+def _vertices(lines: ObjLines) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (V, 3), and colours (V, 3) as they are written, NaN where a vertex has none."""
+    table, counts = lines.table(VERTEX, 6)
+    lines.refuse(np.flatnonzero(lines.kind == VERTEX)[counts < 3], NOT_NUMBERS)
+    return table[:, :3], np.where(counts[:, None] >= 6, table[:, 3:], np.nan)
 
 
-def _check_vertices(path: Path, text: str) -> None:
-    """Raise for a face of a vertex that is not there."""
-    count = len(re.findall(r"^v\s", text, re.MULTILINE))
-    for face in FACE.findall(text):
-        corners = re.findall(r"\s(\d{1,18})", face.partition("#")[0])
-        if any(int(index) > count for index in corners):
-            raise ObjectFolderError(
-                f"{path}: {shortened(face)!r} uses a vertex beyond the {count} of the file; export the mesh "
-                "again"
-            )
+def _choose_colors(
+    colors: np.ndarray, surface: SurfaceMaterial
+) -> tuple[SurfaceMaterial, np.ndarray | None, list[str]]:
+    """Choose between the vertex colours (V, 3) of a part, sRGB in [0, 1], and those of its material.
 
-
-def _counted_from_start(path: Path, text: str) -> str:
-    """Replace negative indices of faces, which count back from where they stand; trimesh: from the end."""
-    if not re.search(r"^f\s[^\n-]*-\d", text, re.MULTILINE):
-        return text
-    lines, counts = text.split("\n"), Counter[str]()
-    for i, line in enumerate(lines):
-        keyword = line.partition(" ")[0]
-        counts[keyword] += 1
-        if keyword == "f" and "-" in line:
-            lines[i] = "f " + " ".join(_corner(path, line, corner, counts) for corner in line.split()[1:])
-    return "\n".join(lines)
-
-
-def _corner(path: Path, line: str, corner: str, counts: Counter[str]) -> str:
-    """Replace the negative indices of one corner, given how many lines of each kind precede it."""
-    indices = corner.split("/")
-    for i, (kind, index) in enumerate(zip(("v", "vt", "vn"), indices)):
-        if re.fullmatch(r"-\d{1,18}", index):
-            absolute = counts[kind] + 1 + int(index)
-            if absolute < 1:
-                raise ObjectFolderError(
-                    f"{path}: {shortened(line)!r} counts back to {kind} {index}, but {counts[kind]} precede "
-                    "it; export the mesh again"
-                )
-            indices[i] = str(absolute)
-    return "/".join(indices)
-
-
-def _concave_split(text: str) -> str:
-    """Split the polygons of the text that trimesh's fans would leave, such as a U."""
-    lines = list(dict.fromkeys(POLYGON.findall(text)))
-    if not lines:
-        return text
-    vertices = _vertices(text)
-    groups: dict[int, list[list[str]]] = defaultdict(list)
-    for line in lines:
-        corners = line.split()[1:]
-        groups[len(corners)].append(corners)
-    replaced: dict[tuple[str, ...], str] = {}
-    for corners in map(np.array, groups.values()):
-        index = np.strings.partition(corners, "/")[0].astype(np.int64) - 1
-        valid = (index >= 0).all(1) & (index < len(vertices)).all(1)  # others are refused later
-        corners, points = corners[valid], vertices[index[valid]]
-        odd = needs_ears(points)
-        for polygon, triangles in zip(corners[odd], split(points[odd])):
-            replaced[tuple(polygon)] = "\n".join("f " + " ".join(corner) for corner in polygon[triangles])
-    if not replaced:
-        return text
-    return POLYGON.sub(lambda match: replaced.get(tuple(match[0].split()[1:]), match[0]), text)
-
-
-def _vertices(text: str) -> np.ndarray:
-    """Read the positions of the vertices, (V, 3); none if a line has fewer than three numbers."""
-    rows = [line.split()[:3] for line in re.findall(r"^v (.*)", text, re.MULTILINE)]
-    try:
-        return np.array(rows, np.float64).reshape(-1, 3)
-    except ValueError:
-        return np.zeros((0, 3))
-
-
-def _by_form(path: Path, text: str) -> list[str]:
-    """Return the text once for each form of its faces, with these faces only, if a material mixes forms.
-
-    trimesh gives a material's faces what all of them have.
+    Returns the material, linear colours or None, and what is left out.
     """
-    if sum(len(form.findall(text)) for form in FORMS) < len(FACE.findall(text)):
-        text = FACE.sub(lambda match: _uniform(path, match[0]), text)
-    forms: dict[str, set[int]] = defaultdict(set)
-    for chunk in re.split(r"^(?=usemtl )", text, flags=re.MULTILINE):
-        name = chunk.partition("\n")[0] if chunk.startswith("usemtl ") else ""
-        forms[name.strip()] |= {i for i, form in enumerate(FORMS) if form.search(chunk)}
-    if all(len(found) < 2 for found in forms.values()):
-        return [text]
-    found = sorted(set[int]().union(*forms.values()))
-    return [_only(FORMS[i], text) for i in found]
+    uncolored = np.isnan(colors)
+    if uncolored.all():
+        return surface, None, []
+    if surface.image is not None:
+        return surface, None, ["vertex colours beside a texture left out"]
+    colors = srgb.decode(np.clip(colors, 0, 1))
+    if surface.color is not None and (uncolored | (colors == 1)).all():
+        return surface, None, ["white vertex colours beside Kd left out"]
+    plain = PLAIN if surface.color is None else surface.color
+    return replace(surface, color=None), np.where(uncolored, plain, colors), []
 
 
-def _only(form: re.Pattern[str], text: str) -> str:
-    return FACE.sub(lambda match: match[0] if form.match(match[0]) else "", text)
+def _triangles(vertex: np.ndarray, sizes: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split faces, given the vertices (C,) of their corners; the triangles' corners (T, 3) and faces (T,)."""
+    first = np.cumsum(sizes) - sizes
+    triangles, face = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
+    for size in np.unique(sizes):
+        chosen = np.flatnonzero(sizes == size)
+        polygons = first[chosen, None] + np.arange(size)
+        local = split(positions[vertex[polygons]])
+        triangles.append(np.take_along_axis(polygons[:, None], local, 2).reshape(-1, 3))
+        face.append(np.repeat(chosen, size - 2))
+    owner = np.concatenate(face)
+    order = np.argsort(owner, kind="stable")
+    return np.concatenate(triangles)[order], owner[order]
 
 
-def _uniform(path: Path, face: str) -> str:
-    """Leave to all corners of a face what all of them have."""
-    corners = [corner.split("/") for corner in face.partition("#")[0].split()[1:]]
-    width = max(map(len, corners), default=0)
-    columns = list(zip(*(corner + [""] * (width - len(corner)) for corner in corners)))
-    kept = [column if all(column) else [""] * len(corners) for column in columns]
-    uniform = "f " + " ".join("/".join(corner).rstrip("/") for corner in zip(*kept))
-    if not any(form.match(uniform) for form in FORMS):
-        raise ObjectFolderError(
-            f"{path}: {shortened(face)!r} is not a face, expected corners such as 1, 1/2, 1//3 or 1/2/3; "
-            "export the mesh again"
-        )
-    return uniform
+def _groups(material: np.ndarray, held: np.ndarray) -> list[np.ndarray]:
+    """Group triangles by material, and by what their corners have, (T, 3) bool.
+
+    The last material comes first: the order of vertices that built objects have.
+    """
+    keys, first, of = np.unique(4 * material + held @ [0, 1, 2], return_index=True, return_inverse=True)
+    mixed = len(np.unique(keys // 4)) < len(keys)
+    order = np.lexsort((-first, keys % 4 if mixed else np.zeros_like(keys)))
+    groups = np.split(np.argsort(of, kind="stable"), np.cumsum(np.bincount(of))[:-1])
+    return [groups[i] for i in order]
 
 
-def _brightest(content: dict[str, Any]) -> float:
-    """Return the largest vertex colour of a geometry."""
-    colors = content.get("vertex_colors")
-    return 0.0 if colors is None else float(np.asarray(colors).max(initial=0))
+def _join_corners(corners: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Join equal corners (T, 3, K) into vertices; return the triangles (T, 3), and K indices of vertices."""
+    if corners.shape[2] == 1:
+        vertex, faces = np.unique(corners, return_inverse=True)
+        return faces.reshape(-1, 3), [vertex]
+    faces, *index = unmerge_faces(*np.moveaxis(corners, 2, 0))
+    return faces, index

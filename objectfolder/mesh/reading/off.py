@@ -8,8 +8,13 @@ import numpy as np
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import split
-from objectfolder.mesh.reading.from_trimesh import by_face_color, color_unit
-from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
+from objectfolder.mesh.reading.parts import (
+    MeshContent,
+    MeshPart,
+    SurfaceMaterial,
+    color_unit,
+    split_by_face_color,
+)
 from objectfolder.mesh.textured import PLAIN
 
 # Texture coordinates (ST) come last and name no image.
@@ -59,7 +64,7 @@ def read_off(path: Path) -> MeshContent:
         uncolored = np.isnan(face_colors).any(1)
         brightest = face_colors[~uncolored].max()
         face_colors[uncolored] = srgb.encode(np.float64(PLAIN)) * color_unit(brightest)
-        colors, vertex, faces = by_face_color(face_colors, faces)
+        colors, vertex, faces = split_by_face_color(face_colors, faces)
         vertices, normals = vertices[vertex], None if normals is None else normals[vertex]
     linear = None
     if colors is not None:

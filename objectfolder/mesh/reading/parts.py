@@ -42,3 +42,16 @@ class MeshContent:
 
     parts: list[MeshPart]
     notes: list[str] = field(default_factory=list)  #: what of its appearance was dropped, in words
+
+
+def split_by_face_color(colors: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Duplicate vertices by face colour; return colours (V', 3), original vertices (V',), faces (F, 3)."""
+    palette, color = np.unique(colors, axis=0, return_inverse=True)
+    corner = faces * len(palette) + color.reshape(-1, 1)
+    kept, renumbered = np.unique(corner, return_inverse=True)
+    return palette[kept % len(palette)], kept // len(palette), renumbered.reshape(-1, 3)
+
+
+def color_unit(brightest: float) -> int:
+    """Return what stands for full brightness in a format that leaves open whether it is 1 or 255."""
+    return 255 if brightest > 1 else 1

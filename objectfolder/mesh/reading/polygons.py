@@ -12,17 +12,15 @@ from trimesh.exchange.ply import _elements_to_kwargs
 
 from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.mesh.polygon import needs_ears, split
-from objectfolder.mesh.reading.files import decoded_text
-from objectfolder.mesh.reading.from_trimesh import (
-    ReferencedFiles,
-    as_points,
-    by_face_color,
+from objectfolder.mesh.polygon import fan, needs_ears, split
+from objectfolder.mesh.reading.files import decode_text, read_image, read_referenced
+from objectfolder.mesh.reading.parts import (
+    MeshContent,
+    MeshPart,
+    SurfaceMaterial,
     color_unit,
-    fan_triangles,
-    surface_material,
+    split_by_face_color,
 )
-from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 
 COLORS, DIFFUSE = ("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue")
 INDICES = ("vertex_index", "vertex_indices")
@@ -40,48 +38,49 @@ def read_polygons(path: Path) -> MeshContent:
     ObjectFolderError
         If the texture that a ``.ply`` names is missing or unreadable, or it names several.
     """
-    files = ReferencedFiles(path)
     kind = path.suffix.lower().removeprefix(".")
-    data = path.read_bytes()
-    _check_solids(path, data)
-    if kind == "stl":
-        _check_length(path, data)
+    data, textures, image = path.read_bytes(), [], None
     if kind == "ply":
         header, end, body = data.partition(b"end_header")
-        data = decoded_text(header).encode() + end + body
-    _check_textures(path, data if kind == "ply" else b"")
-    scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=files, process=False)
-    files.check()
-    sources = list(scene.geometry.values())
-    raw = sources[0].metadata.get("_ply_raw", {}) if len(sources) == 1 else {}
-    elements = _amended(raw, textured=kind == "ply" and bool(ply_textures(data)))
-    if elements is None:
-        mesh = scene.to_mesh()
+        data = decode_text(header).encode() + end + body
+        textures = ply_textures(data)
+        _check_textures(path, textures)
     else:
-        image = getattr(getattr(sources[0].visual, "material", None), "image", None)
+        _check_solids(path, data)
+        _check_length(path, data)
+    if textures:
+        image = read_image(read_referenced(path, textures[0]), path.parent / textures[0], path)
+    # Without materials: trimesh would open images of every format, and swallow errors.
+    scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True, process=False)
+    sources = list(scene.geometry.values())
+    elements = sources[0].metadata.get("_ply_raw", {}) if len(sources) == 1 else {}
+    amended = _amend(elements, textured=bool(textures))
+    if amended or (textures and elements):
+        elements = amended or elements
         mesh = trimesh.Trimesh(**_elements_to_kwargs(elements, fix_texture=True, image=image), process=False)
         sources = [mesh]
+    else:
+        mesh = scene.to_mesh()
     if kind == "stl":
         _check_facets(path, data, len(mesh.faces))
-    visual = mesh.visual
-    vertices, faces = as_points(mesh.vertices), fan_triangles(mesh.faces)
+    visual: Any = mesh.visual
+    vertices, faces = _as_points(mesh.vertices), _fan_triangles(mesh.faces)
     normals = None
     if len(sources) == 1:
         (source,) = sources
         # In the cache only if the file holds them; trimesh computes others on access.
-        normals = as_points(source.vertex_normals) if "vertex_normals" in source._cache else None
+        normals = _as_points(source.vertex_normals) if "vertex_normals" in source._cache else None
+    colored = _count_colored(elements)
     if visual.kind == "texture":
-        material = surface_material(visual.material, files.images)
-        uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
-        left_out = ["vertex colours beside a texture left out"] if _colored(elements or raw) else []
-        left_out += ["texture left out: the file has no texture coordinates"] if uv is None else []
-        return MeshContent([MeshPart(vertices, faces, material, uv, normals=normals)], left_out)
+        uv = np.asarray(visual.uv, np.float64)
+        notes = ["vertex colours beside a texture left out"] if colored else []
+        return MeshContent([MeshPart(vertices, faces, SurfaceMaterial(image), uv, normals=normals)], notes)
     colors: np.ndarray | None = None
-    notes = ["colours of faces beside those of vertices left out"] if _colored(elements or raw) > 1 else []
-    if ply_textures(data if kind == "ply" else b""):
+    notes = ["colours of faces beside those of vertices left out"] if colored > 1 else []
+    if textures:
         notes.append("texture left out: the file has no texture coordinates")
     if visual.kind == "face":
-        colors, vertex, faces = by_face_color(np.asarray(visual.face_colors), faces)
+        colors, vertex, faces = split_by_face_color(np.asarray(visual.face_colors), faces)
         vertices, normals = vertices[vertex], None if normals is None else normals[vertex]
     elif visual.kind == "vertex":
         colors = np.asarray(visual.vertex_colors)
@@ -91,13 +90,23 @@ def read_polygons(path: Path) -> MeshContent:
 
 def ply_textures(data: bytes) -> list[str]:
     """Return the textures named in the header of a ``.ply``, in order."""
-    header = decoded_text(data.partition(b"end_header")[0])
+    header = decode_text(data.partition(b"end_header")[0])
     names = re.findall(r"^(?:comment|obj_info)\b.*?texturefile(.*)", header, re.MULTILINE | re.I)
     return list(dict.fromkeys(name.strip() for name in names))
 
 
-def _check_textures(path: Path, data: bytes) -> None:
-    names = ply_textures(data)
+def _as_points(values: Any) -> np.ndarray:
+    """Return positions or normals as (V, 3) float64."""
+    return np.asarray(values, np.float64).reshape(-1, 3)
+
+
+def _fan_triangles(values: Any) -> np.ndarray:
+    """Split polygons (P, n) into triangle fans; (F, 3)."""
+    polygons = np.asarray(values, np.int64)
+    return polygons[:, fan(polygons.shape[1])].reshape(-1, 3)
+
+
+def _check_textures(path: Path, names: list[str]) -> None:
     if len(names) > 1:  # trimesh would put the last one on all faces
         raise ObjectFolderError(
             f"{path} names {len(names)} textures ({shortened(', '.join(names))}), expected at most one; "
@@ -137,7 +146,7 @@ def _is_text(data: bytes) -> bool:
     return data[:80].removeprefix(BOM_UTF8).lstrip().lower().startswith(b"solid") and b"\0" not in data
 
 
-def _amended(elements: dict[str, Any], textured: bool) -> dict[str, Any] | None:
+def _amend(elements: dict[str, Any], textured: bool) -> dict[str, Any] | None:
     """Return the elements of a ``.ply`` with what trimesh misreads put right; None if it misreads nothing.
 
     Without a texture, it would put a default one at texture coordinates, in place of vertex colours.
@@ -188,7 +197,7 @@ def _byte_colors(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray] | None
     return {name: values for name, values in columns.items() if name != "alpha"} | dict(zip(COLORS, colors))
 
 
-def _colored(elements: dict[str, Any]) -> int:
+def _count_colored(elements: dict[str, Any]) -> int:
     """Count which of vertices and faces have colours, 0 to 2."""
     held = [elements[name]["properties"].keys() for name in CARRIERS if name in elements]
     return sum(set(COLORS) <= names for names in held)

@@ -19,7 +19,7 @@ def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     return np.rint(255 * srgb.encode(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
-def tinted_pixels(material: SurfaceMaterial, image: Image.Image) -> np.ndarray:
+def tint_pixels(material: SurfaceMaterial, image: Image.Image) -> np.ndarray:
     """Multiply an image by the material's colour; texels (H, W, 3) uint8."""
     pixels = np.asarray(image)
     if material.color is None or (material.color >= 1).all():
@@ -33,14 +33,14 @@ def texel_places(uv: np.ndarray | None, size: np.ndarray) -> np.ndarray:
     return (uv * [1, -1] + [0, 1]) * size
 
 
-def scaled_image(image: Image.Image | None, size: np.ndarray) -> Image.Image:
+def scale_image(image: Image.Image | None, size: np.ndarray) -> Image.Image:
     """Scale an image to a width and height."""
     assert image is not None
     width, height = map(int, size)
     return image if image.size == (width, height) else image.resize((width, height), Image.Resampling.LANCZOS)
 
 
-def wrapped(index: np.ndarray, count: int, wrap: str) -> np.ndarray:
+def wrap_texels(index: np.ndarray, count: int, wrap: str) -> np.ndarray:
     """Return the texels of an image of ``count`` columns or rows that texels beyond it show."""
     if wrap == "clamp":
         return np.clip(index, 0, count - 1)
@@ -50,13 +50,13 @@ def wrapped(index: np.ndarray, count: int, wrap: str) -> np.ndarray:
     return index % count
 
 
-def sampled(texels: np.ndarray, places: np.ndarray, wrap: tuple[str, str]) -> np.ndarray:
+def sample_texels(texels: np.ndarray, places: np.ndarray, wrap: tuple[str, str]) -> np.ndarray:
     """Sample texels (H, W, 3) uint8 bilinearly at texel coordinates (N, 2), y down; linear (N, 3)."""
     height, width = texels.shape[:2]
     low = np.floor(places - 0.5).astype(int)
     fx, fy = (places - 0.5 - low).T[:, :, None]
-    x0, x1 = (wrapped(low[:, 0] + i, width, wrap[0]) for i in (0, 1))
-    y0, y1 = (wrapped(low[:, 1] + i, height, wrap[1]) for i in (0, 1))
+    x0, x1 = (wrap_texels(low[:, 0] + i, width, wrap[0]) for i in (0, 1))
+    y0, y1 = (wrap_texels(low[:, 1] + i, height, wrap[1]) for i in (0, 1))
     a, b, c, d = (srgb.decode(texels[y, x] / 255) for y, x in ((y0, x0), (y0, x1), (y1, x0), (y1, x1)))
     linear: np.ndarray = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
     return linear

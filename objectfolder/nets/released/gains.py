@@ -9,8 +9,8 @@ import torch
 from objectfolder.nets.released.network import (
     Frame,
     ReleasedNetwork,
+    build_network,
     float_tensors,
-    network_of,
     stored_tensors,
 )
 from objectfolder.nets.released.spectrogram import AXES
@@ -24,16 +24,9 @@ class ReleasedGains:
     The original's sound is the sum of gain * exp(-abs(damping) t) * sin(2 pi frequency t). A mode of shape g
     is displaced by g / w exp(-c t) sin(w t), so g = gain * w gives the original's sound as displacement.
 
-    Parameters
-    ----------
-    branches : three ReleasedNetwork
-        Nets from a point to normalised gains, one per axis.
-    config : dict
-        ``frame``; ``bounds`` (2, 3), the released coordinates represented by inputs 0 and 1.
-    frequencies, dampings : (M,) tensors
-        Hz and 1/s.
-    low, high : (3, M) tensors
-        Gains represented by outputs 0 and 1.
+    The three branches are nets from a point to normalised gains, one per axis; ``low`` and ``high``, (3, M),
+    are the gains that outputs 0 and 1 represent. Frequencies (M,) are in Hz, dampings in 1/s. ``config``
+    holds ``frame`` and ``bounds`` (2, 3): the released coordinates that inputs 0 and 1 represent.
     """
 
     def __init__(
@@ -94,16 +87,13 @@ class ReleasedGains:
         """Invert `to_tensors`."""
         state = float_tensors(tensors)
         modes = [state.pop(name) for name in ("frequencies", "dampings", "low", "high")]
-        return cls([network_of(state, 3, f"{axis}.") for axis in AXES], dict(config), *modes)
+        return cls([build_network(state, 3, f"{axis}.") for axis in AXES], dict(config), *modes)
 
 
 def checked_bounds(bounds: Any) -> np.ndarray:
     """Return the lowest and highest coordinates as a (2, 3) array.
 
-    Raises
-    ------
-    ValueError
-        If they are not finite, or the lowest are not below the highest.
+    Raises ValueError if they are not finite, or the lowest are not below the highest.
     """
     array = np.array(bounds, np.float64).reshape(2, 3)
     if not np.isfinite(array).all() or not (array[0] < array[1]).all():

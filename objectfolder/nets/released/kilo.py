@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import torch
 
-from objectfolder.nets.positional import encoded
+from objectfolder.nets.positional import append_octaves
 from objectfolder.nets.released.network import float_tensors
 from objectfolder.nets.released.vision import March, ReleasedVision
 
@@ -23,23 +23,13 @@ class ReleasedKilo(ReleasedVision):
 
     A net has hidden layers, then a density and a feature; the feature and the directions pass through one
     more layer to the colour. The first dimension of weights is the cell; they multiply row vectors from the
-    right.
+    right. Their names are ``points.N``, ``density``, ``feature``, ``direction`` and ``color``, each with
+    ``.weight`` and ``.bias``.
 
-    Parameters
-    ----------
-    weights : dict of str to (K, ...) tensor
-        ``points.N``, ``density``, ``feature``, ``direction``, ``color``, each ``.weight`` and ``.bias``.
-    cells : (K,) tensor
-        Flat indices of the cells with a net, in row-major order, ascending.
-    occupied : tensor of bool
-        Mask of occupied voxels.
-    march : March
-    grid, voxels : (int, int, int)
-        Cells and voxels along x, y and z of the box.
-    box : (2, 3) nested list
-        Lowest and highest coordinates, unit frame.
-    octaves : (int, int, int)
-        Octaves of the encodings of point (-1 to 1 within its cell), view and light.
+    ``cells`` (K,) are the flat indices of the cells with a net, in row-major order, ascending; ``occupied``
+    is the mask of occupied voxels; ``grid`` and ``voxels`` count both along x, y and z of the ``box``: its
+    lowest and highest corner, unit frame. ``octaves`` are those of the encodings of point (-1 to 1 within its
+    cell), view and light.
     """
 
     def __init__(
@@ -88,7 +78,7 @@ class ReleasedKilo(ReleasedVision):
         density = points.new_empty(len(points))
         hidden = points.new_empty(len(points), self.weights["density.weight"].shape[1])
         for row, index, place in self._by_net(points):
-            x = encoded(place, self.octaves[0], 1.0)
+            x = append_octaves(place, self.octaves[0], 1.0)
             for layer in range(self._depth):
                 x = torch.relu(self._through(f"points.{layer}", row, x))
             density[index] = torch.relu(self._through("density", row, x))[:, 0]
@@ -102,7 +92,7 @@ class ReleasedKilo(ReleasedVision):
         out = points.new_empty(len(points), 3)
         _, *octaves = self.octaves
         for row, index, _ in self._by_net(points):
-            ways = [encoded(x[index], n, 1.0) for x, n in zip((view, light), octaves)]
+            ways = [append_octaves(x[index], n, 1.0) for x, n in zip((view, light), octaves)]
             feature = self._through("feature", row, hidden[index])
             x = torch.relu(self._through("direction", row, torch.cat([feature, *ways], 1)))
             out[index] = 1.2 * torch.sigmoid(self._through("color", row, x)) - 0.1

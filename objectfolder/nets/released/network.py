@@ -11,19 +11,12 @@ import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.nets.loading import UNFILLED, filled
-from objectfolder.nets.positional import SKIP, SkipNetwork, encoded
+from objectfolder.nets.positional import SKIP, SkipNetwork, append_octaves
+from objectfolder.nets.storage import UNFILLED, fill
 
 
 class ReleasedNetwork(SkipNetwork):
-    """ReLU network with encoded inputs: each x with sin and cos of 2^k x, for k below ``octaves``.
-
-    Parameters
-    ----------
-    inputs : int
-        Number of inputs before encoding.
-    width, depth, octaves, outputs : int
-    """
+    """ReLU network with encoded inputs: each x with sin and cos of 2^k x, for k below ``octaves``."""
 
     def __init__(self, inputs: int, width: int, depth: int, octaves: int, outputs: int):
         super().__init__(inputs * (1 + 2 * octaves), width, depth)
@@ -32,16 +25,13 @@ class ReleasedNetwork(SkipNetwork):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Evaluate the network; (N, inputs) to (N, outputs)."""
-        return self.output(super().forward(encoded(x, self.octaves, 1.0)))
+        return self.output(super().forward(append_octaves(x, self.octaves, 1.0)))
 
 
-def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") -> ReleasedNetwork:
+def build_network(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") -> ReleasedNetwork:
     """Build the network described by the tensors of a state dictionary; their shapes define its size.
 
-    Raises
-    ------
-    ValueError, KeyError, RuntimeError
-        If the tensors describe no such network.
+    Raises ValueError, KeyError or RuntimeError if the tensors describe no such network.
     """
     state = {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
     width, channels = state["hidden.0.weight"].shape
@@ -51,7 +41,7 @@ def network_of(tensors: dict[str, torch.Tensor], inputs: int, prefix: str = "") 
     shape = inputs, width, _depth(state), octaves, len(state["output.weight"])
     with UNFILLED:
         net = ReleasedNetwork(*shape)
-    return filled(net, state).requires_grad_(False)
+    return fill(net, state).requires_grad_(False)
 
 
 def float_tensors(tensors: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:

@@ -26,13 +26,7 @@ def released_net(kind: str) -> Any:
 
 
 def trained_box(described: dict[str, Any]) -> np.ndarray | None:
-    """Return the lowest and highest coordinates that a part's net was trained on, as far as it says; (2, 3).
-
-    Parameters
-    ----------
-    described : dict
-        The part's header.
-    """
+    """Return the lowest and highest coordinates that a part's net was trained on, if it says; (2, 3)."""
     if described["kind"] in ("released_gains", "released_depth"):
         return np.array(described["net"]["bounds"], np.float64)
     if described["kind"] == "released_image":  # one pair for all axes

@@ -10,8 +10,8 @@ from objectfolder.audio.spectrogram import SHAPE
 from objectfolder.nets.released.network import (
     Frame,
     ReleasedNetwork,
+    build_network,
     float_tensors,
-    network_of,
     stored_tensors,
 )
 
@@ -25,23 +25,13 @@ class ReleasedSpectrogram:
     """Net from surface points to spectrograms of unit forces along x, y and z.
 
     A point p is mapped to the voxel grid by ((p + translation) * scale) * 32; the answers at its four nearest
-    vertices are summed, as in the original.
+    ``vertices`` (V, 3), in voxels, are summed, as in the original. The three branches are nets from (x, y, z,
+    frequency, time) to real and imaginary part, one per axis.
 
-    Parameters
-    ----------
-    branches : three ReleasedNetwork
-        Nets from (x, y, z, frequency, time) to real and imaginary part, one per axis.
-    vertices : (V, 3) array
-        Vertices of the voxel grid, in voxels.
-    config : dict
-        ``frame``; ``translation`` (3) and ``scale``, to the voxel grid; ``coordinates`` (low, high), the
-        voxel coordinates represented by inputs 0 and 1; ``values`` (3, 2), the values represented by outputs
-        0 and 1 of each branch.
-
-    Notes
-    -----
-    The original normalises by the extremes of the queried vertices, so that an answer depends on the other
-    points of the query; here ``coordinates`` is fixed.
+    ``config`` holds ``frame``; ``translation`` (3) and ``scale``; ``coordinates`` (low, high), the voxel
+    coordinates that inputs 0 and 1 represent; ``values`` (3, 2), what outputs 0 and 1 of each branch
+    represent. The original normalises by the extremes of the queried vertices, so that an answer depends on
+    the other points of the query; here ``coordinates`` is fixed.
     """
 
     damped_frequency = torch.zeros(0, dtype=torch.float64, device="cpu")  #: no modes are known
@@ -109,4 +99,4 @@ class ReleasedSpectrogram:
         """Invert `to_tensors`."""
         state = float_tensors(tensors)
         vertices = state.pop("voxel_vertex").numpy()
-        return cls([network_of(state, 5, f"{axis}.") for axis in AXES], vertices, dict(config))
+        return cls([build_network(state, 5, f"{axis}.") for axis in AXES], vertices, dict(config))

@@ -13,8 +13,8 @@ from objectfolder.nets.released.gains import checked_bounds
 from objectfolder.nets.released.network import (
     Frame,
     ReleasedNetwork,
+    build_network,
     float_tensors,
-    network_of,
     stored_tensors,
 )
 from objectfolder.touch.camera import ray_directions
@@ -36,20 +36,12 @@ _CHUNK = 4096  # pixels evaluated at once: their activations stay in the cache
 
 
 class ReleasedImage:
-    """Net from surface points to tactile images.
+    """Net from (x, y, z, row, column), all from -1 to 1, to the colour of a tactile image.
 
-    Parameters
-    ----------
-    network : ReleasedNetwork
-        Net from (x, y, z, row, column) to a colour, all from -1 to 1.
-    config : dict
-        ``frame``; ``coordinates`` (low, high): a released coordinate c is mapped to 2 (c - low) / high - 1,
-        as in the original, one pair for all axes; ``press_depth`` and ``angle``, assigned to every image.
-
-    Notes
-    -----
-    The original takes low and high from the queried points, so that an image depends on the other points of
-    the query; here they are fixed. The press depth of its training is unknown.
+    ``config`` holds ``frame``; ``coordinates`` (low, high): a released coordinate c is mapped to 2 (c - low)
+    / high - 1, as in the original, one pair for all axes; ``press_depth`` and ``angle``, assigned to every
+    image. The original takes low and high from the queried points, so that an image depends on the other
+    points of the query; here they are fixed. The press depth of its training is unknown.
     """
 
     def __init__(self, network: ReleasedNetwork, config: dict[str, Any]):
@@ -75,7 +67,7 @@ class ReleasedImage:
         x = 2 * (self.frame.released(points) - self._low) / self._high - 1
         out = np.empty((len(x), *IMAGE_SIZE, 3), np.uint8)
         for image, point in zip(out, torch.from_numpy(x).float().to(self._pixels)):
-            grey = (evaluated(self.network, point, self._pixels) + 1) / 2 * 255
+            grey = (evaluate_pixels(self.network, point, self._pixels) + 1) / 2 * 255
             image[:] = grey.round().clamp(0, 255).to(torch.uint8).view(*IMAGE_SIZE, 3).cpu().numpy()
         return out
 
@@ -86,21 +78,15 @@ class ReleasedImage:
     @classmethod
     def from_tensors(cls, tensors: dict[str, np.ndarray], config: dict[str, Any]) -> "ReleasedImage":
         """Invert `to_tensors`."""
-        return cls(network_of(float_tensors(tensors), 5), dict(config))
+        return cls(build_network(float_tensors(tensors), 5), dict(config))
 
 
 class ReleasedDepth:
     """Net from contacts to depth maps, and simulation of a sensor pressed into them.
 
-    Parameters
-    ----------
-    network : ReleasedNetwork
-        Net from (x, y, z, tilt, cos azimuth, sin azimuth, press depth, row, column) to a depth.
-    untouched : (120, 160) tensor
-        Depth map of the untouched gel, metres.
-    config : dict
-        ``frame``; ``bounds`` (2, 3), the released coordinates represented by inputs 0 and 1; ``sensor``, a
-        profile.
+    The network maps (x, y, z, tilt, cos azimuth, sin azimuth, press depth, row, column) to a depth;
+    ``untouched`` (120, 160) is the depth map of the untouched gel, metres. ``config`` holds ``frame``;
+    ``bounds`` (2, 3), the released coordinates that inputs 0 and 1 represent; ``sensor``, a profile.
     """
 
     def __init__(self, network: ReleasedNetwork, untouched: torch.Tensor, config: dict[str, Any]):
@@ -126,6 +112,8 @@ class ReleasedDepth:
     ) -> np.ndarray:
         """Evaluate the original's depth maps, metres from the camera; (N, 120, 160) float32.
 
+        Raises ObjectFolderError if a depth or tilt is outside the net's training range.
+
         Parameters
         ----------
         points : (N, 3) array, unit frame
@@ -133,11 +121,6 @@ class ReleasedDepth:
             Press depths, metres.
         tilts, azimuths : (N,) arrays
             Theta and phi of the release, radians.
-
-        Raises
-        ------
-        ObjectFolderError
-            If a depth or tilt is outside the net's training range.
         """
         self.require(depths, tilts)
         low, high = self._bounds
@@ -153,16 +136,13 @@ class ReleasedDepth:
         )
         maps = np.empty((len(x), *DEPTH_SIZE), np.float32)
         for out, row in zip(maps, torch.from_numpy(x).float().to(self._pixels)):
-            depth = evaluated(self.network, row, self._pixels).view(*DEPTH_SIZE)
+            depth = evaluate_pixels(self.network, row, self._pixels).view(*DEPTH_SIZE)
             out[:] = depth.cpu().numpy() * (DEPTHS[1] - DEPTHS[0]) + DEPTHS[0]
         return maps
 
     def require(self, depths: np.ndarray, tilts: np.ndarray) -> None:
         """Raise ObjectFolderError unless press depths and tilts are in the net's training range."""
-        for name, values, (low, high) in (
-            ("depth", depths, PRESS_DEPTHS),
-            ("tilt", tilts, (0.0, MAX_TILT)),
-        ):
+        for name, values, (low, high) in (("depth", depths, PRESS_DEPTHS), ("tilt", tilts, (0.0, MAX_TILT))):
             wrong = np.flatnonzero(~((values >= low - _ROUNDING) & (values <= high + _ROUNDING)))
             if len(wrong):
                 raise ObjectFolderError(
@@ -199,10 +179,10 @@ class ReleasedDepth:
             maps = self.depth_maps(points[row], depths[row], tilts[row], azimuths[row])
             height = self.heights(maps, depths[row], profile)
             found = contacts_of(height, np.zeros(len(height)), profile)
-            images = self.shown(found.displacement, profile)
+            images = self.draw_gel(found.displacement, profile)
             yield Touches(**vars(found), images=images, profile=profile)
 
-    def shown(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+    def draw_gel(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
         """Return a sensor's images (N, H, W, 3) of a gel displaced by (N, H, W) metres."""
         if profile not in self._optics:
             self._optics[profile] = Optics(profile)
@@ -235,10 +215,10 @@ class ReleasedDepth:
         """Invert `to_tensors`."""
         state = float_tensors(tensors)
         untouched = state.pop("untouched")
-        return cls(network_of(state, 9), untouched, dict(config))
+        return cls(build_network(state, 9), untouched, dict(config))
 
 
-def evaluated(network: ReleasedNetwork, row: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
+def evaluate_pixels(network: ReleasedNetwork, row: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
     """Evaluate a network at one contact and (P, 2) pixels; (P, outputs)."""
     parts = [network(torch.cat([row.expand(len(part), -1), part], 1)) for part in pixels.split(_CHUNK)]
     return torch.cat(parts)

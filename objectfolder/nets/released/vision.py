@@ -13,8 +13,8 @@ import torch
 
 from objectfolder.mesh import srgb
 from objectfolder.mesh.grid import ascent
-from objectfolder.nets.loading import UNFILLED, filled
 from objectfolder.nets.released.network import float_tensors, stored_tensors
+from objectfolder.nets.storage import UNFILLED, fill
 from objectfolder.nets.vision_osf import ScatteringFunction
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.picture import Picture
@@ -90,14 +90,7 @@ class Field(Protocol):
 
 
 class Network:
-    """A `Field` of one net for all points.
-
-    Parameters
-    ----------
-    net : ScatteringFunction
-    crop : float, optional
-        Half the side of a cube outside of which the density is taken as zero.
-    """
+    """A `Field` of one net for all points; outside of a cube of half side ``crop`` the density is zero."""
 
     def __init__(self, net: ScatteringFunction, crop: float | None):
         self.net = net
@@ -122,13 +115,8 @@ class ReleasedVision:
     """Renderer of pictures like those of the released code.
 
     The released code blends encoded colours on white. Linear colours of a picture are therefore chosen to
-    give the same colours on white; they are negative where a pixel is dark and partly covered.
-
-    Parameters
-    ----------
-    march : March
-    chunk : int
-        Rays rendered at once on a CPU.
+    give the same colours on white; they are negative where a pixel is dark and partly covered. On a CPU,
+    ``chunk`` rays are rendered at once.
     """
 
     coarse: Field  #: places the samples of `fine`
@@ -148,18 +136,9 @@ class ReleasedVision:
     def picture(self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
         """Render one view.
 
-        Parameters
-        ----------
-        camera_to_world : (4, 4) array
-        light : (3,) array, unit frame
-            Passed to the net unchanged; it was trained with lights on the unit sphere.
-        intrinsics : Intrinsics
-
-        Returns
-        -------
-        Picture
-            Depth is the weighted mean along the ray. The normal is the direction of decreasing density there;
-            zero where the density is constant.
+        The light (3,), unit frame, is passed to the net unchanged; it was trained with lights on the unit
+        sphere. Depth is the weighted mean along the ray; the normal is the direction of decreasing density
+        there, zero where the density is constant.
         """
         origin, directions = (x.to(self.device) for x in _rays(camera_to_world, intrinsics, self.march.pixel))
         towards = torch.from_numpy(np.asarray(light, np.float32)).to(self.device)
@@ -209,14 +188,8 @@ class ReleasedVision:
 class ReleasedNerf(ReleasedVision):
     """VisionNet of ObjectFolder 1.0, or of 2.0 without KiloOSF: one or two nets of point, view and light.
 
-    Parameters
-    ----------
-    nets : dict of str to ScatteringFunction
-        ``coarse`` and ``fine``, or ``fine`` alone.
-    march : March
-    crop : float, optional
-        Half the side of a cube outside of which the density is taken as zero; default: no limit, as in the
-        original.
+    ``nets`` are ``coarse`` and ``fine``, or ``fine`` alone. Outside of a cube of half the side ``crop`` the
+    density is taken as zero; without one there is no limit, as in the original.
     """
 
     def __init__(self, nets: dict[str, ScatteringFunction], march: March, crop: float | None = None):
@@ -253,19 +226,16 @@ class ReleasedNerf(ReleasedVision):
         nets = {}
         for name in sorted({key.split(".")[0] for key in state}):
             part = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
-            nets[name] = scattering_of(part, *octaves)
+            nets[name] = build_scattering(part, *octaves)
         return cls(nets, March(**config), crop)
 
 
-def scattering_of(
+def build_scattering(
     state: dict[str, torch.Tensor], point_octaves: int, direction_octaves: int
 ) -> ScatteringFunction:
     """Build the `ScatteringFunction` described by tensors.
 
-    Raises
-    ------
-    ValueError, KeyError, RuntimeError
-        If the tensors describe none.
+    Raises ValueError, KeyError or RuntimeError if the tensors describe none.
     """
     depth, branch_depth = (
         sum(name.startswith(f"{part}.hidden.") and name.endswith(".weight") for name in state)
@@ -283,7 +253,7 @@ def scattering_of(
     }
     with UNFILLED:
         net = ScatteringFunction(**shape)
-    return filled(net, state).requires_grad_(False)
+    return fill(net, state).requires_grad_(False)
 
 
 def _rays(

@@ -6,12 +6,12 @@ from typing import Any, TypeVar
 import torch
 
 from objectfolder.errors import ObjectFolderError
+from objectfolder.objectfile.arguments import usual_modes
 from objectfolder.objectfile.gradients.module import AnswerModule
 from objectfolder.objectfile.gradients.sound import Sound
 from objectfolder.objectfile.gradients.touch import Touch
 from objectfolder.objectfile.gradients.view import View
 from objectfolder.objectfile.parts import StoredParts
-from objectfolder.objectfile.torch_modes import usual_modes
 
 DTYPES = (torch.float32, torch.float64)
 _Made = TypeVar("_Made", bound=AnswerModule)

@@ -10,9 +10,9 @@ import torch
 from objectfolder.audio.contact import Striker
 from objectfolder.audio.synthesis import (
     RESPONSES,
-    audible,
     gains,
     half_sine_response,
+    is_audible,
     pulse_phasor,
     response_at,
 )
@@ -21,10 +21,9 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.materials import Material
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.objectfile.arguments import broadcast_rows, finite_rows
-from objectfolder.objectfile.audio import ModalSense
-from objectfolder.objectfile.gradients.foot import on_surface
-from objectfolder.objectfile.gradients.module import AnswerModule
-from objectfolder.objectfile.sound_settings import SoundSettings
+from objectfolder.objectfile.audio import SoundSettings
+from objectfolder.objectfile.audio_senses import ModalSense
+from objectfolder.objectfile.gradients.module import AnswerModule, follow_surface
 from objectfolder.objectfile.surface import TOLERANCE, ObjectSurface
 
 _BYTES_PER_PAIR = 100  # of a mode and a sample, with what gradients need
@@ -32,7 +31,7 @@ _BYTES_PER_PAIR = 100  # of a mode and a sample, with what gradients need
 Number = Any
 
 
-def value_of(number: Number) -> float:
+def detach_number(number: Number) -> float:
     """Return a number without its gradient."""
     return number.item() if isinstance(number, torch.Tensor) else number
 
@@ -51,9 +50,9 @@ class TensorMaterial(Material):
 
     def __post_init__(self) -> None:
         values = {field.name: getattr(self, field.name) for field in fields(Material) if field.name != "name"}
-        knots = tuple((hertz, value_of(loss)) for hertz, loss in values.pop("loss_factor"))
+        knots = tuple((hertz, detach_number(loss)) for hertz, loss in values.pop("loss_factor"))
         object.__setattr__(self, "loss_factor", tuple(map(tuple, self.loss_factor)))
-        Material(self.name, **{name: value_of(v) for name, v in values.items()}, loss_factor=knots)
+        Material(self.name, **{name: detach_number(v) for name, v in values.items()}, loss_factor=knots)
 
     @classmethod
     def of(cls, material: Material) -> "TensorMaterial":
@@ -135,7 +134,7 @@ class Sound(AnswerModule):
         tuning = self._sense.tuning(stuff, scale)
         if contact_time is None:
             contact_time = self._sense.striking_time(settings.striker, stuff, scale)
-        heard = audible(tuning.damped_frequency, settings.sample_rate)
+        heard = is_audible(tuning.damped_frequency, settings.sample_rate)
         s = torch.complex(-tuning.damping, tuning.damped_frequency)[heard].to(torch.complex128)[:, None]
         samples = round(settings.sample_rate * settings.duration)
         require_memory(
@@ -144,7 +143,7 @@ class Sound(AnswerModule):
             "ask for fewer seconds or a lower sample_rate",
         )
         time = torch.arange(samples, dtype=torch.float64) / settings.sample_rate
-        bank = played(s, time, contact_time, RESPONSES.index(response))
+        bank = respond_to_pulse(s, time, contact_time, RESPONSES.index(response))
         impulses = torch.as_tensor(forces).to(shapes).expand(pushes.shape)
         strength = gains(shapes[..., tuning.modes[heard]], impulses) * tuning.shape_factor
         return (strength.double() @ bank).to(self._dtype)
@@ -154,30 +153,19 @@ class Sound(AnswerModule):
     ) -> torch.Tensor:
         """Return mode shapes (N, 3, M) at points, whose values are places."""
         size = self._surface.scale if scale is None else scale
-        surface = self._surface.resized(value_of(size))
-        feet = surface.to_unit(surface.snap(places, tolerance))
+        surface = self._surface.resized(detach_number(size))
+        closest = surface.to_unit(surface.snap(places, tolerance))
         unit = (torch.as_tensor(points).double() / size).expand(places.shape)
-        on = on_surface(unit, feet, surface.read()) if surface.stored else unit
+        on = follow_surface(unit, closest, surface.read()) if surface.stored else unit
         return self.net(on.to(self._dtype)) * self.net.amplitude
 
 
-def played(s: torch.Tensor, time: torch.Tensor, contact_time: Number, order: int) -> torch.Tensor:
+def respond_to_pulse(s: torch.Tensor, time: torch.Tensor, contact_time: Number, order: int) -> torch.Tensor:
     """Compute the response of modes to a half sine of force; see `objectfolder.audio.synthesis.responses`.
 
-    Parameters
-    ----------
-    s : (M, 1) complex tensor
-        -c + i w, 1/s.
-    time : (samples,) tensor
-        Ascending, since the start of contact, seconds.
-    contact_time : float or tensor
-        Seconds; 0 is an ideal impulse.
-    order : int
-        0 for the displacement, 1 for its velocity, 2 for its acceleration.
-
-    Returns
-    -------
-    (M, samples) float64
+    ``s`` (M, 1) is -c + i w, 1/s; ``time`` (samples,) ascends from the start of contact, seconds; a contact
+    time of 0 is an ideal impulse; ``order`` is 0 for the displacement, 1 for its velocity, 2 for its
+    acceleration. Returns (M, samples) float64.
     """
     if not contact_time:
         return response_at(s, time, 0.0, order)

@@ -6,28 +6,29 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch.autograd.function import once_differentiable
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.touch_geometric import GeometricTouch
-from objectfolder.objectfile.gradients.first_order import first_order
-from objectfolder.objectfile.gradients.foot import on_surface
-from objectfolder.objectfile.gradients.gel import SoftGel
-from objectfolder.objectfile.gradients.module import AnswerModule
+from objectfolder.objectfile.gradients.module import AnswerModule, first_order, follow_surface
 from objectfolder.objectfile.surface import TOLERANCE
-from objectfolder.objectfile.touch import ContactPoses, GeometricSense
+from objectfolder.objectfile.touch import ContactPoses
+from objectfolder.objectfile.touch_senses import GeometricSense
+from objectfolder.touch.active_set import ACCURACY, settle, supporting_pressure
 from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
 from objectfolder.touch.contact import (
     NORMAL_RADIUS,
     contact_normals,
-    leaned_normals,
-    seated_heightmaps,
+    heightmaps,
+    lean_normals,
     sensor_frames,
 )
-from objectfolder.touch.gel import GAP
+from objectfolder.touch.gel import GAP, deform, layer_of, respond
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
 
+_SINGLE = 1e-5  # accuracy of gradients in single precision
 _BEFORE = 1e-5  # m before a known hit, where rays start that look for its triangle
 
 
@@ -92,20 +93,20 @@ class Touch(AnswerModule):
         tolerance : float
         sensor : str, Path or SensorProfile, optional
         """
-        values = ContactPoses.checked(points, depth, angle, tilt, azimuth)
+        contacts = ContactPoses.checked(points, depth, angle, tilt, azimuth, tolerance)
         net = self._sense.net if sensor is None else self._sense.net.with_sensor(load_profile(sensor))
-        feet = self._sense.feet(values, tolerance, net)
-        count, scale = len(feet), net.scale
-        given = torch.as_tensor(points).double().expand(feet.shape) / scale
+        snapped = self._sense.snap(contacts, net)
+        count, scale = len(snapped), net.scale
+        given = torch.as_tensor(points).double().expand(snapped.shape) / scale
         turned, leaning, towards, pressed = (
             first_order(torch.as_tensor(v, dtype=torch.float64)).expand(count)
             for v in (angle, tilt, azimuth, depth)
         )
-        places = on_surface(given, feet / scale, net.surface)
+        places = follow_surface(given, snapped / scale, net.surface)
         outward = contact_normals(net.surface.grid.smooth_distance, places, NORMAL_RADIUS)
-        axis = leaned_normals(outward, turned, leaning, towards)
+        axis = lean_normals(outward, turned, leaning, towards)
         pressed = (pressed + net.depth_offset).clamp(0, net.profile.max_indentation)
-        height = heights_of(places * scale, axis, turned, pressed, net).to(self._dtype)
+        height = seated_heights(places * scale, axis, turned, pressed, net).to(self._dtype)
         if net.profile.gel == "rigid":
             displacement, pressure = height.clamp(min=0), torch.full_like(height, torch.nan)
         else:
@@ -122,23 +123,17 @@ class Touch(AnswerModule):
         return self._optics[net.profile]
 
 
-def heights_of(
+def seated_heights(
     points: torch.Tensor, axes: torch.Tensor, angles: torch.Tensor, depths: torch.Tensor, net: GeometricTouch
 ) -> torch.Tensor:
     """Return the heights of `objectfolder.touch.contact.heightmaps`, with gradients; (N, H, W) float64.
 
-    Parameters
-    ----------
-    points, axes : (N, 3) tensors
-        Contact points, metres, and the sensors' unit outward axes; object frame, float64.
-    angles, depths : (N,) tensors
-        Radians and metres.
-    net : GeometricTouch
-        Surface and sensor.
+    Contact points (N, 3), metres, and the sensors' unit outward axes are float64 in the object frame; angles
+    are radians, depths metres.
     """
     profile, surface = net.profile, net.surface
     where, axis, turned, pressed = (v.detach().numpy() for v in (points, axes, angles, depths))
-    height, _, retreat = seated_heightmaps(surface.caster, where, axis, turned, pressed, profile, net.scale)
+    height, _, retreat = heightmaps(surface.caster, where, axis, turned, pressed, profile, net.scale)
     frames, gel = sensor_frames(axes, angles), torch.from_numpy(gel_depth(profile)).ravel()
     rays = torch.from_numpy(ray_directions(profile)).reshape(-1, 3)
     cameras = points + axes * (profile.camera_to_gel - depths + torch.from_numpy(retreat))[:, None]
@@ -148,7 +143,7 @@ def heights_of(
             :, 0
         ]
         ways = rays[inside] @ frame.T
-        planes = met_planes(surface, net.scale, camera.detach(), ways.detach(), (gel - flat)[inside])
+        planes = hit_planes(surface, net.scale, camera.detach(), ways.detach(), (gel - flat)[inside])
         corner, normal, met = planes
         # Of the point camera + t ways on the plane; its gradient is that of the implicit function.
         t = ((corner - camera) * normal).sum(1) / torch.where(met, (ways * normal).sum(1), 1)
@@ -157,26 +152,14 @@ def heights_of(
     return torch.stack(found).view(height.shape) if found else torch.from_numpy(height).double()
 
 
-def met_planes(
+def hit_planes(
     surface: Isosurface, scale: float, camera: torch.Tensor, ways: torch.Tensor, depth: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return a corner, metres, and the normal of the triangles that rays meet, and whether they were found.
 
-    Parameters
-    ----------
-    surface : Isosurface
-    scale : float
-        Metres per unit of the surface.
-    camera : (3,) tensor, metres
-    ways : (M, 3) tensor
-        Directions of the rays.
-    depth : (M,) tensor
-        Where the rays meet the surface, in multiples of the directions.
-
-    Returns
-    -------
-    corner, normal : (M, 3) float64 tensors
-    met : (M,) bool tensor
+    Rays start at the camera (3,), metres, along ``ways`` (M, 3), and meet the surface, whose unit is
+    ``scale`` metres, at ``depth`` (M,) times these. Returns corners and normals, (M, 3) float64, and a mask
+    (M,).
     """
     start = (camera + (depth - _BEFORE)[:, None] * ways) / scale
     reach = np.full(len(ways), 2 * _BEFORE, np.float32)
@@ -186,14 +169,54 @@ def met_planes(
     return a, normal, torch.from_numpy(face >= 0) & ((ways * normal).sum(1) != 0)
 
 
-class TensorOptics(Optics):
-    """Optics of the gel that compute with tensors, through which gradients flow.
+class SoftGel(torch.autograd.Function):
+    """Press a rigid object into a soft gel; `objectfolder.touch.gel.deform` with gradients.
 
-    Parameters
-    ----------
-    profile : SensorProfile
-    dtype : torch.dtype
+    Where they touch, the displacement is the height and the pressure solves C p = h on the touching pixels,
+    C being the layer's symmetric response; elsewhere the displacement is C p. The touching pixels change
+    where the gap or the pressure is 0, which alters no first derivative. So gradients (a, b) of displacement
+    and pressure are, on the touching pixels, those of the heights
+
+        a + C^-1 (C a' + b),
+
+    where a' is a outside of them.
     """
+
+    @staticmethod
+    def forward(ctx: Any, height: torch.Tensor, profile: SensorProfile) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return displacement, metres, and pressure, Pa, of heights (N, H, W), metres.
+
+        In double precision the contact is solved to rounding, in single as `deform` does.
+        """
+        values = height.detach().numpy()
+        displacement, pressure = deform(values, profile)
+        if height.dtype == torch.float64:
+            displacement, pressure = displacement.astype(np.float64), pressure.astype(np.float64)
+            for i in np.flatnonzero(pressure.any((1, 2))):
+                displacement[i], pressure[i] = settle(
+                    values[i], pressure[i], profile.pixel_pitch, layer_of(profile)
+                )
+        ctx.profile = profile
+        # Pixels that were laid onto the object without a pressure belong to it, too.
+        ctx.touching = (displacement == values) & pressure.any((1, 2), keepdims=True)
+        return torch.from_numpy(displacement), torch.from_numpy(pressure)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Any) -> tuple[torch.Tensor, None]:
+        """Return the gradients of heights (N, H, W)."""
+        of_moved, of_pressure = (g.numpy().astype(np.float64) for g in gradients)
+        pitch, layer = ctx.profile.pixel_pitch, layer_of(ctx.profile)
+        accuracy = ACCURACY if gradients[0].dtype == torch.float64 else _SINGLE
+        result = np.where(ctx.touching, of_moved, 0)
+        for i in np.flatnonzero(ctx.touching.any((1, 2))):
+            free = respond(np.where(ctx.touching[i], 0, of_moved[i]), pitch, layer)
+            result[i] += supporting_pressure(free + of_pressure[i], ctx.touching[i], pitch, layer, accuracy)
+        return torch.from_numpy(result).to(gradients[0].dtype), None
+
+
+class TensorOptics(Optics):
+    """Optics of the gel that compute with tensors, through which gradients flow."""
 
     def __init__(self, profile: SensorProfile, dtype: torch.dtype):
         self._dtype = dtype

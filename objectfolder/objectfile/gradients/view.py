@@ -2,7 +2,6 @@
 
 import copy
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,12 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.objectfile.gradients.first_order import first_order
-from objectfolder.objectfile.gradients.module import AnswerModule
-from objectfolder.objectfile.vision import SurfaceSense, poses_and_lights, require_image_room
+from objectfolder.objectfile.gradients.module import AnswerModule, first_order
+from objectfolder.objectfile.vision import LitCameras
+from objectfolder.objectfile.vision_senses import SurfaceSense
 from objectfolder.vision.cameras import Intrinsics, PixelRays, covered_rectangle, up_directions
 from objectfolder.vision.trace import SurfaceSamples, is_lit, weighted_rows
-from objectfolder.vision.vectors import column_major, dot, normalized
+from objectfolder.vision.vectors import column_major, dot, normalize_rows
 from objectfolder.vision.view import SQUARE_SIDE, STRIP
 
 _BYTES_PER_PIXEL = 64  # outside of the silhouette; more inside, for the net's gradients
@@ -78,14 +77,13 @@ class View(AnswerModule):
         intrinsics : Intrinsics, optional
         """
         seen_by = Intrinsics.given(intrinsics, resolution)
-        room = partial(require_image_room, intrinsics=seen_by, bytes_per_pixel=_BYTES_PER_PIXEL)
-        poses, _ = poses_and_lights(camera, light, (), room)
+        count = len(LitCameras.checked(camera, light, (), seen_by, _BYTES_PER_PIXEL))
         places = first_order(torch.as_tensor(camera).double())
         frames = (
-            places.reshape(-1, 4, 4) if places.shape[-2:] == (4, 4) else looking_at(places.reshape(-1, 3))
+            places.reshape(-1, 4, 4) if places.shape[-2:] == (4, 4) else look_at_origin(places.reshape(-1, 3))
         )
-        frames = frames.expand(len(poses), 4, 4)
-        lights = first_order(torch.as_tensor(light).to(self._dtype)).reshape(-1, 3).expand(len(poses), 3)
+        frames = frames.expand(count, 4, 4)
+        lights = first_order(torch.as_tensor(light).to(self._dtype)).reshape(-1, 3).expand(count, 3)
         pictures = [self._picture(frame, of, seen_by) for frame, of in zip(frames, lights)]
         radiance, inside = (torch.stack(of) for of in zip(*pictures)) if pictures else self._nothing(seen_by)
         shown = srgb.encode(radiance.clamp(0, 1))
@@ -108,8 +106,8 @@ class View(AnswerModule):
             return radiance.view(*shape, 3), inside.view(shape)
         row, column = np.divmod(part, right - left)
         row, column = row + top, column + left
-        samples = hits(
-            self._surface, frame, pixel_ways(seen_by, row, column), face, light.detach(), self._dtype
+        samples = intersect_planes(
+            self._surface, frame, centre_directions(seen_by, row, column), face, light.detach(), self._dtype
         )
         color = self.net.radiance(self._baked, samples, light, rays.by_squares(part, SQUARE_SIDE))
         place = torch.from_numpy(row * seen_by.width + column)
@@ -121,7 +119,7 @@ class View(AnswerModule):
         return empty, empty[..., 0].bool()
 
 
-def hits(
+def intersect_planes(
     surface: Isosurface,
     frame: torch.Tensor,
     ways: torch.Tensor,
@@ -131,17 +129,8 @@ def hits(
 ) -> SurfaceSamples:
     """Return the points in which rays meet the planes of known triangles, with gradients.
 
-    Parameters
-    ----------
-    surface : Isosurface
-    frame : (4, 4) tensor
-        Camera to world.
-    ways : (S, 3) tensor
-        Directions of the rays in the camera's frame.
-    face : (S,) int array
-    light : (3,) tensor
-    dtype : torch.dtype
-        Of the answer.
+    ``frame`` (4, 4) is camera to world, ``ways`` (S, 3) are the directions of the rays in the camera's frame,
+    ``face`` (S,) the triangles; ``dtype`` is that of the answer.
     """
     origin, away = frame[:3, 3], ways @ frame[:3, :3].T
     a, b, c = (torch.from_numpy(v) for v in surface.vertices[surface.faces[face]].swapaxes(0, 1))
@@ -153,14 +142,14 @@ def hits(
     third = dot(torch.linalg.cross(b - a, points - a), area) / square
     weights = torch.cat([1 - second - third, second, third], 1).to(dtype)
     corners = torch.from_numpy(surface.corners(face))
-    normals = normalized(column_major(weighted_rows(surface.shading.tensor.to(dtype), corners, weights)))
+    normals = normalize_rows(column_major(weighted_rows(surface.shading.tensor.to(dtype), corners, weights)))
     points = points.to(dtype)
     lit = is_lit(surface, points.detach().float(), normals.detach().float(), light.float())
     return SurfaceSamples(
         torch.arange(len(face)),
         points,
         normals,
-        normalized(away.to(dtype)),
+        normalize_rows(away.to(dtype)),
         distance[:, 0],
         lit,
         corners,
@@ -168,18 +157,18 @@ def hits(
     )
 
 
-def pixel_ways(seen_by: Intrinsics, row: np.ndarray, column: np.ndarray) -> torch.Tensor:
+def centre_directions(seen_by: Intrinsics, row: np.ndarray, column: np.ndarray) -> torch.Tensor:
     """Return directions (S, 3) through the centres of pixels, in the camera's frame, of depth 1; float64."""
     x = (column + 0.5 - seen_by.cx) / seen_by.fx
     y = (seen_by.cy - row - 0.5) / seen_by.fy
     return torch.from_numpy(np.stack([x, y, -np.ones_like(x)], 1))
 
 
-def looking_at(positions: torch.Tensor) -> torch.Tensor:
+def look_at_origin(positions: torch.Tensor) -> torch.Tensor:
     """Return `objectfolder.vision.cameras.look_at` of the origin, with gradients; (N, 4, 4)."""
-    backward = normalized(positions)
+    backward = normalize_rows(positions)
     up = torch.from_numpy(up_directions(backward.detach().numpy()))
-    right = normalized(torch.linalg.cross(up, backward))
+    right = normalize_rows(torch.linalg.cross(up, backward))
     rows = torch.stack([right, torch.linalg.cross(backward, right), backward, positions], 2)
     last = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(rows).expand(len(rows), 1, 4)
     return torch.cat([rows, last], 1)

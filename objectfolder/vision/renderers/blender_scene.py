@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 DONE = "objectfolder: rendered"  #: printed when the scene is ready and after each view
-OLDEST = (4, 2)  # the first version whose principled BSDF has the sockets used here
+MIN_VERSION = (4, 2)  # the first version whose principled BSDF has the sockets used here
 
 
 def main(folder: Path) -> None:
     """Build the scene of a folder, report that it is ready, then render views until stdin ends."""
     import bpy
 
-    if bpy.app.version < OLDEST:
-        found, wanted = (".".join(map(str, version)) for version in (bpy.app.version, OLDEST))
+    if bpy.app.version < MIN_VERSION:
+        found, wanted = (".".join(map(str, version)) for version in (bpy.app.version, MIN_VERSION))
         sys.exit(f"this is Blender {found}, expected {wanted} or newer")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene

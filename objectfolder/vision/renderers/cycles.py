@@ -18,25 +18,16 @@ from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.renderers import blender_scene
 from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
 
-SMALLEST = 4  #: shortest side of an image that Blender renders, pixels
+MIN_SIDE = 4  #: shortest side of an image that Blender renders, pixels
 SHOWN_LINES = 8  # of Blender's output, in an error
 
 
 class CyclesRenderer:
     """Path tracer on the CPU: one thread, box filter, no denoising.
 
-    Blender runs in a separate process: it needs its own numpy, and its licence is the GPL.
-
-    Parameters
-    ----------
-    scene : Scene
-
-    Raises
-    ------
-    ImportError
-        If neither the module bpy nor a program blender on the PATH is found.
-    ObjectFolderError
-        If Blender does not start or is too old.
+    Blender runs in a separate process: it needs its own numpy, and its licence is the GPL. Raises ImportError
+    if neither the module bpy nor a program blender on the PATH is found, ObjectFolderError if Blender does
+    not start or is too old.
     """
 
     def __init__(self, scene: Scene):
@@ -62,7 +53,7 @@ class CyclesRenderer:
     ) -> np.ndarray:
         """Render one view; see `objectfolder.vision.renderers.registry.Renderer`."""
         # Pad small images to Blender's smallest size.
-        rows, columns = (max(SMALLEST - n + 1, 0) // 2 for n in (intrinsics.height, intrinsics.width))
+        rows, columns = (max(MIN_SIDE - n + 1, 0) // 2 for n in (intrinsics.height, intrinsics.width))
         width, aspect = intrinsics.width + 2 * columns, intrinsics.fx / intrinsics.fy  # aspect: of a pixel
         off_center = intrinsics.width / 2 - intrinsics.cx, aspect * (intrinsics.cy - intrinsics.height / 2)
         view = {
@@ -106,10 +97,7 @@ class CyclesRenderer:
 def blender_command() -> list[str]:
     """Return the command that runs ``blender_scene`` in Blender; append the folder as its last argument.
 
-    Raises
-    ------
-    ImportError
-        If Blender is not found.
+    Raises ImportError if Blender is not found.
     """
     script = blender_scene.__file__
     if importlib.util.find_spec("bpy"):

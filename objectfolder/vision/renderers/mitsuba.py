@@ -14,26 +14,16 @@ from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene
 
 SCALAR = "scalar_rgb"
 # Depth from which a camera sees. Rays start there, so that a nearer start rounds all of them differently.
-NEAR, NEAREST = 1e-2, 1e-3
-OLDEST_LLVM = (19,)  # 14 to 16 cannot compile the kernels and abort
+NEAR_PLANE, MIN_NEAR_PLANE = 1e-2, 1e-3
+MIN_LLVM = (19,)  # 14 to 16 cannot compile the kernels and abort
 
 
 class MitsubaRenderer:
     """Path tracing with one thread.
 
     The box filter makes the result independent of the thread count; multijittered samples gain 4 to 6 dB at
-    equal count.
-
-    Parameters
-    ----------
-    scene : Scene
-    variant : str
-        Of Mitsuba: ``scalar_rgb``, ``llvm_ad_rgb`` (needs an LLVM library) or ``cuda_ad_rgb`` (a GPU).
-
-    Raises
-    ------
-    ImportError
-        If the variant cannot run here.
+    equal count. Mitsuba's variant is ``scalar_rgb``, ``llvm_ad_rgb`` (needs an LLVM library) or
+    ``cuda_ad_rgb`` (a GPU). Raises ImportError if the variant cannot run here.
     """
 
     def __init__(self, scene: Scene, variant: str = SCALAR):
@@ -67,7 +57,7 @@ class MitsubaRenderer:
 
     def _choose_variant(self) -> None:
         mi.set_variant(self._variant)
-        if self._variant.startswith("llvm") and drjit.detail.llvm_version() < OLDEST_LLVM:
+        if self._variant.startswith("llvm") and drjit.detail.llvm_version() < MIN_LLVM:
             found = ".".join(map(str, drjit.detail.llvm_version()))
             raise ImportError(
                 f"LLVM {found} found, which crashes Dr.Jit: set DRJIT_LIBLLVM_PATH to a newer version"
@@ -103,7 +93,7 @@ class MitsubaRenderer:
                 "fov_axis": "x",
                 "principal_point_offset_x": 0.5 - intrinsics.cx / intrinsics.width,
                 "principal_point_offset_y": 0.5 - intrinsics.cy / intrinsics.height,
-                "near_clip": NEAR if depth.min() > NEAR else NEAREST,
+                "near_clip": NEAR_PLANE if depth.min() > NEAR_PLANE else MIN_NEAR_PLANE,
                 "to_world": mi.ScalarTransform4f(to_world.tolist()),
                 "film": {
                     "type": "hdrfilm",

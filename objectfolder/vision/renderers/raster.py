@@ -1,29 +1,46 @@
 """Previews with OpenGL (pyrender): no shadows, no indirect light, and radiance above 1 is cut off."""
 
+import atexit
+import os
+from functools import cache
+
 import numpy as np
 from PIL import Image
 
 from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.vision.cameras import Intrinsics
-from objectfolder.vision.opengl import canvas, pyrender
 from objectfolder.vision.scene import LIGHT_INTENSITY, Scene
+
+# By default pyrender opens a window; it also uses a name that numpy 2 has dropped.
+os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+vars(np).setdefault("infty", np.inf)
+
+import pyrender  # noqa: E402
+from OpenGL.error import Error as OpenGLError  # noqa: E402
 
 GAMMA = 2.2  # of pyrender's shader
 MAX_SIDE = 4  #: samples per side of a pixel
-NEAREST = 1e-3  #: of the plane before which nothing is drawn
+MIN_NEAR_PLANE = 1e-3  #: of the plane before which nothing is drawn
+
+
+@cache
+def canvas() -> "pyrender.OffscreenRenderer":
+    """Return the canvas shared by all renderers: deleting one ends OpenGL for the others.
+
+    Raises ImportError if OpenGL cannot draw here without a window.
+    """
+    try:
+        offscreen = pyrender.OffscreenRenderer(1, 1)
+    except (OpenGLError, RuntimeError, ValueError) as error:
+        raise ImportError(f"OpenGL does not start: {error}") from error
+    atexit.register(offscreen.delete)
+    return offscreen
 
 
 class RasterRenderer:
     """Preview renderer: direct light on every surface that faces the light, without shadows.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Raises
-    ------
-    ImportError
-        If OpenGL cannot draw here without a window.
+    Raises ImportError if OpenGL cannot draw here without a window.
     """
 
     def __init__(self, scene: Scene):
@@ -45,7 +62,7 @@ class RasterRenderer:
         fx, fy, cx, cy = (side * x for x in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
         # Of the ball that holds the unit frame: wider planes would leave depths from afar no resolution.
         depth = float(camera_to_world[:3, 3] @ camera_to_world[:3, 2])
-        near, far = max(depth - 1, NEAREST), max(depth + 1, 2 * NEAREST)
+        near, far = max(depth - 1, MIN_NEAR_PLANE), max(depth + 1, 2 * MIN_NEAR_PLANE)
         camera = pyrender.IntrinsicsCamera(fx, fy, cx, cy, near, far)
         node = self._scene.add(camera, pose=np.asarray(camera_to_world, np.float64))
         pose = np.eye(4)

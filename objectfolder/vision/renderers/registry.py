@@ -18,25 +18,11 @@ class Renderer(Protocol):
     def render(
         self, camera_to_world: np.ndarray, light: np.ndarray, intrinsics: Intrinsics, samples: int, seed: int
     ) -> np.ndarray:
-        """Render one view.
+        """Render one view; (H, W, 4) float32, finite, linear, premultiplied by alpha.
 
-        The camera may be inside the object, and the light may be anywhere, also on the surface.
-
-        Parameters
-        ----------
-        camera_to_world : (4, 4) array
-            Unit frame, OpenGL axes.
-        light : (3,) array
-            Position of the point light, unit frame.
-        intrinsics : Intrinsics
-        samples : int
-            Per pixel.
-        seed : int
-            Seed of the samples; the same seed gives the same image.
-
-        Returns
-        -------
-        (H, W, 4) float32, finite, linear, premultiplied by alpha
+        The camera (4, 4), in OpenGL axes, may be inside the object, and the point light (3,) anywhere, also
+        on the surface; both in the unit frame. Samples are per pixel; the same seed of them gives the same
+        image.
         """
         ...
 
@@ -83,10 +69,7 @@ NEEDS = {
 def make_renderer(name: str, scene: Scene) -> Renderer:
     """Make a renderer by name.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such renderer, or it is not installed; the message says what to install.
+    Raises ObjectFolderError if there is no such renderer, or it is not installed, and says what to install.
     """
     if name not in RENDERERS:
         raise ObjectFolderError(f"renderer {name!r} is not one of {', '.join(RENDERERS)}")

@@ -17,11 +17,10 @@ from objectfolder.benchmarks.datasets.grasp_data import (
     is_collected,
 )
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, Grasps
-from objectfolder.envs.body import rigid_body
+from objectfolder.envs.body import rigid_body, rotation
 from objectfolder.envs.fingers import Presses
 from objectfolder.envs.grasp_scene import GraspScene, Physics, lowest_hand
 from objectfolder.envs.hulls import convex_hulls
-from objectfolder.envs.poses import rotation
 from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 

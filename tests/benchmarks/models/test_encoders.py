@@ -7,7 +7,6 @@ from pretend_device import pretend_device
 from torch import nn
 
 from objectfolder.benchmarks.models import encoders
-from objectfolder.benchmarks.models.encode_config import EncodeConfig, InputSizes
 from objectfolder.benchmarks.models.encoders import (
     check_encoder,
     make_encoder,
@@ -18,6 +17,7 @@ from objectfolder.benchmarks.models.encoders import (
 )
 from objectfolder.benchmarks.models.inputs import encoder_inputs
 from objectfolder.benchmarks.models.resnet import ResNet18
+from objectfolder.benchmarks.models.settings import EncodeConfig, InputSizes
 from objectfolder.errors import ObjectFolderError
 
 SIZES = InputSizes(image=56, spectrogram=(64, 50), touch=(64, 48))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from objectfolder.benchmarks.models.framing import SHARE, framed, framed_views
+from objectfolder.benchmarks.models.framing import SHARE, frame_cutout, frame_views
 
 SIDE = 64
 SMALL = (50, 50, 60, 60)  # left, top, right, bottom
@@ -38,7 +38,7 @@ def check(view, box, half):
 
 
 def test_views_show_everything_in_the_middle_and_as_large():
-    framed_ = framed_views(np.stack([rectangle(box) for box in BOXES]))
+    framed_ = frame_views(np.stack([rectangle(box) for box in BOXES]))
     assert (framed_.dtype, framed_.shape) == (np.uint8, (len(BOXES), SIDE, SIDE, 3))
     for view, box in zip(framed_, BOXES):
         check(view, box, 142)  # the mean of 30 and 255
@@ -47,25 +47,25 @@ def test_views_show_everything_in_the_middle_and_as_large():
 
 def test_a_view_does_not_depend_on_the_others_and_one_of_nothing_stays_white():
     views = np.stack([rectangle(BOXES[0]), np.full((SIDE, SIDE, 3), 255, np.uint8)])
-    first, nothing = framed_views(views)
-    np.testing.assert_array_equal(first, framed_views(views[:1])[0])
+    first, nothing = frame_views(views)
+    np.testing.assert_array_equal(first, frame_views(views[:1])[0])
     assert (nothing == 255).all()
 
 
 def test_what_is_framed_already_stays_where_it_is():
-    once = framed_views(np.stack([rectangle(box) for box in BOXES if box != SMALL]))  # its edges blur
-    assert np.abs(framed_views(once).astype(int) - once).mean() < 4
+    once = frame_views(np.stack([rectangle(box) for box in BOXES if box != SMALL]))  # its edges blur
+    assert np.abs(frame_views(once).astype(int) - once).mean() < 4
 
 
 def test_cut_out_objects_are_framed_as_views_are():
     for box in BOXES:
-        view = framed(cut(box), SIDE)
+        view = frame_cutout(cut(box), SIDE)
         check(view, box, 188)  # as light as half the white
         onto_white = rectangle(box, view[32, 32])
-        assert np.abs(framed_views(onto_white[None])[0].astype(int) - view).mean() < 7
+        assert np.abs(frame_views(onto_white[None])[0].astype(int) - view).mean() < 7
 
 
 def test_framing_takes_no_notice_of_size_and_place():
-    small = framed(cut((10, 20, 40, 35)), SIDE)
-    np.testing.assert_array_equal(framed(cut((30, 40, 60, 55)), SIDE), small)
-    assert np.abs(framed(cut((20, 40, 80, 70), 128), SIDE).astype(int) - small).mean() < 3
+    small = frame_cutout(cut((10, 20, 40, 35)), SIDE)
+    np.testing.assert_array_equal(frame_cutout(cut((30, 40, 60, 55)), SIDE), small)
+    assert np.abs(frame_cutout(cut((20, 40, 80, 70), 128), SIDE).astype(int) - small).mean() < 3

@@ -5,8 +5,8 @@ from torch import nn
 
 from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.benchmarks.models import inputs
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.inputs import DEVIATION, MEAN, encoder_inputs
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.errors import ObjectFolderError
 
 SIZES = InputSizes(image=56, spectrogram=(64, 50), touch=(64, 48))
@@ -49,14 +49,6 @@ def test_spectrogram_is_relative_to_the_sounds_own_maximum(rng):
     torch.testing.assert_close(pooled, nn.functional.adaptive_avg_pool2d(full, (64, 50)))
 
 
-def test_touches_are_normalised_and_averaged(rng):
-    raw = rng.integers(256, size=(2, 128, 96, 3), dtype=np.uint8)
-    x = encoder_inputs("touch", raw, SIZES)
-    means = raw.reshape(2, 64, 2, 48, 2, 3).mean((2, 4))
-    expected = (means / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
-    np.testing.assert_allclose(x, expected.transpose(0, 3, 1, 2), atol=1e-5)
-
-
 def test_the_ground_of_touches_is_the_sensors_picture_without_an_object(rng):
     """Each of 41 touches covers a third of the picture, with slopes of either sign."""
     background = torch.from_numpy(rng.standard_normal((3, 8, 9))).float()
@@ -76,23 +68,23 @@ def test_the_ground_of_touches_is_the_sensors_picture_without_an_object(rng):
 def test_shifted_pictures_move_by_whole_pixels_and_repeat_their_border():
     row, column = torch.meshgrid(torch.arange(6.0), torch.arange(5.0), indexing="ij")
     x = torch.stack([row, column]).repeat(300, 1, 1, 1)
-    moved = inputs.shifted(x, 2, np.random.default_rng(0))
+    moved = inputs.shift_each(x, 2, np.random.default_rng(0))
     steps = {tuple(int(n) for n in picture[:, 2, 2]) for picture in moved}
     assert steps == {(2 + dy, 2 + dx) for dy in range(-2, 3) for dx in range(-2, 3)}
     for picture in moved[:20]:
         dy, dx = picture[:, 2, 2] - 2
         torch.testing.assert_close(picture[0], (row + dy).clamp(0, 5))
         torch.testing.assert_close(picture[1], (column + dx).clamp(0, 4))
-    assert torch.equal(moved, inputs.shifted(x, 2, np.random.default_rng(0)))
+    assert torch.equal(moved, inputs.shift_each(x, 2, np.random.default_rng(0)))
 
 
 def test_half_of_the_pictures_are_mirrored_left_to_right():
     x = torch.arange(24.0).reshape(1, 2, 3, 4).repeat(400, 1, 1, 1)
-    seen = inputs.flipped(x, np.random.default_rng(0))
+    seen = inputs.flip_some(x, np.random.default_rng(0))
     mirrored = (seen != x).flatten(1).any(1)
     assert 160 < mirrored.sum() < 240
     assert torch.equal(seen[mirrored], x[mirrored][..., [3, 2, 1, 0]])
-    assert torch.equal(seen, inputs.flipped(x, np.random.default_rng(0)))
+    assert torch.equal(seen, inputs.flip_some(x, np.random.default_rng(0)))
 
 
 @pytest.mark.parametrize("modality", ["vision", "audio", "touch"])

@@ -6,7 +6,14 @@ import pytest
 import torch
 from torch import nn
 
-from objectfolder.benchmarks.models.training import batch_count, has_bfloat16, shuffled, train
+from objectfolder.benchmarks.models.training import (
+    Objective,
+    TrainSettings,
+    count_batches,
+    has_bfloat16,
+    shuffle,
+    train,
+)
 from objectfolder.errors import ObjectFolderError
 from objectfolder.seeding import numpy_generator, seeded
 
@@ -28,7 +35,7 @@ def _problem(noise=0.0, width=16, count=256):
         net = nn.Sequential(nn.Linear(4, width), nn.BatchNorm1d(width), nn.ReLU(), nn.Linear(width, 2))
 
     def batches(epoch):
-        return shuffled(np.arange(half), 32, numpy_generator(0, "test", str(epoch)))
+        return shuffle(np.arange(half), 32, numpy_generator(0, "test", str(epoch)))
 
     def loss(rows):
         return nn.functional.cross_entropy(net(x[rows]), noisy[rows])
@@ -45,41 +52,10 @@ def _state(net):
 
 def test_net_learns_in_spite_of_label_noise():
     net, functions, settings = _problem(noise=0.2, count=1024)
-    curve = train(net, *functions, **settings)
+    curve = train(Objective(net, *functions), TrainSettings(**settings))
     assert [point.epoch for point in curve] == [1, 2, 3, 4, 5, 6]
     assert functions[2]() == max(point.val_score for point in curve) > 0.9
     assert not net.training
-
-
-def test_interrupted_training_goes_on_to_the_same_bytes(tmp_path):
-    net, functions, settings = _problem(noise=0.2)
-    whole = train(net, *functions, **settings, checkpoint=tmp_path / "whole.pt")
-
-    resumed, (batches, loss, score), _ = _problem(noise=0.2)
-    checkpoint = tmp_path / "training.pt"
-
-    def stop_in_epoch_3(epoch):
-        rows = list(batches(epoch))
-        yield rows[0]
-        if epoch == 3:
-            raise KeyboardInterrupt
-        yield from rows[1:]
-
-    with pytest.raises(KeyboardInterrupt):
-        train(resumed, stop_in_epoch_3, loss, score, **settings, checkpoint=checkpoint)
-
-    again, functions, _ = _problem(noise=0.2)
-    seen = []
-    curve = train(again, *functions, **settings, checkpoint=checkpoint, report=seen.append)
-    assert [point.epoch for point in seen] == [3, 4, 5, 6]
-    numbers = [[(p.epoch, p.train_loss, p.val_score) for p in c] for c in (curve, whole)]
-    assert numbers[0] == numbers[1]
-    assert _state(again) == _state(net)
-
-    # What is finished is not trained again.
-    finished, functions, _ = _problem(noise=0.2)
-    assert train(finished, *functions, **settings, checkpoint=checkpoint, report=pytest.fail) == curve
-    assert _state(finished) == _state(net)
 
 
 def test_best_epoch_is_kept_and_patience_ends_the_training(tmp_path):
@@ -90,7 +66,7 @@ def test_best_epoch_is_kept_and_patience_ends_the_training(tmp_path):
         states.append(_state(net))
         return next(scores)
 
-    curve = train(net, batches, loss, score, **{**settings, "patience": 2})
+    curve = train(Objective(net, batches, loss, score), TrainSettings(**settings | {"patience": 2}))
     assert [point.val_score for point in curve] == [0.1, 0.5, 0.5, 0.4]
     assert _state(net) == states[1]  # the first of equals
 
@@ -111,7 +87,7 @@ def rates(monkeypatch):
 
 def test_rate_warms_up_and_then_falls_as_a_cosine(rates):
     net, functions, settings = _problem()
-    train(net, *functions, **{**settings, "epochs": 10, "patience": 10})
+    train(Objective(net, *functions), TrainSettings(**settings | {"epochs": 10, "patience": 10}))
     rates = np.reshape(rates, (10, 4))
     decay = [0.5 + 0.5 * math.cos(math.pi * epoch / 10) for epoch in range(10)]
     expected = 0.02 * np.outer(decay, np.ones(4)) * np.minimum(1, np.arange(1, 41) / 20).reshape(10, 4)
@@ -120,7 +96,7 @@ def test_rate_warms_up_and_then_falls_as_a_cosine(rates):
 
 def test_one_cycle_rises_over_a_fifth_and_falls_to_nothing(rates):
     net, functions, settings = _problem()
-    train(net, *functions, **{**settings, "epochs": 10, "patience": 10}, cycle=40)
+    train(Objective(net, *functions), TrainSettings(**settings | {"epochs": 10, "patience": 10, "cycle": 40}))
     assert len(rates) == 40
     expected = [i / 8 if i < 8 else 0.5 + 0.5 * math.cos(math.pi * (i - 8) / 32) for i in range(1, 41)]
     np.testing.assert_allclose(rates, 0.02 * np.array(expected), atol=1e-12)
@@ -136,7 +112,8 @@ def test_only_weights_of_layers_decay_in_one_cycle():
         def loss(rows, net=net):
             return 0 * sum(p.sum() for p in net.parameters())
 
-        train(net, batches, loss, score, **{**settings, "epochs": 1}, weight_decay=0.5, cycle=cycle)
+        settings |= {"epochs": 1, "weight_decay": 0.5, "cycle": cycle}
+        train(Objective(net, batches, loss, score), TrainSettings(**settings))
         after = dict(net.named_parameters())
         decayed[cycle] = {name for name, p in before.items() if not torch.equal(p, after[name])}
     assert decayed == {
@@ -167,7 +144,7 @@ def test_training_in_bfloat16_agrees_with_float32(monkeypatch, available):
             return nn.functional.cross_entropy(answer, labels[rows])
 
         def batches(epoch):
-            return shuffled(np.arange(64), 16, numpy_generator(0, "test", str(epoch)))
+            return shuffle(np.arange(64), 16, numpy_generator(0, "test", str(epoch)))
 
         def score(net=net):
             answer = net(x[64:])
@@ -175,7 +152,7 @@ def test_training_in_bfloat16_agrees_with_float32(monkeypatch, available):
             return (answer.argmax(1) == labels[64:]).double().mean().item()
 
         settings = {"epochs": 4, "learning_rate": 0.01, "patience": 4, "precision": precision}
-        curve = train(net, batches, loss, score, **settings)
+        curve = train(Objective(net, batches, loss, score), TrainSettings(**settings))
         assert all(value.dtype != torch.bfloat16 for value in net.state_dict().values())
         nets[precision], losses[precision] = net, [point.train_loss for point in curve]
         assert curve[-1].val_score > 0.9
@@ -194,8 +171,8 @@ def test_processors_of_this_kind_are_recognised(monkeypatch):
 
 @pytest.mark.parametrize(("rows", "expected"), [(1, 1), (2, 1), (8, 1), (9, 1), (10, 2), (16, 2), (17, 2)])
 def test_batches_are_counted_as_they_are_made(rows, expected):
-    made = list(shuffled(np.arange(rows), 8, np.random.default_rng(0)))
-    assert len(made) == batch_count(rows, 8) == expected
+    made = list(shuffle(np.arange(rows), 8, np.random.default_rng(0)))
+    assert len(made) == count_batches(rows, 8) == expected
 
 
 def test_statistics_of_batch_normalisation_forget_what_they_held_before():
@@ -208,7 +185,8 @@ def test_statistics_of_batch_normalisation_forget_what_they_held_before():
     def loss(batch):
         return net(batch).square().mean()
 
-    train(net, lambda epoch: batches, loss, lambda: 0.0, epochs=1, learning_rate=1e-3, patience=1)
+    objective = Objective(net, lambda epoch: batches, loss, lambda: 0.0)
+    train(objective, TrainSettings(epochs=1, learning_rate=1e-3, patience=1))
     expected = [torch.stack([f(batch, 0) for batch in batches]).mean(0) for f in (torch.mean, torch.var)]
     torch.testing.assert_close(norm.running_mean, expected[0])
     torch.testing.assert_close(norm.running_var, expected[1], rtol=1e-3, atol=0)
@@ -226,52 +204,47 @@ def test_net_is_in_evaluation_and_without_gradients_while_it_is_scored():
         assert not torch.is_grad_enabled()
         return 0.0
 
-    train(net, batches, batch_loss, score, **settings)
+    train(Objective(net, batches, batch_loss, score), TrainSettings(**settings))
 
 
-def test_diverging_training_is_an_error():
-    net, (batches, loss, score), settings = _problem()
-    with pytest.raises(
-        ObjectFolderError, match=r"epoch 1 has a training loss of nan.*learning_rate than 0\.02"
-    ):
-        train(net, batches, lambda rows: loss(rows) * math.nan, score, **settings)
-    net, (batches, loss, score), settings = _problem()
-    with pytest.raises(ObjectFolderError, match="validation score of nan"):
-        train(net, batches, loss, lambda: math.nan, **settings)
+@pytest.mark.parametrize(
+    ("factor", "score", "message"),
+    [
+        (math.nan, 0.0, r"epoch 1 has a training loss of nan.*learning_rate than 0\.02"),
+        (1.0, math.nan, "validation score of nan"),
+    ],
+)
+def test_diverging_training_is_an_error(factor, score, message):
+    net, (batches, loss, _), settings = _problem()
+    objective = Objective(net, batches, lambda rows: factor * loss(rows), lambda: score)
+    with pytest.raises(ObjectFolderError, match=message):
+        train(objective, TrainSettings(**settings))
 
 
-def test_damaged_or_foreign_checkpoint_is_named(tmp_path):
+@pytest.mark.parametrize(("width", "changes"), [(16, {"learning_rate": 0.01}), (8, {})])
+def test_a_checkpoint_of_other_settings_or_another_net_is_refused(tmp_path, width, changes):
     checkpoint = tmp_path / "training.pt"
     net, functions, settings = _problem()
-    train(net, *functions, **{**settings, "epochs": 1}, checkpoint=checkpoint)
-    good = checkpoint.read_bytes()
-
-    def refused(message, width=16, **changes):
-        net, functions, settings = _problem(width=width)
-        before = _state(net)
-        with pytest.raises(ObjectFolderError, match=rf"training\.pt {message}.*delete it") as caught:
-            train(net, *functions, **{**settings, "epochs": 1} | changes, checkpoint=checkpoint)
-        assert _state(net) == before
-        return caught
-
-    refused(r"is of a training with .*'learning_rate': 0\.02", learning_rate=0.01)
-    refused("is of another net", width=8)
-    for content in (good[: len(good) // 2], b"", b"text"):
-        checkpoint.write_bytes(content)
-        refused("is damaged")
-    torch.save({"weights": torch.ones(2)}, checkpoint)
-    refused("is not a checkpoint")
+    settings["epochs"] = 1
+    train(Objective(net, *functions), TrainSettings(**settings), checkpoint)
+    net, functions, _ = _problem(width=width)
+    before = _state(net)
+    with pytest.raises(
+        ObjectFolderError, match=r"training\.pt is of a training with .*'learning_rate': 0\.02.*delete it"
+    ):
+        train(Objective(net, *functions), TrainSettings(**settings | changes), checkpoint)
+    assert _state(net) == before
 
 
 @pytest.mark.parametrize(("count", "sizes"), [(8, [4, 4]), (9, [4, 5]), (10, [4, 4, 2]), (3, [3]), (1, [1])])
 def test_batches_of_an_epoch_hold_each_row_once(count, sizes):
     rows = np.arange(100, 100 + count)
-    batches = list(shuffled(rows, 4, np.random.default_rng(1)))
+    batches = list(shuffle(rows, 4, np.random.default_rng(1)))
     assert [len(batch) for batch in batches] == sizes
     np.testing.assert_array_equal(np.sort(np.concatenate(batches)), rows)
 
 
 def test_order_of_the_rows_is_random_and_follows_from_the_generator():
-    orders = [np.concatenate(list(shuffled(np.arange(50), 8, np.random.default_rng(i)))) for i in (1, 1, 2)]
+    orders = [np.concatenate(list(shuffle(np.arange(50), 8, np.random.default_rng(i)))) for i in (1, 1, 2)]
     assert (orders[0] == orders[1]).all()
     assert all((a != b).any() for a, b in pairwise([np.arange(50), orders[0], orders[2]]))

@@ -1,13 +1,11 @@
 """TRPO learns what can be learnt in a task whose answer is in the observation."""
 
-import gymnasium
-import numpy as np
 import pytest
 import torch
-from gymnasium import spaces
+from tiny_tasks import Follow
 
+from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.models.trpo import train_trpo
-from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
 from objectfolder.envs.grasp_task import STEPS
 
 PARAMS = GraspPolicyConfig(
@@ -28,40 +26,6 @@ PARAMS = GraspPolicyConfig(
     rollouts=100,
     presses=1,
 )
-NEAR = 0.3  #: of the target, at which an episode succeeds
-
-
-class Follow(gymnasium.vector.VectorEnv):
-    """Succeed by moving to a shown place within `STEPS`; rewards are as sparse as those of Grasp-v0."""
-
-    def __init__(self, count, shown=True):
-        self.num_envs, self.shown = count, shown
-        self.single_observation_space = spaces.Box(-2, 2, (2,), np.float32)
-        self.single_action_space = spaces.Box(-1, 1, (1,), np.float32)
-
-    def _seen(self):
-        return np.stack(
-            [(self.target - self.place) * self.shown, np.full(self.num_envs, self.step_)], 1
-        ).astype(np.float32)
-
-    def _begin(self):
-        self.target, self.place = self.rng.uniform(-1, 1, self.num_envs), np.zeros(self.num_envs)
-        self.step_ = 0
-
-    def reset(self, *, seed=None, options=None):
-        self.rng = np.random.default_rng(seed)
-        self._begin()
-        return self._seen(), {}
-
-    def step(self, actions):
-        self.place = self.place + 0.6 * np.clip(actions[:, 0], -1, 1)
-        self.step_ += 1
-        ended = np.full(self.num_envs, self.step_ == STEPS)
-        rewards = (ended & (np.abs(self.target - self.place) < NEAR)).astype(float)
-        info = {"final_obs": self._seen()}
-        if ended.all():
-            self._begin()
-        return self._seen(), rewards, ended, np.zeros(self.num_envs, bool), info
 
 
 def success(actor, shown):

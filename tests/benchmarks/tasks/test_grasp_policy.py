@@ -6,14 +6,14 @@ import pytest
 from PIL import Image
 
 from objectfolder.benchmarks.models.actor import Actor
-from objectfolder.benchmarks.models.trpo_config import GraspPolicyConfig
+from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.tasks import grasp_policy_training as grasp_policy_module
 from objectfolder.benchmarks.tasks.grasp_policy import TASK
 from objectfolder.benchmarks.tasks.grasp_policy_training import grasp_policy, rollout_successes
 from objectfolder.benchmarks.tasks.job import ObjectJob
 from objectfolder.envs.body import rigid_body
-from objectfolder.envs.episodes import Episodes
 from objectfolder.envs.features import TouchFeatures
+from objectfolder.envs.grasp import Episodes
 from objectfolder.envs.grasp_task import ACTION_SCALE, GraspTask
 from objectfolder.envs.hulls import convex_hulls
 

@@ -8,9 +8,9 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import object_split, per_object, per_sample
 from objectfolder.benchmarks.models import encoders
-from objectfolder.benchmarks.models.encode_config import InputSizes
+from objectfolder.benchmarks.models.baselines import BASELINES, predict_outcomes
 from objectfolder.benchmarks.models.encoders import register_encoder
-from objectfolder.benchmarks.models.grasp_baselines import BASELINES, baselines
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks.grasp_stability import TASK
 from objectfolder.benchmarks.tasks.grasp_stability_training import (
     COMPARED,
@@ -244,21 +244,21 @@ def test_baselines_by_hand():
     grasps.success[:20] = [True] * 8 + [False] * 2 + [True] * 4 + [False] * 6
     grasps.arrays["width"][:20] = np.where(grasps.success[:20], 0.1, 0.9)
     grasps.arrays["width"][test] = [0.1, 0.9, 0.9, 0.1]
-    answers = baselines(grasps, train, test)
+    answers = predict_outcomes(grasps, train, test)
     assert answers["majority"].tolist() == pytest.approx([0.1] * 4)  # 12 of 20
     assert answers["object_majority"].tolist() == pytest.approx([0.1, 0.1, 0.3, -0.1])
     for name in ("geometry", "geometry_force"):
         assert (answers[name] > 0).tolist() == [True, False, False, True]
     # What trees of geometry alone say does not depend on the force.
     grasps.arrays["force"] = grasps.arrays["force"][::-1]
-    assert (baselines(grasps, train, test)["geometry"] == answers["geometry"]).all()
+    assert (predict_outcomes(grasps, train, test)["geometry"] == answers["geometry"]).all()
 
 
 def test_force_is_used_where_it_is_given():
     grasps = FakeGrasps(100)
     train, test = np.arange(200), np.arange(200, 400)
     grasps.arrays["force"] = np.where(grasps.success, 20, 10).astype(np.float32)
-    answers = baselines(grasps, train, test)
+    answers = predict_outcomes(grasps, train, test)
     assert ((answers["geometry_force"] > 0) == grasps.success[test]).all()
     assert ((answers["geometry"] > 0) == grasps.success[test]).mean() < 0.65
 

@@ -2,8 +2,8 @@ import numpy as np
 import torch
 from encoding import encoding
 
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.inputs import encoder_inputs
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import job
 from objectfolder.benchmarks.tasks.job import Job
 

@@ -10,9 +10,9 @@ from torch import nn
 
 from objectfolder.benchmarks.datasets.contacts import contact_split, sample_contacts
 from objectfolder.benchmarks.datasets.samples import Samples
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
-from objectfolder.benchmarks.models.localizer import SOFTNESS, belief_together, likeliest
+from objectfolder.benchmarks.models.localizer import SOFTNESS, add_beliefs, choose_likeliest
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import localize_training
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.localize import TASK, LocalizeConfig
@@ -66,7 +66,7 @@ def test_the_answer_has_the_least_expected_distance():
     shares = np.array([[0.3, 0.3, 0.4], [0.1, 0.2, 0.7], [1, 0, 0]])
     beliefs = np.log(np.maximum(shares, 1e-300)) + np.array([[5.0], [-900.0], [0]])  # constants do not matter
     # The first row's median is the middle place, although the third is the likeliest.
-    np.testing.assert_array_equal(likeliest(beliefs, distances), [1, 2, 0])
+    np.testing.assert_array_equal(choose_likeliest(beliefs, distances), [1, 2, 0])
     np.testing.assert_array_equal(np.argmin(shares @ distances, 1), [1, 2, 0])
 
 
@@ -80,11 +80,11 @@ def test_moves_between_contacts_resolve_what_each_leaves_open():
         found[np.round(np.array(at) * 10).astype(int)] = 0
         return found
 
-    two = belief_together(
+    two = add_beliefs(
         np.stack([belief(0.5, 0.9), belief(0.3, 0.7)]), np.array([[0.2, 0, 0], [0, 0, 0]]), places
     )
     assert set(np.flatnonzero(two > two.max() - 1)) == {3, 7}
-    three = belief_together(
+    three = add_beliefs(
         np.stack([belief(0.9), belief(0.5, 0.9), belief(0.3, 0.7)]),
         np.array([[0.6, 0, 0], [0.2, 0, 0], [0, 0, 0]]),
         places,

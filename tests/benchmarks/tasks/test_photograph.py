@@ -8,8 +8,8 @@ from PIL import Image
 from torch import nn
 from typer.testing import CliRunner
 
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, save_model
 from objectfolder.benchmarks.tasks.photograph import (
     FORMATS,

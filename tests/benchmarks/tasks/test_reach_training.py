@@ -1,19 +1,17 @@
 import shutil
 from dataclasses import asdict, replace
 
-import gymnasium
 import numpy as np
 import pytest
-import torch
-from gymnasium.spaces import Box
 from PIL import Image
 from ruamel.yaml import YAML
+from tiny_tasks import Line
 from typer.testing import CliRunner
 
 from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.ppo import train_ppo
-from objectfolder.benchmarks.models.ppo_config import ReachConfig
+from objectfolder.benchmarks.models.settings import ReachConfig
 from objectfolder.benchmarks.tasks import reach_training as task
 from objectfolder.benchmarks.tasks.job import ObjectJob
 from objectfolder.benchmarks.tasks.reach import TASK
@@ -62,22 +60,6 @@ def body(brick, hulls):
     return rigid_body(brick, hulls)
 
 
-class Line(gymnasium.Env):
-    """A point on a line: the reward of a step is minus its distance from zero."""
-
-    observation_space = Box(-5, 5, (1,), np.float64)
-    action_space = Box(-1, 1, (1,), np.float32)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.place, self.steps = self.np_random.uniform(-1, 1, 1), 0
-        return self.place.copy(), {}
-
-    def step(self, action):
-        self.place, self.steps = np.clip(self.place + 0.3 * action, -5, 5), self.steps + 1
-        return self.place.copy(), -float(abs(self.place[0])), False, self.steps == 10, {}
-
-
 @pytest.fixture(autouse=True)
 def _short_parts(monkeypatch):
     """Two rollouts in a part."""
@@ -110,34 +92,6 @@ def test_ppo_learns_and_stops_when_nothing_fails_twice(tmp_path):
     assert "11" not in solved[:-1]
     assert [row[0] for row in curve] == [128 * (part + 1) for part in range(len(curve))]  # 2 rollouts of 64
     assert seconds > 0
-
-
-def test_an_interrupted_training_goes_on_to_the_same_bytes(tmp_path):
-    never = {"validate": lambda actor: (0.0, _score(actor)[1])}
-    whole, curve, _ = _train(tmp_path / "whole.pt", **never)
-    assert [row[0] for row in curve] == [128, 256, 384, 512]
-
-    class Interruption(Exception):
-        pass
-
-    def interrupt(steps, figures, seconds):
-        if steps == 256:
-            raise Interruption
-
-    with pytest.raises(Interruption):
-        _train(tmp_path / "part.pt", **never, report=interrupt)
-    np.random.seed(99)  # noqa: NPY002 - Stable-Baselines3 draws from it
-    torch.manual_seed(99)
-    reported = []
-    resumed, again, _ = _train(tmp_path / "part.pt", **never, report=lambda *point: reported.append(point[0]))
-    assert reported == [384, 512]
-    assert again == curve
-    assert _bytes(resumed) == _bytes(whole)
-    finished, again, _ = _train(
-        tmp_path / "part.pt", **never, report=lambda *point: pytest.fail("it is done")
-    )
-    assert again == curve
-    assert _bytes(finished) == _bytes(whole)
 
 
 def test_the_best_part_in_validation_is_kept(tmp_path, monkeypatch):

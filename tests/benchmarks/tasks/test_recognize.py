@@ -10,8 +10,8 @@ from torch import nn
 from objectfolder.benchmarks.datasets.splits import Split, per_object, per_sample
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.classifier import Classifier, join_classifiers
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import recognize_training
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognize import TASK

@@ -14,8 +14,8 @@ from torch import nn
 from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
 from objectfolder.benchmarks.models import encoders
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.shape_model import (
     Setup,
     ShapeModel,
@@ -36,8 +36,8 @@ from objectfolder.benchmarks.tasks.shape_training import (
     VARIANTS,
     ShapeTraining,
     first_rows,
-    read_sensed,
-    sensed,
+    read_observed,
+    read_variant,
     validation_rows,
 )
 from objectfolder.errors import ObjectFolderError
@@ -210,7 +210,7 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
 @pytest.mark.parametrize("variant", ["V", *(pytest.param(name, marks=pytest.mark.slow) for name in "AT")])
 def test_encoders_that_name_the_objects_stay_as_they_are(occupancy, tmp_path, variant):
     job = Job(Observed(), SPLIT, PARAMS, encoding("tiny_shapes", SIZES), seed=0, progress=tmp_path)
-    model, curve, before = ShapeTraining(job, occupancy, variant, 0, tmp_path / "last.pt").trained([], 0)
+    model, curve, before = ShapeTraining(job, occupancy, variant, 0, tmp_path / "last.pt").train([], 0)
     assert before > 0
     assert curve[-1].train_loss < 0.9 * curve[0].train_loss
     (modality,), (encoder,) = VARIANTS[variant], model.net.encoders.values()
@@ -224,17 +224,17 @@ def test_touches_of_a_row_are_of_its_object_and_encoded_as_one_by_one(occupancy,
     job = Job(Observed(), SPLIT, PARAMS, encoding("tiny_shapes", SIZES), seed=0, progress=tmp_path)
     training = ShapeTraining(job, occupancy, "T", 0, tmp_path / "last.pt")
     rows = SPLIT.val[[0, 7]]
-    touches = sensed(job, ("touch",), rows)["touch"]
+    touches = read_variant(job, ("touch",), rows)["touch"]
     assert touches.shape == (2, PARAMS.touches, 16, 16, 3)
     np.testing.assert_array_equal(touches[:, 0], Observed().read("touch", rows))
     colours = touches.mean((2, 3)).round(-2)
     assert (colours == colours[:, :1]).all()
-    net = new_net(training.trained([], 0)[0].setup)
+    net = new_net(training.train([], 0)[0].setup)
     encoder, rng = net.eval().encoders["touch"], np.random.default_rng(0)
     few = SPLIT.train[:3]
-    one_by_one = training._encoded(encoder, "touch", few, rng)
+    one_by_one = training._encode(encoder, "touch", few, rng)
     with torch.no_grad():
-        together = encoder(shape_inputs("touch", read_sensed(job, "touch", few[None]), SIZES))
+        together = encoder(shape_inputs("touch", read_observed(job, "touch", few[None]), SIZES))
     torch.testing.assert_close(one_by_one.mean(0, keepdim=True), together)
     whole = training._features(encoder, "touch", rng)
     assert whole[SPLIT.train].any()
@@ -314,7 +314,7 @@ def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
     def validated(answers):
         logits = np.where(occupancy.val_inside[answers], 5.0, -5.0)
         model = SimpleNamespace(embed=lambda seen: seen, logits=lambda embedding, points: logits)
-        return training._validated(model)[1]
+        return training._validate(model)[1]
 
     assert validated(labels) == 1
     by_heart = np.where(labels == 1, 0, labels)  # the block is taken for the ball

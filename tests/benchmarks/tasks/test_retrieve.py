@@ -9,8 +9,8 @@ from encoding import encoding
 from torch import nn
 
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
-from objectfolder.benchmarks.models.encode_config import InputSizes
 from objectfolder.benchmarks.models.encoders import register_encoder
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.two_stream import (
     TwoStream,
     cross_sensory_loss,

@@ -6,7 +6,7 @@ from encoding import encoding
 
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import per_sample
-from objectfolder.benchmarks.models.encode_config import InputSizes
+from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import vision_to_touch_training as task
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.vision_to_touch import TASK, VisionToTouchConfig

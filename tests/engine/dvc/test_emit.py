@@ -5,7 +5,8 @@ from dvc.utils.serialize import dumps_yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from objectfolder.engine.dvc import emit
+from objectfolder.engine.dvc import lockfile
+from objectfolder.engine.dvc.lockfile import lock_yaml
 
 SCALARS = st.one_of(
     st.none(),
@@ -30,7 +31,7 @@ ENTRIES = st.recursive(
 
 @given(st.dictionaries(st.text("abz_.", min_size=1), ENTRIES, min_size=1, max_size=4))
 def test_text_is_that_of_dvcs_emitter(value):
-    assert emit.dumps(value) == dumps_yaml(value)
+    assert lock_yaml(value) == dumps_yaml(value)
 
 
 def test_lock_entries_do_not_need_the_slow_emitter(monkeypatch):
@@ -53,5 +54,5 @@ def test_lock_entries_do_not_need_the_slow_emitter(monkeypatch):
     )
     value = {"stages": {"modal@mug": entry}}
     expected = dumps_yaml(value)
-    monkeypatch.setattr(emit, "dumps_yaml", lambda _: pytest.fail("slow"))
-    assert emit.dumps(value) == expected
+    monkeypatch.setattr(lockfile, "dumps_yaml", lambda _: pytest.fail("slow"))
+    assert lock_yaml(value) == expected

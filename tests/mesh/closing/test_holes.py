@@ -5,7 +5,7 @@ import trimesh
 from solids import box, flipped, join, sphere
 
 from objectfolder.mesh.closing.holes import cap, close_piece, thicken
-from objectfolder.mesh.closing.solids import arrays
+from objectfolder.mesh.closing.solids import to_arrays
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.topology import boundary_loops, compact, face_areas, is_closed, signed_volume
 
@@ -94,7 +94,7 @@ def test_pinholes_of_a_sheet_are_capped_and_its_mouth_is_not():
 
 def test_a_loop_that_turns_back_is_capped_in_its_plane():
     corners = np.array([[0, 0], [1, 0], [1, 1], [0.6, 1], [0.6, 0.2], [0.4, 0.2], [0.4, 1], [0, 1.0]])
-    vertices, faces = arrays(manifold3d.CrossSection([corners]).extrude(0.5))
+    vertices, faces = to_arrays(manifold3d.CrossSection([corners]).extrude(0.5))
     opened = faces[vertices[faces][:, :, 2].min(1) < 0.25]
     closed = cap(vertices, opened, boundary_loops(opened))
     assert is_closed(closed[1])

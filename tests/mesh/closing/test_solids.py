@@ -4,9 +4,9 @@ import pytest
 from solids import TURN, box, flipped, join, pretzel, sphere
 
 from objectfolder.mesh.closing.joints import DEPTH
-from objectfolder.mesh.closing.solids import bodies, bridge, distance, gaps, unite, untangle, without_specks
+from objectfolder.mesh.closing.solids import bridge, drop_specks, find_gaps, label_bodies, unite, untangle
 from objectfolder.mesh.scanline import winding_certificate
-from objectfolder.mesh.topology import is_closed, signed_volume
+from objectfolder.mesh.topology import distance, is_closed, signed_volume
 
 
 def test_a_body_that_overlaps_itself_encloses_space_once():
@@ -29,23 +29,23 @@ def test_a_body_s_volume_is_net_of_its_cavities():
         box((0.2,) * 3, (0.4, 0, 0)),
     )
     mesh = join(apart, flipped(inner), outer)
-    label, volumes = bodies(*mesh)
+    label, volumes = label_bodies(*mesh)
     assert volumes == pytest.approx([0.053, 0.008])
     assert label.tolist() == [1] * 12 + [0] * 24
 
 
 def test_specks_are_dropped_as_long_as_they_hold_a_thousandth_together():
     specks = [box((0.04,) * 3, (0.45, y, 0)) for y in np.linspace(-0.4, 0.4, 12)]  # 1.25e-4 each
-    (vertices, faces), dropped = without_specks(*join(box((0.8,) * 3), *specks))
+    (vertices, faces), dropped = drop_specks(*join(box((0.8,) * 3), *specks))
     assert dropped == 8
-    assert len(bodies(vertices, faces)[1]) == 5
+    assert len(label_bodies(vertices, faces)[1]) == 5
 
 
 def test_gaps_are_exact_and_sorted():
     pieces = [box((0.2,) * 3), box((0.2,) * 3, (0.21, 0, 0)), box((0.2,) * 3, (0, 0.205, 0.1))]
-    found = gaps(pieces, 0.05)
+    found = find_gaps(pieces, 0.05)
     assert [gap for gap, _, _ in found] == pytest.approx([0.005, 0.01, np.hypot(0.005, 0.01)])
-    assert gaps(pieces, 0.002) == []
+    assert find_gaps(pieces, 0.002) == []
 
 
 @pytest.mark.parametrize("gap", [0.0, 1e-5, 1e-3, 0.01])
@@ -55,7 +55,7 @@ def test_a_bridge_joins_two_balls_near_the_gap_alone(gap):
     assert len(bridged) == 1
     assert bridged[0] == pytest.approx(gap, abs=1e-9)
     assert is_closed(faces)
-    assert len(bodies(vertices, faces)[1]) == 1
+    assert len(label_bodies(vertices, faces)[1]) == 1
     new = vertices[distance(join(left, right), vertices) > 1e-9]
     assert np.linalg.norm(new - [-0.05 + gap / 2, 0, 0], axis=1).max() < 0.08
     both = signed_volume(*left) + signed_volume(*right)
@@ -73,7 +73,7 @@ def test_a_chain_of_pieces_needs_one_bridge_fewer_than_it_has_pieces():
     chain = [box((0.2, 0.2, 0.2), (0.205 * k, 0, 0), TURN if k == 9 else None) for k in range(4)]
     mesh, bridged = bridge(*join(*chain), 1 / 64)
     assert len(bridged) == 3
-    assert len(bodies(*mesh)[1]) == 1
+    assert len(label_bodies(*mesh)[1]) == 1
 
 
 @pytest.mark.parametrize("gap", [1e-6, 1e-4, 8e-4])
@@ -88,7 +88,7 @@ def test_boards_that_touch_are_bonded_at_both_ends_over_their_whole_section(gap,
     (vertices, faces), bridged = bridge(*apart, 1 / 64)
     assert bridged == pytest.approx([gap] * 6, rel=1e-3)
     assert is_closed(faces)
-    volumes = bodies(vertices, faces)[1]
+    volumes = label_bodies(vertices, faces)[1]
     assert volumes[0] > (1 - 1e-9) * volumes.sum()  # rounding may leave slivers of no volume
     filled = signed_volume(vertices, faces) - signed_volume(*apart)
     beads = 2 * (0.25 + 0.02) * (gap + DEPTH) ** 2  # along the edges of each joint
@@ -100,7 +100,7 @@ def test_boards_that_meet_at_an_edge_alone_are_joined_too():
     touching = join(box((0.4, 0.4, 0.02)), box((0.4, 0.02, 0.4), (0, 0.21, 0.21)))
     (vertices, faces), bridged = bridge(*touching, 1 / 64)
     assert bridged == pytest.approx([0.0], abs=1e-9)
-    assert len(bodies(vertices, faces)[1]) == 1
+    assert len(label_bodies(vertices, faces)[1]) == 1
 
 
 def test_what_is_flat_does_not_take_part_in_a_union():

@@ -2,39 +2,22 @@ from functools import cache
 
 import numpy as np
 import pytest
-from assembled import check_charts, check_charts_apart, check_solid, check_texture, crossings, welded
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
-from procedural_cases import APPLIANCES, SMALL
+from assembled import crossings
+from procedural_cases import APPLIANCES, SAMPLE, SMALL
 
-from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.procedural import GENERATORS
-from objectfolder.mesh.procedural.appliance import appliance
-from objectfolder.mesh.procedural.electronics import electronics, superellipse
+from objectfolder.mesh.procedural.electronics import superellipse
 from objectfolder.mesh.procedural.extrusion import area
 from objectfolder.mesh.procedural.fittings import bars, torus
 from objectfolder.mesh.raycast import RayCaster
 
-#: Openings and handles of each object: its genus.
-GENUS = {
-    "television": 4,  # five vents
-    "radio": 10,  # six slots, four vents, a handle
-    "clock": 1,  # the handle
-    "toaster": 1,  # two slots
-    "lantern": 13,  # three levels between four posts, and the ring
-    "clothes iron": 1,
-    "hair dryer": 4,  # the nozzle and four slots
-}
-
-
-SAMPLE = ("toaster", "lantern")  # examined by default
 NAMES = [name if name in SAMPLE else pytest.param(name, marks=pytest.mark.slow) for name in APPLIANCES]
 
 
 @cache
-def made(name, size=1.0):
+def made(name):
     generator, parameters = APPLIANCES[name]
-    return GENERATORS[generator](**parameters, span=size, texture_size=SMALL)
+    return GENERATORS[generator](**parameters, span=1.0, texture_size=SMALL)
 
 
 @cache
@@ -50,34 +33,8 @@ def first(name, origins, direction):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_object_is_one_closed_solid_with_a_texture_of_its_own(name):
-    mesh = made(name)
-    check_solid(mesh)
-    check_charts(mesh)
-    check_charts_apart(mesh)
-    check_texture(mesh)
-    assert 1000 <= len(mesh.faces) <= 20_500
-    assert welded(mesh).euler_number == 2 - 2 * GENUS[name]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_vertices_are_even_enough_to_strike_anywhere(name):
-    mesh = made(name)
-    corners = mesh.vertices[mesh.faces]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    assert edges.max() < 0.18
-    assert np.quantile(edges, 0.98) < 0.09
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_the_size_is_that_of_the_longest_side(name):
     assert np.ptp(made(name).bounds, axis=0).max() == pytest.approx(1, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_object_of_a_tenth_of_the_size_has_a_thousandth_of_the_volume():
-    large, small = (welded(made("clothes iron", size)).volume for size in (1.0, 0.1))
-    assert small == pytest.approx(large / 1000, rel=1e-9)
 
 
 def test_toast_falls_through_both_slots_to_the_floor_of_a_hollow_body():
@@ -165,31 +122,3 @@ def test_bars_and_rings_have_their_volumes():
     circle = 16 / 2 * np.sin(2 * np.pi / 16) * 0.01**2  # of sixteen sides
     assert solid.volume() == pytest.approx(0.1 * (0.02 * (0.28 + 0.18) + 2 * circle), rel=1e-6)
     assert torus(0.1, 0.02, 48).volume() == pytest.approx(2 * np.pi**2 * 0.1 * 0.01**2, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("build", "parameters", "words"),
-    [
-        (electronics, {"kind": "lantern"}, "kind='lantern'.*television, radio, clock"),
-        (electronics, {"span": 0}, "span=0.*positive"),
-        (electronics, {"plump": 2}, "plump=2.*expected"),
-        (appliance, {"kind": "oven"}, "kind='oven'.*toaster, lantern, iron, dryer"),
-        (appliance, {"plump": 0.5}, "plump=0.5.*expected"),
-        (appliance, {"texture_size": 63}, "texture_size=63.*expected"),
-    ],
-)
-def test_impossible_requests_are_refused(build, parameters, words):
-    with pytest.raises(ObjectFolderError, match=words):
-        build(**parameters)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", APPLIANCES)
-@settings(max_examples=3, deadline=None, derandomize=True, phases=[Phase.generate])
-@given(st.floats(0.03, 2.0), st.floats(0.8, 1.25))
-def test_any_sane_appliance_is_solid(name, size, plump):
-    generator, parameters = APPLIANCES[name]
-    mesh = GENERATORS[generator](**parameters, span=size, plump=plump, texture_size=SMALL)
-    check_solid(mesh)
-    check_charts(mesh)
-    assert welded(mesh).euler_number == 2 - 2 * GENUS[name]

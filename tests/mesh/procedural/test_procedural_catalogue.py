@@ -21,7 +21,7 @@ from objectfolder.workspace import params
 ROOT = Path(__file__).parents[3]
 VALUES, SLIGHT = params.read(CATALOGUE), params.read(THIN)
 FIRST = {entry["generator"]: key for key, entry in reversed(VALUES["procedural"].items())}
-SEPARATE = {"panel_wardrobe"}  # of several pieces, which the ladder unites
+SEPARATE = {"panel_wardrobe"}  # of several pieces, which the repair unites
 QUICK = params.settings(VoxelizeConfig, params.read(ROOT / "params.yaml"))
 
 
@@ -33,7 +33,7 @@ def made(key: str, catalogue: Path = CATALOGUE, **parameters: int) -> TexturedMe
 def check_accepted(key: str, catalogue: Path = CATALOGUE) -> TexturedMesh:
     mesh = made(key, catalogue, texture_size=SMALL)
     normalized = normalize(mesh, key)
-    assert normalized.surface.rung == ("union" if key in SEPARATE else "keep")
+    assert normalized.surface.last_step == ("union" if key in SEPARATE else "keep")
     assert normalized.surface.certificate.solid
     assert normalized.surface.warnings == []
     scale = params.read(catalogue)["objects"][key]["scale"]

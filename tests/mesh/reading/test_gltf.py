@@ -319,23 +319,6 @@ def test_faces_far_beyond_a_clamped_image_take_no_texels(tmp_path, u, column):
     assert notes(mesh)[0].endswith("images at 100%")
 
 
-def test_white_vertex_colours_leave_a_texture_as_it_is(tmp_path):
-    scene = Scene()
-    material = scene.material(scene.texture(checker(FOUR, 16)))
-    scene.quads(0, material, four_squares(), COLOR_0=np.ones((4, 4, 4)))
-    mesh, _ = loaded_twice(scene, tmp_path)
-    np.testing.assert_array_equal(mesh.texture, checker(FOUR, 16))
-
-
-def test_several_plain_colours_become_vertex_colours(tmp_path):
-    scene = Scene()
-    for x, color in enumerate((RED, GREEN, BLUE)):
-        scene.quads(x, scene.material(baseColorFactor=[*linear(color), 1]))
-    meshes = loaded_twice(scene, tmp_path)
-    assert_colors(meshes, [RED, GREEN, BLUE])
-    assert meshes[0].texture is None
-
-
 def test_roughness_and_metallic_are_means_by_area(tmp_path):
     scene = Scene()
     smooth = scene.material(roughnessFactor=0.1, metallicFactor=1.0)

@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 import pytest
 import trimesh
-from gltf_scene import Scene, colors_at, square
+from gltf_scene import Scene, colors_at, loaded_or_refused, square
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -14,9 +14,8 @@ from solids import box
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.reading.load import AS_STORED, FORMATS, default_up, load_mesh
-from objectfolder.mesh.reading.references import references
-from objectfolder.mesh.textured import TexturedMesh, appearance_report
+from objectfolder.mesh.reading.load import AS_STORED, FORMATS, default_up, load_mesh, references
+from objectfolder.mesh.textured import TexturedMesh
 
 PLY = """ply
 format ascii 1.0
@@ -70,11 +69,6 @@ def test_obj_with_its_texture(tmp_path):
     assert mesh.metallic is None
 
 
-def test_obj_with_a_colour_only(tmp_path):
-    mesh = load_mesh(write_obj(tmp_path, kd="1 0.5 0"))
-    np.testing.assert_allclose(mesh.texture, [[[255, 128, 0]]], atol=1)
-
-
 def test_plain_colour_keeps_roughness_and_metallic_in_glb(tmp_path):
     vertices, faces = box((1, 0.5, 0.25))
     texel = np.array([[[200, 40, 40]]], np.uint8)
@@ -83,22 +77,6 @@ def test_plain_colour_keeps_roughness_and_metallic_in_glb(tmp_path):
     back = load_mesh(tmp_path / "m.glb", "y")
     assert (back.roughness, back.metallic) == (0.125, 1.0)
     np.testing.assert_array_equal(back.texture, texel)
-
-
-def test_polygons_become_triangles(tmp_path):
-    path = tmp_path / "quad.obj"
-    path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
-    assert load_mesh(path).faces.shape == (2, 3)
-
-
-def test_ply_with_vertex_colours(tmp_path):
-    color = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
-    colors = [[10, 20, 30], [40, 50, 60], [70, 80, 90], [255, 0, 1]]
-    vertices = [f"{v} {' '.join(map(str, c))}" for v, c in zip(TETRAHEDRON, colors)]
-    mesh = load_mesh(write_ply(tmp_path / "t.ply", vertices, FACES, color))
-    np.testing.assert_array_equal(mesh.vertex_colors, colors)
-    np.testing.assert_array_equal(mesh.faces, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    assert mesh.texture is None
 
 
 def test_y_up_is_turned_about_x_and_stays_right_handed(tmp_path):
@@ -132,24 +110,6 @@ def test_glb_is_y_up_and_comes_back_z_up(tmp_path):
     first = path.read_bytes()
     mesh.write_glb(path)
     assert path.read_bytes() == first
-
-
-def test_glb_keeps_vertex_colours(tmp_path):
-    vertices, faces = box((1, 1, 1))
-    colors = np.random.default_rng(2).integers(0, 256, (8, 3), dtype=np.uint8)
-    TexturedMesh(vertices, faces, vertex_colors=colors).write_glb(tmp_path / "m.glb")
-    np.testing.assert_array_equal(load_mesh(tmp_path / "m.glb").vertex_colors, colors)
-
-
-def test_parts_of_a_scene_are_placed_and_joined(tmp_path):
-    scene = trimesh.Scene()
-    part = trimesh.creation.box((1, 1, 1))
-    scene.add_geometry(part, transform=trimesh.transformations.translation_matrix([2, 0, 0]))
-    scene.add_geometry(part.copy(), transform=trimesh.transformations.translation_matrix([0, 3, 0]))
-    (tmp_path / "s.glb").write_bytes(scene.export(file_type="glb"))
-    mesh = load_mesh(tmp_path / "s.glb")
-    assert len(mesh.faces) == 24
-    np.testing.assert_allclose(mesh.bounds, [[-0.5, -0.5, -0.5], [2.5, 3.5, 0.5]])
 
 
 def test_a_large_texture_is_scaled_down_and_a_small_one_is_not(tmp_path):
@@ -209,6 +169,10 @@ def glb_of_nothing():
             b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 x\n",
             "'f 1 2 x' is not a face, expected corners such as",
         ),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1/1/1 2 3\n", "'f 1/1/1/1 2 3' is not a face"),
+        ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 /2 3\n", "'f 1 /2 3' is not a face"),
+        ("m.obj", b"v 0 0 0\nvt 1 u\nf 1 1 1\n", "'vt 1 u' has words that are no numbers, or too few"),
+        ("m.obj", b"v 0 0 0\n v 1 0\nf 1 1 1\n", "'v 1 0' has words that are no numbers, or too few"),
         ("m.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1 0\nf 1 2 3\n", "reach 1e\\+200"),
         ("m.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "1 of its vertices are NaN or infinite"),
         ("m", b"solid", "format '' is not one of"),
@@ -304,20 +268,6 @@ def test_obj_with_several_libraries_and_materials(tmp_path, libraries):
         }
 
 
-def test_colours_of_obj_vertices(tmp_path):
-    path = tmp_path / "m.obj"
-    path.write_text("v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
-    np.testing.assert_allclose(load_mesh(path).vertex_colors, [[255, 0, 0], [0, 128, 0], [0, 0, 255]], atol=1)
-
-
-def test_a_comment_names_no_material_library(tmp_path):
-    path = tmp_path / "m.obj"
-    path.write_text("# no mtllib here\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    mesh = load_mesh(path)
-    assert mesh.texture is None
-    assert appearance_report(mesh)["notes"] == []
-
-
 @pytest.mark.parametrize("marked", ["m.obj", "m.mtl", "m.off"])
 def test_a_mark_of_byte_order_is_no_part_of_the_first_line(tmp_path, marked):
     (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\n")
@@ -327,14 +277,6 @@ def test_a_mark_of_byte_order_is_no_part_of_the_first_line(tmp_path, marked):
     assert len(load_mesh(tmp_path / "m.off").faces) == 1
     assert load_mesh(tmp_path / "m.obj").texture.tolist() == [[[255, 0, 0]]]
     assert [str(path) for path in references(tmp_path / "m.obj")] == ["m.mtl"]
-
-
-def test_a_material_that_is_not_defined_is_noted(tmp_path):
-    path = tmp_path / "m.obj"
-    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl lost\nf 1 2 3\n")
-    assert appearance_report(load_mesh(path))["notes"] == [
-        "material lost is not defined: its faces have no colour"
-    ]
 
 
 def png_header(width, height):
@@ -396,19 +338,6 @@ def test_a_bad_texture_is_named_with_the_mesh(tmp_path, kind, content, message):
     assert "skin.png" in str(caught.value)
 
 
-def test_a_missing_material_library_is_named(tmp_path):
-    path = write_obj(tmp_path, pixels(4, 4))
-    (tmp_path / "m.mtl").unlink()
-    with pytest.raises(ObjectFolderError, match=r"m\.obj refers to .*m\.mtl, which does not exist"):
-        load_mesh(path)
-
-
-def test_textures_outside_the_folder_are_refused(tmp_path):
-    path = write_two_materials(tmp_path, first="map_Kd C:\\Users\\me\\skin.png")
-    with pytest.raises(ObjectFolderError, match=r"refers to C:\\Users\\me\\skin\.png, outside its folder"):
-        load_mesh(path)
-
-
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_mesh_that_breaks_off_is_read_or_refused(tmp_path, suffix):
     """Text that ends at a line is whole for its parser; nothing but our own errors may come out."""
@@ -429,18 +358,6 @@ def test_a_mesh_that_breaks_off_is_read_or_refused(tmp_path, suffix):
         loaded_or_refused(path)
     path.write_bytes(whole)
     assert len(load_mesh(path).faces) in (2, 12)
-
-
-def loaded_or_refused(path):
-    try:
-        mesh = load_mesh(path)
-    except ObjectFolderError as error:
-        if str(path) not in str(error):
-            raise
-        return
-    assert mesh.faces.min() >= 0
-    assert mesh.faces.max() < len(mesh.vertices)
-    assert np.isfinite(mesh.vertices).all()
 
 
 BEGINNINGS = [
@@ -467,26 +384,3 @@ def test_no_bytes_raise_anything_but_our_own_error(tmp_path, suffix, beginning, 
     path = tmp_path / ("m" + suffix)
     path.write_bytes(beginning + rest)
     loaded_or_refused(path)
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers(-3, 9) | st.floats() | st.text(max_size=5),
-    lambda child: st.lists(child, max_size=3) | st.dictionaries(st.text(max_size=5), child, max_size=3),
-    max_leaves=5,
-)
-
-
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_no_value_in_a_gltf_raises_anything_but_our_own_error(tmp_path, data):
-    scene = Scene()
-    scene.quads(0, scene.material(scene.texture(pixels(4, 4))), [square(0.5, 0.5, 0.5)])
-    document = json.loads(scene.write(tmp_path / "m.gltf").read_text())
-    group = data.draw(st.sampled_from(sorted(document)))
-    place, key = document, group
-    while isinstance(place[key], list | dict) and place[key] and data.draw(st.booleans()):
-        place = place[key]
-        key = data.draw(st.sampled_from(sorted(place) if isinstance(place, dict) else range(len(place))))
-    place[key] = data.draw(JSON)
-    (tmp_path / "m.gltf").write_text(json.dumps(document))
-    loaded_or_refused(tmp_path / "m.gltf")

@@ -10,10 +10,9 @@ from polygons import AREA, VOLUME, area, u_plate
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.reading.load import load_mesh
+from objectfolder.mesh.reading.load import load_mesh, references
 from objectfolder.mesh.reading.mtl import textures
 from objectfolder.mesh.reading.obj import read_obj
-from objectfolder.mesh.reading.references import references
 from objectfolder.mesh.textured import PLAIN, appearance_report
 from objectfolder.workspace.objects import object_files
 
@@ -55,7 +54,7 @@ def test_a_concave_polygon_is_covered_once(tmp_path, form):
         (part,) = read_obj(tmp_path / "m.obj").parts
         np.testing.assert_allclose(part.uv, part.vertices[:, :2] + part.vertices[:, 2:])
     solid = normalize(mesh).surface
-    assert solid.rung == "keep"
+    assert solid.last_step == "keep"
     assert solid.volume == pytest.approx(VOLUME / 27)
 
 
@@ -103,28 +102,34 @@ def test_lines_may_be_indented_and_keywords_end_at_a_tab(tmp_path, start, every)
     np.testing.assert_array_equal(part.material.color, same.material.color)
 
 
-def test_lines_may_end_in_carriage_returns(tmp_path):
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace("\n", "\r"),
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\r\r\n"),
+        lambda text: text.replace("\n", "\n\t"),
+        lambda text: text.replace("f ", "f \\\n"),
+        lambda text: text.replace("v ", "v \\\r\n"),
+        lambda text: "# mtllib v\n" + text.replace("\nf", " # v\n\nf").replace("\nv", " # v 1\nv"),
+    ],
+    ids=["cr", "crlf", "crcrlf", "indented", "continued", "continued-crlf", "comments"],
+)
+def test_lines_may_have_other_ends_and_beginnings(tmp_path, change):
     cube = trimesh.creation.box((0.1, 0.2, 0.3))
-    (tmp_path / "m.mtl").write_bytes(b"newmtl skin\rKd 1 0 0\r")
     text = "mtllib m.mtl\n" + vertex_lines(cube.vertices) + "usemtl skin\n" + numbered(cube.faces)
-    path = tmp_path / "m.obj"
-    path.write_text(text)
-    plain = read_obj(path)
-    for end in ("\r", "\r\n", "\r\r\n"):
-        path.write_bytes(text.replace("\n", end).encode())
-        (part,), (same,) = read_obj(path).parts, plain.parts
-        np.testing.assert_array_equal(part.vertices, same.vertices)
-        np.testing.assert_array_equal(part.faces, same.faces)
-        np.testing.assert_array_equal(part.material.color, [1, 0, 0])
-
-
-def test_all_lines_may_be_indented(tmp_path):
-    cube = trimesh.creation.box((0.1, 0.2, 0.3))
-    text = vertex_lines(cube.vertices) + numbered(cube.faces)
-    plain = written(tmp_path, text)
-    mesh = written(tmp_path, "".join(f"\t{line}\n" for line in text.splitlines()))
-    assert len(mesh.faces) == 12
-    np.testing.assert_array_equal(mesh.vertices, plain.vertices)
+    parts = []
+    for convert in (str, change):
+        (tmp_path / "m.mtl").write_bytes(convert("newmtl skin\nKd 1 0 0\n").encode())
+        (tmp_path / "m.obj").write_bytes(convert(text).encode())
+        found = read_obj(tmp_path / "m.obj")
+        assert found.notes == []
+        parts += found.parts
+    plain, part = parts
+    assert len(part.faces) == 12
+    np.testing.assert_array_equal(part.vertices, plain.vertices)
+    np.testing.assert_array_equal(part.faces, plain.faces)
+    np.testing.assert_array_equal(part.material.color, [1, 0, 0])
 
 
 def test_one_face_without_texture_coordinates_loses_the_texture_alone(tmp_path):
@@ -304,6 +309,40 @@ def test_the_range_of_vertex_colours_is_that_of_the_file(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    ("material", "plain"), [("", PLAIN), ("newmtl a\nKd 0 1 0\n", [0, 1, 0])], ids=["none", "Kd"]
+)
+def test_vertices_without_a_colour_have_that_of_their_material(tmp_path, material, plain):
+    (tmp_path / "m.mtl").write_text(material)
+    path = tmp_path / "m.obj"
+    path.write_text("mtllib m.mtl\nv 0 0 0 1 0 0\nv 1 0 0\nv 0 1 0 0 0 1\nusemtl a\nf 1 2 3\n")
+    (part,) = read_obj(path).parts
+    np.testing.assert_array_equal(part.colors, [[1, 0, 0], np.broadcast_to(plain, 3), [0, 0, 1]])
+    assert part.material.color is None
+
+
+def test_comments_and_further_numbers_of_a_line_are_left_out(tmp_path):
+    plain, path = QUAD + CORNERS + "vn 0 0 1\nf 1/1/1 2/2/1 3/3/1\n", tmp_path / "m.obj"
+    path.write_text(plain)
+    (same,) = read_obj(path).parts
+    lines = [f"{line} # 1/2 x" for line in plain.splitlines()]
+    lines[0] = lines[0].replace("#", "1.0#")  # the weight of a rational curve's point
+    lines[5] = lines[5].replace("#", "0 #")  # the third coordinate of a texture
+    path.write_text("\n".join(["# v x", *lines, "f 1 2", "f 1"]))
+    (part,) = read_obj(path).parts
+    for name in ("vertices", "faces", "uv", "normals"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(same, name))
+
+
+def test_a_face_whose_coordinates_are_not_in_the_file_has_none(tmp_path):
+    (tmp_path / "m.obj").write_text(QUAD + CORNERS + "f 1/1/1 2/2/1 3/3/1\nf 1/1 3/3 4/9\n")
+    parts = read_obj(tmp_path / "m.obj").parts
+    assert [(len(part.faces), part.uv is None, part.normals) for part in parts] == [
+        (1, True, None),
+        (1, False, None),
+    ]
+
+
 TWO_MATERIALS = (
     "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl {}\nf 1 3 2\nf 1 2 4\nusemtl {}\nf 1 4 3\nf 2 3 4\n"
 )
@@ -354,14 +393,17 @@ def test_only_textures_that_faces_need_have_to_be_there(tmp_path):
     assert [str(target) for target in object_files(path)] == ["mesh.obj", "m.mtl"]
 
 
-def test_where_a_library_is_and_what_to_do_is_told(tmp_path):
-    path = tmp_path / "m.obj"
-    for name, message in (
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
         ("C:\\x\\m.mtl", r"outside its folder; .* edit the path in the \.obj file"),
-        ("gone.mtl", r"gone\.mtl, which does not exist; put it there, or delete the line mtllib"),
+        ("gone.mtl", r"m\.obj .*gone\.mtl, which does not exist; put it there, or delete the line mtllib"),
         ("M.MTL", r"M\.MTL, which does not exist \(m\.mtl does: upper and lower case differ\); put"),
-    ):
-        (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\n")
-        path.write_text(f"mtllib {name}\n" + ONE_SIDE)
-        with pytest.raises(ObjectFolderError, match=message):
-            load_mesh(path)
+    ],
+    ids=["drive", "gone", "case"],
+)
+def test_where_a_library_is_and_what_to_do_is_told(tmp_path, name, message):
+    (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    (tmp_path / "m.obj").write_text(f"mtllib {name}\n" + ONE_SIDE)
+    with pytest.raises(ObjectFolderError, match=message):
+        load_mesh(tmp_path / "m.obj")

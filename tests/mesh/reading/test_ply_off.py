@@ -8,8 +8,7 @@ from polygons import AREA, area, u_plate
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh import srgb
-from objectfolder.mesh.reading.load import load_mesh
-from objectfolder.mesh.reading.references import references
+from objectfolder.mesh.reading.load import load_mesh, references
 from objectfolder.mesh.textured import PLAIN
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)

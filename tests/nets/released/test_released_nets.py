@@ -11,10 +11,15 @@ from objectfolder.nets.released.network import Frame
 from objectfolder.nets.released.spectrogram import ReleasedSpectrogram
 from objectfolder.nets.released.touch import DEPTH_SIZE, ReleasedDepth, ReleasedImage
 from objectfolder.nets.released.vision import ReleasedNerf
-from objectfolder.released.audio import gains_net, spectrogram_net
 from objectfolder.released.checkpoint import read_released
-from objectfolder.released.touch import depth_net, image_net
-from objectfolder.released.vision import configured_net, nerf_net
+from objectfolder.released.nets import (
+    configured_net,
+    depth_net,
+    gains_net,
+    image_net,
+    nerf_net,
+    spectrogram_net,
+)
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white

@@ -11,10 +11,9 @@ from scipy.sparse import csr_array
 from objectfolder import ObjectFile
 from objectfolder.checks import real_array
 from objectfolder.errors import ObjectFolderError
-from objectfolder.nets.audio_gains_training import WeightedRows
-from objectfolder.nets.hashgrid import _SparseLookup
+from objectfolder.nets.hashgrid import WeightedRows
 from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.objectfile.gradients.gel import SoftGel
+from objectfolder.objectfile.gradients.touch import SoftGel
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.radiosity import Bounced
 
@@ -74,14 +73,13 @@ def custom_functions():
     height = torch.full((1, 160, 120), -1e-3)
     height[:, 70:90, 50:70] = 1e-3
     return {
-        "lookup": (applied(_SparseLookup, index, weights), torch.ones(8, 2)),
         "rows": (applied(WeightedRows, index[None], weights[None]), torch.ones(8, 2)),
         "bounced": (applied(Bounced, see, reflect), torch.ones(4)),
         "gel": (applied(SoftGel, load_profile("digit")), height),
     }
 
 
-@pytest.mark.parametrize("name", ["lookup", "rows", "bounced", "gel"])
+@pytest.mark.parametrize("name", ["rows", "bounced", "gel"])
 def test_derivatives_by_numpy_are_no_part_of_second_derivatives(name):
     function, value = custom_functions()[name]
     value.requires_grad_()

@@ -1,0 +1,88 @@
+"""Pictures of truth, answer and their difference: on pages, and joined in a row."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from objectfolder.audio.figures import DYNAMIC_RANGE, magnitudes, show_spectrogram
+from objectfolder.audio.spectrogram import HOP
+from objectfolder.figures import show_image
+from objectfolder.metrics import psnr
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NAMES = ("ground truth", "Object File", "difference")
+ENLARGED = 4  #: amplification of displayed differences of images
+SHOWN_SECONDS = (0.1, 0.2, 0.5, 1.0)  # of a spectrogram in a row: the shortest in which the sound decays
+
+
+def compare_images(truth: np.ndarray, answer: np.ndarray) -> list[np.ndarray]:
+    """Return truth, answer and their difference, `ENLARGED` and dark on white; (H, W, 3) in [0, 1]."""
+    return [truth, answer, 1 - (ENLARGED * np.abs(answer - truth)).clip(0, 1)]
+
+
+def show_views(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
+    """Fill a page with one view per column, and the PSNR of the answer below its title.
+
+    Views are (N, H, W, 3) arrays in [0, 1].
+    """
+    panels = figure.subplots(3, len(truth), squeeze=False)
+    for column, image, answer, title in zip(panels.T, truth, answers, titles):
+        for axes, values in zip(column, compare_images(image, answer)):
+            show_image(axes, values)
+        error = np.square(answer - image).mean()
+        column[0].set_title(f"{title}\n{float(psnr(error)):.1f} dB", fontsize=9)
+    for axes, name in zip(panels[:, 0], (*NAMES[:2], f"{NAMES[2]}, {ENLARGED} times")):
+        axes.set_axis_on()  # for its label alone
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+        axes.set_ylabel(name, fontsize=9)
+
+
+def show_sounds(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
+    """Fill a page with the spectrograms of one sound per column, in decibels below the peak of its truth.
+
+    Sounds are (N, samples) arrays.
+    """
+    panels = figure.subplots(3, len(truth), sharex=True, sharey=True, squeeze=False)
+    shown = None
+    for column, sound, answer, title in zip(panels.T, truth, answers, titles):
+        peak = float(magnitudes(sound).max())
+        for axes, values, name in zip(column, (sound, answer, answer - sound), NAMES):
+            image = show_spectrogram(axes, values, peak=peak)
+            axes.set_title(f"{title}\n{name}" if axes is column[0] else name, fontsize=9)
+            shown = image or shown
+            axes.label_outer()
+    if shown is not None:
+        figure.colorbar(shown, ax=panels, label="dB relative to the peak of the ground truth", aspect=40)
+
+
+def join_images(truth: np.ndarray | None, answer: np.ndarray) -> np.ndarray:
+    """Join truth, answer and difference in a row; without a truth return the answer."""
+    return answer if truth is None else np.concatenate(compare_images(truth, answer), 1)
+
+
+def join_spectrograms(truth: np.ndarray | None, answer: np.ndarray, rate: int) -> tuple[np.ndarray, float]:
+    """Draw spectrograms of truth, answer and difference in a row: (H, W, 3) in [0, 1], and their seconds.
+
+    Decibels are relative to the peak of the truth.
+    """
+    from matplotlib import colormaps
+
+    sounds = [answer] if truth is None else [truth, answer, answer - truth]
+    levels = [magnitudes(sound)[::-1] for sound in sounds]
+    top = levels[0].max()
+    floor = 10 ** (-DYNAMIC_RANGE / 20)
+    ringing = np.flatnonzero(levels[0].max(0) > floor * top)
+    lasts = ringing.max(initial=0) * HOP / rate
+    seconds = next((shown for shown in SHOWN_SECONDS if shown > lasts), SHOWN_SECONDS[-1])
+    levels = [level[:, : round(seconds * rate / HOP)] for level in levels]
+    shown = [
+        20 * np.log10(np.maximum(level / (top if top > 0 else 1), floor)) / DYNAMIC_RANGE + 1
+        for level in levels
+    ]
+    gap = np.ones((len(shown[0]), 2))
+    panels = [part for level in shown for part in (gap, level)][1:]
+    return np.asarray(colormaps["magma"](np.concatenate(panels, 1)))[..., :3], seconds

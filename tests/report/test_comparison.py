@@ -1,0 +1,55 @@
+"""Truth, answer and difference side by side."""
+
+import numpy as np
+import pytest
+from objectfolder.audio.figures import magnitudes
+from PIL import Image
+
+from objectfolder.figures import page, save_page
+from objectfolder.report.comparison import show_sounds, show_views
+
+
+def test_the_sheet_of_views_shows_truth_answer_and_enlarged_difference(rng, tmp_path):
+    figure, truth = page(4, 6, "x: views"), 0.2 + 0.8 * rng.random((2, 20, 30, 3))
+    show_views(figure, truth, np.clip(truth - 0.1, 0, 1), ["one", "two"])
+    assert [a.get_title() for a in figure.axes[:2]] == ["one\n20.0 dB", "two\n20.0 dB"]
+    assert [a.get_ylabel() for a in figure.axes[::2]] == [
+        "ground truth",
+        "Object File",
+        "difference, 4 times",
+    ]
+    difference = figure.axes[5].images[0].get_array()
+    np.testing.assert_allclose(difference, 0.6, atol=1e-5)
+    with Image.open(save_page(figure, tmp_path / "sheet.png")) as image:
+        assert np.asarray(image.convert("RGB")).std() > 5
+
+
+def test_the_sheet_of_sounds_shows_truth_answer_and_difference(tmp_path):
+    time = np.arange(32000) / 16000
+    truth = np.stack([np.sin(2 * np.pi * f * time) * np.exp(-4 * time) for f in (1000, 3000)])
+    figure = page(8, 9, "x: sounds")
+    show_sounds(figure, truth, 0.9 * truth, ["one", "two"])
+    panels = figure.axes[:6]
+    assert [a.get_title() for a in panels[::2]] == ["one\nground truth", "Object File", "difference"]
+    assert panels[0].get_ylabel() == "frequency [kHz]"
+    assert panels[4].get_xlabel() == "time [s]"
+    assert figure.axes[6].get_ylabel() == "dB relative to the peak of the ground truth"
+    peaks = np.array([a.images[0].get_array().max() for a in panels]).reshape(3, 2)
+    np.testing.assert_allclose(peaks, [[0, 0], [20 * np.log10(0.9)] * 2, [-20, -20]], atol=1e-3)
+    # Rows are frequencies: 1 and 3 kHz out of 8.
+    for axes, hertz in zip(panels[:2], (1000, 3000)):
+        loudest = int(axes.images[0].get_array()[:, 50].argmax())
+        assert loudest * 8000 / 256 == pytest.approx(hertz, abs=32)
+    with Image.open(save_page(figure, tmp_path / "sheet.png")) as image:
+        assert np.asarray(image.convert("RGB")).std() > 5
+
+
+def test_the_sheet_of_silence_says_so(tmp_path):
+    figure = page(8, 9, "x: silence")
+    show_sounds(figure, np.zeros((2, 32000)), np.zeros((2, 32000)), ["one", "two"])
+    assert all(a.texts[0].get_text() == "silent" for a in figure.axes)
+    assert save_page(figure, tmp_path / "sheet.png").stat().st_size > 1000
+
+
+def test_magnitudes_are_those_of_the_papers_spectrogram():
+    assert magnitudes(np.ones(32000)).shape == (257, 201)
