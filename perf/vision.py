@@ -11,6 +11,7 @@ import argparse
 import lzma
 import resource
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,7 @@ from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere
 from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.view import draw as draw_surface
 from objectfolder.vision.volume import Rays
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import SPLITS, Build

@@ -1,6 +1,5 @@
 """The paper's spectrogram, window 25 ms, hop 10 ms, FFT 512 at 16 kHz (supplementary E), and its figures."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +9,6 @@ from objectfolder.errors import ObjectFolderError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
 WINDOW, HOP, FFT = 400, 160, 512
@@ -69,23 +67,3 @@ def show_spectrogram(
 def magnitudes(sound: np.ndarray) -> np.ndarray:
     """Return the spectrogram magnitudes of a (samples,) sound; (257, frames)."""
     return spectrogram(torch.from_numpy(np.asarray(sound, np.float32))[None])[0].abs().numpy()
-
-
-def show_sounds(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
-    """Fill a page with spectrograms: one column per sound; rows for ground truth, answer and difference.
-
-    Sounds are (N, samples). Decibels are relative to the peak of the column's ground truth.
-    """
-    panels = figure.subplots(3, len(truth), sharex=True, sharey=True, squeeze=False)
-    shown = None
-    for column, sound, answer, title in zip(panels.T, truth, answers, titles):
-        peak = float(magnitudes(sound).max())
-        for axes, values, name in zip(
-            column, (sound, answer, answer - sound), ("ground truth", "Object File", "difference")
-        ):
-            image = show_spectrogram(axes, values, peak=peak)
-            axes.set_title(f"{title}\n{name}" if axes is column[0] else name, fontsize=9)
-            shown = image or shown
-            axes.label_outer()
-    if shown is not None:
-        figure.colorbar(shown, ax=panels, label="dB relative to the peak of the ground truth", aspect=40)

@@ -1,6 +1,7 @@
 """Features on a grid of quadratic B-splines, stored only near a surface."""
 
 import torch
+import torch.nn.functional as F
 from torch import nn
 
 from objectfolder.nets.hashgrid import WeightedRows
@@ -39,6 +40,8 @@ class SplineGrid(nn.Module):
         """Interpolate features, given the output of `nodes`; (N, channels)."""
         # With a last row of zeros, for nodes without features.
         padded = torch.cat([self.table, torch.zeros_like(self.table[:1])])
+        if weights.requires_grad:  # the slope along the points, which `WeightedRows` lacks
+            return F.embedding_bag(rows, padded, per_sample_weights=weights, mode="sum")
         return WeightedRows.apply(padded, rows, weights)
 
 

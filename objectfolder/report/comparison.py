@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from objectfolder.audio.figures import DYNAMIC_RANGE, magnitudes, show_spectrogram
-from objectfolder.audio.spectrogram import HOP
+from objectfolder.audio.spectrogram import DYNAMIC_RANGE, HOP, magnitudes, show_spectrogram
 from objectfolder.figures import show_image
 from objectfolder.metrics import psnr
 

@@ -9,8 +9,7 @@ from scipy.spatial import cKDTree
 
 from objectfolder.acoustics.farfield import FarField, unpack_far_field
 from objectfolder.acoustics.harmonics import real_harmonics
-from objectfolder.audio.figures import show_spectrogram
-from objectfolder.audio.spectrogram import SAMPLE_RATE
+from objectfolder.audio.spectrogram import SAMPLE_RATE, show_spectrogram
 from objectfolder.audio.synthesis import gains, sinusoid_bank
 from objectfolder.figures import page, page_rows, save_page, show_image
 from objectfolder.io import read_json, read_npz, read_safetensors

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from objectfolder.audio.figures import magnitudes
 from PIL import Image
 
+from objectfolder.audio.spectrogram import magnitudes
 from objectfolder.figures import page, save_page
 from objectfolder.report.comparison import show_sounds, show_views
 

@@ -4,7 +4,6 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import torch
-from ruamel.yaml import YAML
 from solids import box, join, sphere
 
 from objectfolder.mesh.raycast import RayCaster
@@ -14,6 +13,7 @@ from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
 from objectfolder.vision.dataset import Shots, render_shots
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
+from objectfolder.workspace.presets import read_preset
 
 REPOSITORY = Path(__file__).parents[2]
 FRONT = look_at(np.array([2.5, 0, 0]))[0]
@@ -105,10 +105,10 @@ def test_a_split_is_the_same_bytes_twice():
         assert value.tobytes() == second[name].tobytes()
 
 
-@pytest.mark.parametrize("preset", sorted((REPOSITORY / "params").glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("preset", ["quick", *sorted(p.stem for p in (REPOSITORY / "params").glob("*.yaml"))])
 def test_mitsuba_takes_the_samples_that_a_preset_says(preset):
     mi.set_variant("scalar_rgb")
-    section = YAML(typ="safe").load(preset.read_text())["render_views"]
+    section = read_preset(preset, REPOSITORY)[0]["render_views"]
     for samples in (section["train_samples"], section["test_samples"] // 2):
         sampler = mi.load_dict({"type": "multijitter", "sample_count": samples})
         assert sampler.sample_count() == samples
