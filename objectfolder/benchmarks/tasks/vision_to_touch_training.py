@@ -54,8 +54,8 @@ def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list
     answers = job.observations.read("touch", _nearest(job))
     scores = {
         "net": net | {"seeds": means, "interval_95": interval_95(means)},
-        "nearest": score_images(answers, truth),
-        "mean": score_images(blank, truth),
+        "nearest": score_answers(answers, truth),
+        "mean": score_answers(blank, truth),
         **counts,
         "seconds": sum(unit["seconds"] for unit in finished),
     }
@@ -63,7 +63,7 @@ def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list
     return scores, curve
 
 
-def score_images(answers: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+def score_answers(answers: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """Score images (N, H, W, 3) uint8 by the truth."""
     a, b = answers.astype(np.float32) / 255, truth.astype(np.float32) / 255
     errors = ((a - b) ** 2).mean((1, 2, 3), dtype=np.float64)
@@ -103,7 +103,7 @@ def _train_once(job: Job[VisionToTouchConfig], run: int) -> dict[str, Any]:
         if run == 0:
             write_png(sheet, _sheet(job, answers, truth))
         return {
-            "scores": score_images(answers, truth),
+            "scores": score_answers(answers, truth),
             "curve": [astuple(point)[:3] for point in curve],
             "seconds": sum(point.seconds for point in curve),
         }
@@ -138,7 +138,7 @@ def _train(job: Job[VisionToTouchConfig], run: int, checkpoint: Path) -> tuple[T
             net,
             epoch_batches,
             batch_loss,
-            lambda: score_images(_answers(job, net, blank, val), truth)["psnr_pooled"],
+            lambda: score_answers(_answers(job, net, blank, val), truth)["psnr_pooled"],
             "PSNR",
         ),
         checkpoint,

@@ -10,7 +10,7 @@ from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import vision_to_touch_training as task
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.vision_to_touch import TASK, VisionToTouchConfig
-from objectfolder.benchmarks.tasks.vision_to_touch_training import score_images, vision_to_touch
+from objectfolder.benchmarks.tasks.vision_to_touch_training import score_answers, vision_to_touch
 
 SIZE = (16, 12)
 
@@ -99,7 +99,7 @@ def test_scores_of_images():
     truth = np.full((2, 16, 12, 3), 100, np.uint8)
     off = truth.copy()
     off[0] += 51  # a fifth of the range: 14 dB
-    scores = score_images(off, truth)
+    scores = score_answers(off, truth)
     assert scores["psnr"] == pytest.approx((13.979 + 58.92) / 2, abs=0.01)
     assert scores["psnr_pooled"] == pytest.approx(13.979 + 3.010, abs=0.01)
-    assert score_images(truth, truth)["ssim"] == pytest.approx(1)
+    assert score_answers(truth, truth)["ssim"] == pytest.approx(1)
