@@ -40,7 +40,6 @@ from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.metrics import psnr
 from objectfolder.nets.fit import Session
-from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image_training import train_image
@@ -49,6 +48,7 @@ from objectfolder.objectfile.surface import UNMOVED, ObjectSurface
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps
 from objectfolder.touch.dataset import render_contacts
 from objectfolder.touch.gel import deform
+from objectfolder.touch.net_settings import ImageConfig
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.simulate import touch_images

@@ -28,7 +28,6 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.metrics import psnr
 from objectfolder.nets.fit import Session
-from objectfolder.nets.settings import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
@@ -38,6 +37,7 @@ from objectfolder.objectfile.vision import LitCameras, view_images
 from objectfolder.seeding import torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
+from objectfolder.vision.net_settings import VisionConfig
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.view import draw as draw_surface

@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 
+from objectfolder.audio.net_settings import AudioConfig
 from objectfolder.io import read_npz, write_curve, write_safetensors
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
@@ -10,7 +11,6 @@ from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
 from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
 from objectfolder.nets.fit import Session
-from objectfolder.nets.settings import AudioConfig
 from objectfolder.seeding import torch_generator
 from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params

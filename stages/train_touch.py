@@ -7,12 +7,12 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
 from objectfolder.nets.fit import Session
-from objectfolder.nets.settings import TouchConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_geometric_training import fit_contacts
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.touch_image_training import train_image
 from objectfolder.seeding import torch_generator
+from objectfolder.touch.net_settings import TouchConfig
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.installed import sensor_file
 from objectfolder.workspace.layout import Build, code_list

@@ -8,12 +8,12 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
 from objectfolder.nets.fit import Session
-from objectfolder.nets.settings import VisionConfig
 from objectfolder.nets.vision_osf import OsfNet
 from objectfolder.nets.vision_osf_training import train_osf
 from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.seeding import torch_generator
+from objectfolder.vision.net_settings import VisionConfig
 from objectfolder.vision.scene import Scene
 from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params

@@ -8,10 +8,10 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from objectfolder.audio.net_settings import GainsConfig
 from objectfolder.nets.audio_gains import GainsNet, GainsShape, energy_weights
 from objectfolder.nets.fit import CurvePoint, FitSettings, Session, fit, minibatches
 from objectfolder.nets.optimizers import Soap
-from objectfolder.nets.settings import GainsConfig
 from objectfolder.nets.siren import sine_bound
 from objectfolder.nets.spline import mark_touched
 from objectfolder.nets.storage import round_to_codes, round_with

@@ -3,12 +3,12 @@
 import numpy as np
 import torch
 
+from objectfolder.audio.net_settings import SpectrogramConfig
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.nets.audio_gains_training import ModeSamples
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
-from objectfolder.nets.settings import SpectrogramConfig
 
 RANGE_POINTS = 256  # training points that define the range of values
 VAL_SAMPLES = 1 << 14

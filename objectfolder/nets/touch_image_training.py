@@ -7,8 +7,8 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
-from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
+from objectfolder.touch.net_settings import ImageConfig
 
 VAL_SAMPLES = 1 << 14
 _PART = 1 << 12  # pixels whose activations are kept for a gradient

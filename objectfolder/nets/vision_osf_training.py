@@ -8,10 +8,10 @@ import torch
 from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
-from objectfolder.nets.settings import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.color import display_error, on_white
+from objectfolder.vision.net_settings import OsfConfig
 from objectfolder.vision.visual_hull import visual_hull
 from objectfolder.vision.volume import Rays
 

@@ -13,11 +13,11 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.fit import CurvePoint, FitSettings, Session, fit, minibatches
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.settings import SurfaceConfig
 from objectfolder.nets.vision_surface import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.cameras import camera_rays, image_intrinsics
 from objectfolder.vision.color import MIN_FOREGROUND_ALPHA
+from objectfolder.vision.net_settings import SurfaceConfig
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
 from objectfolder.vision.vectors import take_rows

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from objectfolder.audio.net_settings import GainsConfig
 from objectfolder.io import read_safetensors, safetensors_bytes, write_safetensors
 from objectfolder.metrics import gain_errors
 from objectfolder.nets import audio_gains_training
 from objectfolder.nets.audio_gains import INT8, GainsNet, energy_weights
 from objectfolder.nets.audio_gains_training import ModeSamples, count_features, train_gains
 from objectfolder.nets.fit import Session
-from objectfolder.nets.settings import GainsConfig
 
 CONFIG = GainsConfig(
     modes=3,

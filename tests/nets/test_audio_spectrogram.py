@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from objectfolder.audio.net_settings import SpectrogramConfig
 from objectfolder.audio.spectrogram import SHAPE, invert_spectrogram, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
 from objectfolder.io import read_safetensors, write_safetensors
@@ -11,7 +12,6 @@ from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
 from objectfolder.nets.fit import Session
 from objectfolder.nets.positional import PointwiseNetwork
-from objectfolder.nets.settings import SpectrogramConfig
 
 CONFIG = SpectrogramConfig(
     width=32,

@@ -4,9 +4,9 @@ import torch
 
 from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.fit import Session
-from objectfolder.nets.settings import ImageConfig
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.touch_image_training import train_image
+from objectfolder.touch.net_settings import ImageConfig
 
 CONFIG = ImageConfig(
     width=48,

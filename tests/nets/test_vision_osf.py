@@ -10,12 +10,12 @@ from objectfolder.errors import ObjectFolderError
 from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import psnr
 from objectfolder.nets.fit import Session
-from objectfolder.nets.settings import OsfConfig
 from objectfolder.nets.vision_osf import OsfNet, ScatteringFunction
 from objectfolder.nets.vision_osf_training import train_osf
 from objectfolder.objectfile.evaluate_vision import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 from objectfolder.vision.color import on_white
+from objectfolder.vision.net_settings import OsfConfig
 from objectfolder.vision.volume import Rays
 
 CONFIG = OsfConfig(

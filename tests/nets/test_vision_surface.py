@@ -11,13 +11,13 @@ from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.nets.fit import Session
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.settings import SurfaceConfig
 from objectfolder.nets.vision_surface import ALIKE, SurfaceNet
 from objectfolder.nets.vision_surface_training import train_surface
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.bsdf import principled
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 from objectfolder.vision.color import on_white
+from objectfolder.vision.net_settings import SurfaceConfig
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.trace import trace
 from objectfolder.vision.view import SQUARE, draw

@@ -251,8 +251,10 @@ def test_stage_gives_the_same_bytes_again_from_what_it_declares_alone(
     if stage == "observe":
         assert built.build("observe@cube") <= {"observe@cube"}
     locked = YAML(typ="safe").load((built.root / "dvc.lock").read_text())["stages"][f"{stage}@cube"]
-    code = [line.split()[1] for line in (built.root / f"build/.code/{stage}.sha256").read_text().splitlines()]
-    for dependency in ["params.yaml", *code, *(d["path"] for d in locked["deps"])]:
+    deps = [d["path"] for d in locked["deps"]]
+    lists = [(built.root / dep).read_text() for dep in deps if dep.startswith("build/.code/")]
+    code = [line.split()[1] for text in lists for line in text.splitlines()]
+    for dependency in ["params.yaml", *code, *deps]:
         source, copy = built.root / dependency, tmp_path / dependency
         copy.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():

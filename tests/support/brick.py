@@ -5,6 +5,7 @@ import torch
 from solids import box
 
 from objectfolder.acoustics.radiation import pack_radiation, radiate
+from objectfolder.audio.net_settings import GainsConfig
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.modal import modal_analysis, solved_band
 from objectfolder.materials import material
@@ -15,7 +16,6 @@ from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
 from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.fit import Session
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.settings import GainsConfig
 from objectfolder.nets.touch_geometric import GeometricTouch
 from objectfolder.nets.touch_image import ImageTouch
 from objectfolder.nets.vision_surface import SurfaceNet

@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from objectfolder.audio.net_settings import SpectrogramConfig
 from objectfolder.nets.audio_gains_training import ModeSamples
 from objectfolder.nets.audio_spectrogram_training import train_spectrogram
-from objectfolder.nets.settings import ImageConfig, OsfConfig, SpectrogramConfig
 from objectfolder.nets.touch_image_training import train_image
 from objectfolder.nets.vision_osf_training import train_osf
+from objectfolder.touch.net_settings import ImageConfig
 from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
+from objectfolder.vision.net_settings import OsfConfig
 
 TRAINING = {"steps": 30, "learning_rate": 0.01, "final_rate": 1.0, "precision": "float32"}
 

@@ -1,0 +1,26 @@
+"""Settings of the touch nets: section ``train_touch`` of ``params.yaml``."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from objectfolder.nets.settings import PapersNetConfig
+from objectfolder.settings import Count, Octaves, Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageConfig(PapersNetConfig):
+    """Shape and training of a net of kind ``image``."""
+
+    pixel_octaves: Octaves = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchConfig:
+    """Kind of the touch net, with settings for both kinds."""
+
+    net: Literal["geometric", "image"] = "geometric"
+    offset_span: Positive = 0.0002  #: the depth offset is searched up to this, either way, metres
+    rounds: Count = 4  #: bisection steps of the search
+    #: maximum number of contacts that ``geometric`` is fitted to, and of validation contacts
+    contacts: Count = 64
+    image: ImageConfig = ImageConfig()
