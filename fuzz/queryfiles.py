@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 with atheris.instrument_imports(include=["objectfolder"]):
     import numpy as np
 
+    from objectfolder.arrays import read_rows
     from objectfolder.errors import ObjectFolderError
-    from objectfolder.io import read_rows
     from objectfolder.objectfile.arguments import finite_rows
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))

@@ -20,10 +20,11 @@ from rich.progress import track
 from rich.table import Table
 
 from objectfolder import ObjectFile
+from objectfolder.arrays import read_npz
 from objectfolder.audio.spectrogram import spectrogram
 from objectfolder.engine.records import recall_costs
 from objectfolder.figures import tile
-from objectfolder.io import atomic, read_json, read_npz
+from objectfolder.io import atomic, read_json
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 

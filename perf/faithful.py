@@ -23,8 +23,9 @@ from rich.console import Console
 from rich.table import Table
 from workspaces import OwnWorkspace
 
+from objectfolder.arrays import read_npz
 from objectfolder.engine.records import recall_costs
-from objectfolder.io import read_json, read_npz, write_json
+from objectfolder.io import read_json, write_json
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.positional import PointwiseNetwork, train_in
 from objectfolder.nets.vision_osf import OsfNet, pixel_centres

@@ -26,12 +26,13 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 
+from objectfolder.arrays import read_npz, write_npz
 from objectfolder.fem.eigen import FreeVibration
 from objectfolder.fem.elements import discretize
 from objectfolder.fem.modal import refined_analysis
 from objectfolder.fem.settings import ModalConfig
 from objectfolder.fem.tetrahedra import Tetrahedra, quadratic
-from objectfolder.io import read_json, read_npz, write_npz
+from objectfolder.io import read_json
 from objectfolder.materials import material
 from objectfolder.mesh.closing.piercing import self_intersections
 from objectfolder.mesh.normalize import normalize

@@ -20,7 +20,7 @@ from objectfolder import ObjectFile
 from objectfolder.acoustics.farfield import FarField, unpack_far_field
 from objectfolder.acoustics.harmonics import real_harmonics
 from objectfolder.acoustics.radiation import radiate
-from objectfolder.io import read_npz, read_safetensors
+from objectfolder.arrays import read_npz, read_safetensors
 from objectfolder.mesh.ply import read_surface
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build

@@ -27,9 +27,9 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder import ObjectFile
+from objectfolder.arrays import write_npz, write_png
 from objectfolder.errors import ObjectFolderError
 from objectfolder.figures import tile
-from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.closing.surface import close_surface
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface

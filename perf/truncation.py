@@ -15,9 +15,10 @@ from harness import parsed, write_record
 from rich.console import Console
 from rich.table import Table
 
+from objectfolder.arrays import read_npz
 from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.fem.modal import modal_analysis
-from objectfolder.io import read_json, read_npz
+from objectfolder.io import read_json
 from objectfolder.materials import LAWS, material
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.objectfile.evaluate_sound import lost_energy

@@ -20,8 +20,8 @@ from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
+from objectfolder.arrays import read_npz, write_npz, write_png
 from objectfolder.figures import tile
-from objectfolder.io import read_npz, write_npz, write_png
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from objectfolder.arrays import read_npz
 from objectfolder.figures import page, save_page
-from objectfolder.io import file_digest, read_json, read_npz, write_json
+from objectfolder.io import file_digest, read_json, write_json
 from objectfolder.objectfile.evaluate_sound import SoundTruth, UnitStrikes, compare_sounds, evaluate_sound
 from objectfolder.objectfile.evaluate_touch import evaluate_touch
 from objectfolder.objectfile.evaluate_vision import choose_views, compare_views, evaluate_vision

@@ -3,6 +3,7 @@
 from contextlib import suppress
 from dataclasses import asdict
 
+from objectfolder.arrays import read_npz, write_npz
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.certainty import solver_warning, uncertainty_warning
 from objectfolder.fem.elements import solid_from_arrays
@@ -13,7 +14,7 @@ from objectfolder.fem.modal import (
 )
 from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.fem.settings import ModalConfig
-from objectfolder.io import keep, read_npz, write_json, write_npz
+from objectfolder.io import keep, write_json
 from objectfolder.materials import own_material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import split_rows

@@ -2,7 +2,7 @@
 
 from objectfolder.acoustics.radiation import pack_radiation, radiate
 from objectfolder.acoustics.settings import RadiationConfig
-from objectfolder.io import read_npz, write_safetensors
+from objectfolder.arrays import read_npz, write_safetensors
 from objectfolder.mesh.ply import read_surface
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params

@@ -1,7 +1,7 @@
 """render_touch: surface.ply, sensor profile -> touch/{train,val,test}.npz, touch.png (a contact sheet)."""
 
+from objectfolder.arrays import write_npz, write_png
 from objectfolder.figures import tile
-from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.ply import read_surface
 from objectfolder.seeding import numpy_generator
 from objectfolder.touch.dataset import draw_contacts, render_contacts

@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
+from objectfolder.arrays import write_npz, write_png
 from objectfolder.figures import tile
-from objectfolder.io import write_npz, write_png
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.seeding import numpy_generator
 from objectfolder.vision.color import on_white

@@ -3,8 +3,9 @@
 import numpy as np
 import torch
 
+from objectfolder.arrays import read_npz, write_safetensors
 from objectfolder.audio.net_settings import AudioConfig
-from objectfolder.io import read_npz, write_curve, write_safetensors
+from objectfolder.io import write_curve
 from objectfolder.nets.audio_gains import GainsNet
 from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
 from objectfolder.nets.audio_spectrogram import SpectrogramNet

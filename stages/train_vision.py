@@ -2,7 +2,8 @@
 
 import torch
 
-from objectfolder.io import read_npz, write_curve, write_safetensors
+from objectfolder.arrays import read_npz, write_safetensors
+from objectfolder.io import write_curve
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from disks import small_disk
 
+from objectfolder.arrays import read_npz, read_safetensors, write_npy, write_npz, write_png, write_safetensors
 from objectfolder.errors import ObjectFolderError
 from objectfolder.io import (
     atomic,
@@ -19,15 +20,9 @@ from objectfolder.io import (
     file_digest,
     keep,
     read_json,
-    read_npz,
-    read_safetensors,
     write_bytes,
     write_curve,
     write_json,
-    write_npy,
-    write_npz,
-    write_png,
-    write_safetensors,
 )
 from objectfolder.locks import private_path, remove_abandoned
 from objectfolder.nets.fit import CurvePoint

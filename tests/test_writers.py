@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from objectfolder import io
+from objectfolder import arrays, io
 from objectfolder.benchmarks.datasets.export import write_datasets, write_webdataset
 from objectfolder.benchmarks.datasets.lerobot import write_lerobot
 from objectfolder.benchmarks.datasets.nerfstudio import write_nerfstudio
@@ -289,10 +289,10 @@ WRITERS = {
     "json": lambda given: io.write_json("a.json", {}),
     "text": lambda given: io.write_text("a.txt", "a"),
     "bytes": lambda given: io.write_bytes("sub/a.bin", b"a"),
-    "npz": lambda given: io.write_npz("a.npz", **SMALL),
-    "npy": lambda given: io.write_npy("a.npy", SMALL["a"]),
-    "safetensors": lambda given: io.write_safetensors("a.safetensors", SMALL, {}),
-    "png": lambda given: io.write_png("a.png", np.zeros((2, 2), np.uint8)),
+    "npz": lambda given: arrays.write_npz("a.npz", **SMALL),
+    "npy": lambda given: arrays.write_npy("a.npy", SMALL["a"]),
+    "safetensors": lambda given: arrays.write_safetensors("a.safetensors", SMALL, {}),
+    "png": lambda given: arrays.write_png("a.png", np.zeros((2, 2), np.uint8)),
     "table": lambda given: io.write_table("a.csv", ["a"], [[1.0]]),
     "kept": lambda given: io.keep(given.path, "a.safetensors"),
     "page": lambda given: save_page(page(1, 1, "a"), Path("a.png")),

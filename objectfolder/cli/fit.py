@@ -43,11 +43,12 @@ def sound(
     density and Poisson's ratio stay as they are. The next build rescales the modes; it does not solve them
     again.
     """
+    from objectfolder.arrays import read_npz
     from objectfolder.audio.fitting import fit_sound
     from objectfolder.audio.recordings import read_recording, resample_to_lowest
     from objectfolder.audio.ringdown import LN_1000
     from objectfolder.checks import one_of
-    from objectfolder.io import check_output, read_json, read_npz
+    from objectfolder.io import check_output, read_json
     from objectfolder.materials import LAWS, Material
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_object

@@ -8,10 +8,10 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from objectfolder.arrays import read_rows
 from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import SAMPLE, empty_folder, object_file
 from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.io import read_rows
 from objectfolder.objectfile.header import PARTS, RADIATION, known_kinds
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def vision(
     ] = None,
 ) -> None:
     """Render views. Positions are in the unit frame, in which the object's longest side is 1."""
-    from objectfolder.io import write_npz, write_png
+    from objectfolder.arrays import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.objectfile.vision import LitCameras
     from objectfolder.vision.cameras import Intrinsics
@@ -173,8 +173,9 @@ def audio(
 
     Amplitudes are absolute and tiny; `--normalize` makes them audible.
     """
+    from objectfolder.arrays import wav_bytes
     from objectfolder.audio.synthesis import count_samples
-    from objectfolder.io import wav_bytes, write_bytes
+    from objectfolder.io import write_bytes
     from objectfolder.objectfile.file import ObjectFile
 
     points = read_rows(
@@ -245,7 +246,8 @@ def touch(
     sideways (metres), traction (Pa), marker_flow and the markers at rest (pixels), shear force and torque.
     docs/touch.md defines them.
     """
-    from objectfolder.io import write_png, write_table
+    from objectfolder.arrays import write_png
+    from objectfolder.io import write_table
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.objectfile.touch import ContactPoses
 
@@ -293,7 +295,7 @@ def touch(
 
 def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str]) -> None:
     """Write the named outputs of one contact."""
-    from objectfolder.io import write_npz, write_png
+    from objectfolder.arrays import write_npz, write_png
 
     if "image" in names:
         write_png(out / f"{number}.png", batch.images[row])

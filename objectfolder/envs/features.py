@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from objectfolder.arrays import read_npz, write_npz
 from objectfolder.envs.fingers import Presses, tactile_images
-from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
 
 PROBE = 0.0015  #: press depth of a gentle touch, as far as the sensor allows it, m

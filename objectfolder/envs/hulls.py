@@ -10,9 +10,9 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull
 
+from objectfolder.arrays import read_npz, write_npz
 from objectfolder.envs.solid import merge_meshes, missing_library, simplify
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_npz, write_npz
 from objectfolder.objectfile.file import ObjectFile
 
 MAX_HULLS = 16

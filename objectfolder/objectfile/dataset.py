@@ -14,8 +14,9 @@ from typing import Any, get_args
 import numpy as np
 import torch
 
+from objectfolder.arrays import MAX_BYTES
 from objectfolder.errors import ObjectFolderError, quoted, shortened
-from objectfolder.io import MAX_BYTES, file_digest
+from objectfolder.io import file_digest
 from objectfolder.objectfile.file import Device, ObjectFile
 from objectfolder.objectfile.header import NAMES, checked_name
 from objectfolder.text import from_csv, visible

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from objectfolder.arrays import open_safetensors, safetensors_bytes, write_safetensors
 from objectfolder.audio.synthesis import checked_sample_rate
 from objectfolder.checks import require_memory, whole_number
 from objectfolder.errors import ObjectFolderError, shortened
-from objectfolder.io import open_safetensors, safetensors_bytes, write_safetensors
 from objectfolder.materials import Material
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.arguments import Rows, finite_rows, usual_modes

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from objectfolder.arrays import torch_problem
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import torch_problem
 
 _KINDS = ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8")
 _ORDERS = ("<", ">", "=", "|")

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from objectfolder import materials
+from objectfolder.arrays import read_rows
 from objectfolder.checks import finite_number
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest, read_rows
+from objectfolder.io import file_digest
 from objectfolder.nets.released.gains import ReleasedGains
 from objectfolder.nets.released.kilo import ReleasedKilo
 from objectfolder.nets.released.network import Frame

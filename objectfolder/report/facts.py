@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.arrays import read_npz
 from objectfolder.engine.records import recall_costs
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.certainty import uncertainty_warning
-from objectfolder.io import file_digest, read_json, read_npz
+from objectfolder.io import file_digest, read_json
 from objectfolder.metrics import psnr
 from objectfolder.objectfile.evaluate_sound import UnitStrikes, compare_sounds
 from objectfolder.objectfile.evaluate_vision import choose_views, compare_views

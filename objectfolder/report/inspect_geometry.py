@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 import igl
 import numpy as np
 
+from objectfolder.arrays import read_npz
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import CutCells
 from objectfolder.fem.elements import solid_from_arrays
 from objectfolder.figures import page, page_rows, save_page, show_image
-from objectfolder.io import atomic, read_json, read_npz
+from objectfolder.io import atomic, read_json
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.ply import read_surface

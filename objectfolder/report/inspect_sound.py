@@ -9,10 +9,11 @@ from scipy.spatial import cKDTree
 
 from objectfolder.acoustics.farfield import FarField, unpack_far_field
 from objectfolder.acoustics.harmonics import real_harmonics
+from objectfolder.arrays import read_npz, read_safetensors
 from objectfolder.audio.spectrogram import SAMPLE_RATE, show_spectrogram
 from objectfolder.audio.synthesis import gains, sinusoid_bank
 from objectfolder.figures import page, page_rows, save_page, show_image
-from objectfolder.io import read_json, read_npz, read_safetensors
+from objectfolder.io import read_json
 from objectfolder.mesh.ply import read_surface
 from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.report.inspect_scene import draw_scene, triangles

@@ -10,9 +10,10 @@ import numpy as np
 from PIL import Image
 
 from objectfolder.acoustics.farfield import unpack_far_field
+from objectfolder.arrays import read_npz, read_safetensors
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.io import read_json, read_npz, read_safetensors
+from objectfolder.io import read_json
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.reading.load import load_mesh

@@ -5,11 +5,11 @@ import pytest
 import trimesh
 from solids import box, flipped, join, sphere
 
+from objectfolder.arrays import read_npz, write_npz
 from objectfolder.envs import hulls as module
 from objectfolder.envs.hulls import MAX_VERTICES, cached_hulls, convex_hulls, read_hulls, write_hulls
 from objectfolder.envs.solid import close_holes, simplify
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_npz, write_npz
 
 SIDES = (1.0, 0.6, 0.3)
 

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from solids import box, join, sphere
 
+from objectfolder.arrays import write_npz
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.settings import VoxelizeConfig
 from objectfolder.fem.voxelize import voxelize
-from objectfolder.io import write_json, write_npz
+from objectfolder.io import write_json
 
 SIDES = (1.0, 0.5, 0.25)
 CONFIG = VoxelizeConfig(

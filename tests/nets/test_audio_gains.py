@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from objectfolder.arrays import read_safetensors, safetensors_bytes, write_safetensors
 from objectfolder.audio.net_settings import GainsConfig
-from objectfolder.io import read_safetensors, safetensors_bytes, write_safetensors
 from objectfolder.metrics import gain_errors
 from objectfolder.nets import audio_gains_training
 from objectfolder.nets.audio_gains import INT8, GainsNet, energy_weights

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import torch
 
+from objectfolder.arrays import read_safetensors, write_safetensors
 from objectfolder.audio.net_settings import SpectrogramConfig
 from objectfolder.audio.spectrogram import SHAPE, invert_spectrogram, spectrogram
 from objectfolder.audio.synthesis import sinusoid_bank
-from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import SpectrogramErrors
 from objectfolder.nets.audio_gains_training import ModeSamples
 from objectfolder.nets.audio_spectrogram import SpectrogramNet

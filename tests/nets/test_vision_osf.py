@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from objectfolder import ObjectFile
+from objectfolder.arrays import read_safetensors, write_safetensors
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.metrics import psnr
 from objectfolder.nets.fit import Session
 from objectfolder.nets.vision_osf import OsfNet, ScatteringFunction

@@ -6,8 +6,8 @@ import torch
 from pretend_device import pretend_device
 from solids import isosurface, sphere
 
+from objectfolder.arrays import read_safetensors, write_safetensors
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.nets.fit import Session
 from objectfolder.nets.hashgrid import HashGrid

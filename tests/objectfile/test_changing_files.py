@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from objectfolder import ObjectFile
+from objectfolder.arrays import open_safetensors, read_npz, read_rows, read_safetensors, write_safetensors
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import open_safetensors, read_npz, read_rows, read_safetensors, write_safetensors
 
 TOP, UP = [[0.0, 0.0, 0.015]], [[0.0, 0.0, 1.0]]
 

@@ -19,8 +19,8 @@ from safetensors.numpy import save_file
 from solids import box
 
 from objectfolder import ObjectFile
+from objectfolder.arrays import read_safetensors, write_safetensors
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_safetensors, write_safetensors
 from objectfolder.mesh.featurecodec import COUNTED, pack_features
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.topology import signed_volume

@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from objectfolder import ObjectFile
+from objectfolder.arrays import safetensors_bytes
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import safetensors_bytes
 from objectfolder.objectfile.header import format_name
 from objectfolder.objectfile.samples import available_samples, file_or_sample, sample_path
 

@@ -17,10 +17,11 @@ from conftest import ROOT, Workspace
 from ruamel.yaml import YAML
 
 from objectfolder import ObjectFile
+from objectfolder.arrays import read_npz
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.models.shape_model import load_model
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json, read_npz
+from objectfolder.io import read_json
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.vision.cameras import Intrinsics

@@ -12,9 +12,9 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from objectfolder.arrays import torch_problem
 from objectfolder.benchmarks.models.encoders import read_weights
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import torch_problem
 from objectfolder.released.checkpoint import read_released
 
 FORMATS = pytest.mark.parametrize("zipped", [True, False], ids=["zip", "older"])

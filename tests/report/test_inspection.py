@@ -18,21 +18,12 @@ from PIL import Image
 from rich.console import Console
 
 from objectfolder.acoustics.radiation import pack_radiation, radiate
+from objectfolder.arrays import read_npz, read_safetensors, write_npz, write_png, write_safetensors
 from objectfolder.errors import ObjectFolderError
 from objectfolder.fem.cutcell import cut_cells
 from objectfolder.fem.elements import solid_arrays, solid_from_arrays
 from objectfolder.fem.modal import modal_analysis
-from objectfolder.io import (
-    atomic,
-    read_json,
-    read_npz,
-    read_safetensors,
-    write_curve,
-    write_json,
-    write_npz,
-    write_png,
-    write_safetensors,
-)
+from objectfolder.io import atomic, read_json, write_curve, write_json
 from objectfolder.materials import material
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface

@@ -14,11 +14,12 @@ import pytest
 import soundfile
 from PIL import Image
 
+from objectfolder.arrays import read_npz, write_npz
 from objectfolder.cli import app
 from objectfolder.engine.process import CommandResult
 from objectfolder.engine.records import LOGS, record_cost
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest, read_json, read_npz, write_json, write_npz
+from objectfolder.io import file_digest, read_json, write_json
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.header import PARTS
 from objectfolder.report.facts import object_report

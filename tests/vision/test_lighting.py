@@ -8,8 +8,8 @@ import pytest
 import torch
 from solids import box, isosurface, sphere, stored
 
+from objectfolder.arrays import write_png
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_png
 from objectfolder.objectfile.vision import light_picture
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.environment import MAX_PIXEL, environment_lamps, pixel_directions, read_environment

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.arrays import write_npy
 from objectfolder.benchmarks.datasets.observations import CLOSE_UP_ARRAYS, CLOSE_UP_RECORD
 from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json, write_json, write_npy
+from objectfolder.io import read_json, write_json
 from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames

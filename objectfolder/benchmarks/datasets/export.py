@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.arrays import wav_bytes
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.disk import new_folder
 from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.io import wav_bytes, write_json, write_text
+from objectfolder.io import write_json, write_text
 from objectfolder.objectfile.header import checked_name
 from objectfolder.pictures import png_bytes
 from objectfolder.seeding import numpy_generator

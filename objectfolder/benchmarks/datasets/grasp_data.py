@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.arrays import write_npz
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
 from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
 from objectfolder.benchmarks.datasets.settings import GraspDataConfig
@@ -27,7 +28,7 @@ from objectfolder.envs.grasp_scene import GraspScene, Outcomes, Physics, lowest_
 from objectfolder.envs.gripper import PAD, hand_axes
 from objectfolder.envs.hulls import hulls_digest
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic_stream, read_json, write_json, write_npz
+from objectfolder.io import atomic_stream, read_json, write_json
 from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.seeding import numpy_generator

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.arrays import read_npz
 from objectfolder.benchmarks.datasets.samples import (
     Samples,
     array_path,
@@ -20,7 +21,7 @@ from objectfolder.benchmarks.datasets.samples import (
 )
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json, read_npz
+from objectfolder.io import read_json
 from objectfolder.workspace.layout import MODALITIES
 
 VERSION = 1  #: of the sampling procedure and the format; other versions are refused

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from objectfolder.io import read_npz, write_npz
+from objectfolder.arrays import read_npz, write_npz
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface

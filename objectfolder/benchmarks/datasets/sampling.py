@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from objectfolder.arrays import write_npy, write_npz
 from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
 from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, RELIEF, SOURCE, UNTOUCHED, VERSION
 from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.disk import enough_space
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic_stream, read_json, write_json, write_npy, write_npz
+from objectfolder.io import atomic_stream, read_json, write_json
 from objectfolder.locks import exclusive
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile

@@ -12,11 +12,12 @@ from runpy import run_path
 import torch
 from torch import nn
 
+from objectfolder.arrays import torch_problem
 from objectfolder.benchmarks.models.inputs import CHANNELS
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest, torch_problem
+from objectfolder.io import file_digest
 
 Factory = Callable[[int], nn.Module]
 _FACTORIES: dict[str, Factory] = {}

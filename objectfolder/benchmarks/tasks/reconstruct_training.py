@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
+from objectfolder.arrays import write_png
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.shape_model import ShapeModel, load_model, save_model
 from objectfolder.benchmarks.reporting.shape_pictures import sheet
@@ -31,7 +32,7 @@ from objectfolder.benchmarks.tasks.shape_training import (
     validation_rows,
 )
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import keep, write_png
+from objectfolder.io import keep
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import MODALITIES

@@ -10,13 +10,14 @@ import torch
 from scipy.spatial import cKDTree
 from torch.nn import functional as F
 
+from objectfolder.arrays import write_png
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.models.translator import Translator
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.vision_to_touch import VisionToTouchConfig
 from objectfolder.figures import tile
-from objectfolder.io import keep, write_png
+from objectfolder.io import keep
 from objectfolder.metrics import psnr, ssim
 from objectfolder.seeding import numpy_generator, seeded
 

@@ -8,6 +8,7 @@ from ruamel.yaml import YAML
 from tiny_tasks import Line
 from typer.testing import CliRunner
 
+from objectfolder.arrays import write_safetensors
 from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.ppo import train_ppo
@@ -31,7 +32,7 @@ from objectfolder.cli import app
 from objectfolder.envs.body import rigid_body
 from objectfolder.envs.reach import ReachEnv
 from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json, write_safetensors
+from objectfolder.io import read_json
 from objectfolder.workspace.layout import Benchmarks
 
 TINY = ReachConfig(
