@@ -9,10 +9,10 @@ import numpy as np
 from PIL import Image
 
 from objectfolder import ObjectFile
-from objectfolder.envs.body import add_body, rigid_body
-from objectfolder.envs.clip import SceneCamera, SceneView, Take, simulate
-from objectfolder.envs.hearing import Hearing
-from objectfolder.io import atomic
+from objectfolder.base.io import atomic
+from objectfolder.sim.body import add_body, rigid_body
+from objectfolder.sim.clip import SceneCamera, SceneView, Take, simulate
+from objectfolder.sim.hearing import Hearing
 
 mpl.use("Agg")
 from matplotlib import pyplot

@@ -10,9 +10,9 @@ import numpy as np
 import soundfile
 
 from objectfolder import ObjectFile
-from objectfolder.audio.spectrogram import SAMPLE_RATE, show_spectrogram
-from objectfolder.figures import page, page_rows, save_page
+from objectfolder.base.figures import page, page_rows, save_page
 from objectfolder.report.inspect_sound import show_directivity
+from objectfolder.sound.spectrogram import SAMPLE_RATE, show_spectrogram
 
 MODES = {"mug": 4, "bell": 2}
 LISTENER = [[0.6, -0.6, 0.5]]

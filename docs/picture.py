@@ -8,9 +8,9 @@ import torch
 from matplotlib.figure import Figure
 
 from objectfolder import ObjectFile
-from objectfolder.audio.spectrogram import spectrogram
-from objectfolder.io import atomic
+from objectfolder.base.io import atomic
 from objectfolder.objectfile.samples import available_samples
+from objectfolder.sound.spectrogram import spectrogram
 
 CAMERAS = np.array([[1.9, -1.2, 1.1], [-1.6, -1.6, 1.2], [0.6, 2.0, 1.5]])
 

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from objectfolder.figures import tile
-from objectfolder.io import atomic
-from objectfolder.mesh.procedural import generate
+from objectfolder.base.figures import tile
+from objectfolder.base.io import atomic
 from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.shapes import generate
 from objectfolder.vision.cameras import Intrinsics, look_at, project
 from objectfolder.vision.color import on_white
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer

@@ -6,10 +6,10 @@ import numpy as np
 import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
-from objectfolder.io import atomic
+from objectfolder.base.io import atomic
 from objectfolder.mesh.closing.surface import close_surface
-from objectfolder.mesh.procedural import generate
 from objectfolder.mesh.raycast import RayCaster
+from objectfolder.shapes import generate
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, available_profiles, load_profile
 from objectfolder.touch.simulate import touch_images

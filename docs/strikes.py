@@ -14,8 +14,8 @@ from PIL import Image
 from scipy.signal import ShortTimeFFT
 
 from objectfolder import ObjectFile
-from objectfolder.audio.click import recoil_pressure
-from objectfolder.figures import page
+from objectfolder.base.figures import page
+from objectfolder.sound.click import recoil_pressure
 
 RATE, SECONDS = 44100, 1.0
 LISTENER = np.array([[0.6, -0.6, 0.5]])  # metres

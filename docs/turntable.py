@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from objectfolder import ObjectFile
-from objectfolder.io import atomic
+from objectfolder.base.io import atomic
 from objectfolder.objectfile.samples import available_samples
 from objectfolder.objectfile.turntable import Turntable
 from objectfolder.vision.lighting import studio

@@ -23,7 +23,7 @@ with atheris.instrument_imports(include=["objectfolder"]):
     from brick import build_brick
     from damage import leaves
 
-    from objectfolder.errors import ObjectFolderError
+    from objectfolder.base.errors import ObjectFolderError
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.vision import radiosity
 

@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 with atheris.instrument_imports(include=["objectfolder"]):
     import numpy as np
 
-    from objectfolder.arrays import read_rows
-    from objectfolder.errors import ObjectFolderError
-    from objectfolder.objectfile.arguments import finite_rows
+    from objectfolder.base.arrays import read_rows
+    from objectfolder.base.errors import ObjectFolderError
+    from objectfolder.stored.arguments import finite_rows
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
 DTYPES = (

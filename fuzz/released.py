@@ -21,8 +21,8 @@ with atheris.instrument_imports(include=["objectfolder"]):
     import released_files
     import torch
 
-    from objectfolder.errors import ObjectFolderError
-    from objectfolder.released.convert import ImportOptions, convert
+    from objectfolder.base.errors import ObjectFolderError
+    from objectfolder.hub.importer.convert import ImportOptions, convert
 
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz"))
 PICKLE = 2000  # leading bytes of the older format, which hold its structure

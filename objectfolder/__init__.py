@@ -28,5 +28,5 @@ def __getattr__(name: str) -> Any:
     if name == "Dataset":
         return import_module("objectfolder.objectfile.dataset").Dataset
     if name == "__version__":
-        return import_module("objectfolder.installation").installed_version()
+        return import_module("objectfolder.base.installation").installed_version()
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

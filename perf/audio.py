@@ -16,15 +16,15 @@ from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.arrays import read_npz, read_safetensors, write_safetensors
-from objectfolder.audio.net_settings import AudioConfig
-from objectfolder.audio.spectrogram import SAMPLE_RATE, spectrogram
-from objectfolder.audio.synthesis import is_audible, sinusoid_bank
-from objectfolder.metrics import SpectrogramErrors, gain_errors
-from objectfolder.nets.audio_gains import GainsNet, energy_weights
-from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
+from objectfolder.base.arrays import read_npz, read_safetensors, write_safetensors
+from objectfolder.base.metrics import SpectrogramErrors, gain_errors
+from objectfolder.base.seeding import torch_generator
 from objectfolder.nets.fit import Session
-from objectfolder.seeding import torch_generator
+from objectfolder.sound.gains_net import GainsNet, energy_weights
+from objectfolder.sound.gains_training import ModeSamples, train_gains
+from objectfolder.sound.net_settings import AudioConfig
+from objectfolder.sound.spectrogram import SAMPLE_RATE, spectrogram
+from objectfolder.sound.synthesis import is_audible, sinusoid_bank
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 

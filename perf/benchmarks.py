@@ -17,10 +17,10 @@ from results import object_tables, shared_tables
 from rich.console import Console
 from rich.table import Table
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import atomic, read_json
 from objectfolder.benchmarks.tasks import retrieve
 from objectfolder.benchmarks.tasks.task import list_tasks
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic, read_json
 from objectfolder.workspace.layout import Benchmarks
 
 #: Least accuracy; those of several modalities are the paper's.

@@ -20,11 +20,11 @@ from rich.progress import track
 from rich.table import Table
 
 from objectfolder import ObjectFile
-from objectfolder.arrays import read_npz
-from objectfolder.audio.spectrogram import spectrogram
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.figures import tile
+from objectfolder.base.io import atomic, read_json
 from objectfolder.engine.records import recall_costs
-from objectfolder.figures import tile
-from objectfolder.io import atomic, read_json
+from objectfolder.sound.spectrogram import spectrogram
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 

@@ -16,9 +16,9 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder import ObjectFile
-from objectfolder.audio.click import SOUND_SPEED, recoil_pressure
-from objectfolder.audio.contact import striker_names
 from objectfolder.objectfile.samples import file_or_sample
+from objectfolder.sound.click import SOUND_SPEED, recoil_pressure
+from objectfolder.sound.contact import striker_names
 
 RATE, SECONDS = 44100, 0.1
 OVER = 8  # the reference has as many times the samples

@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder import ObjectFile
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.tasks.running import machine
-from objectfolder.errors import ObjectFolderError
 from objectfolder.vision.cameras import sphere_points
 
 BATCH, REPEATS = 64, 5

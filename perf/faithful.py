@@ -23,13 +23,13 @@ from rich.console import Console
 from rich.table import Table
 from workspaces import OwnWorkspace
 
-from objectfolder.arrays import read_npz
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.io import read_json, write_json
 from objectfolder.engine.records import recall_costs
-from objectfolder.io import read_json, write_json
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.positional import PointwiseNetwork, train_in
-from objectfolder.nets.vision_osf import OsfNet, pixel_centres
 from objectfolder.vision.cameras import camera_rays, image_intrinsics
+from objectfolder.vision.osf_net import OsfNet, pixel_centres
 from objectfolder.vision.visual_hull import visual_hull
 from objectfolder.vision.volume import Rays
 from objectfolder.workspace.layout import MODALITIES, Build
@@ -176,7 +176,7 @@ def step_seconds(workspace: OwnWorkspace, key: str, values: dict[str, Any]) -> d
 
 def draw(objects: dict[str, dict[str, Any]], path: Path) -> None:
     """Draw the validation losses of the paper's nets over their steps, one panel for each sense."""
-    from objectfolder.figures import page, save_page
+    from objectfolder.base.figures import page, save_page
 
     sheet = page(9.6, 2.8, "")
     for place, sense in enumerate(MODALITIES, 1):

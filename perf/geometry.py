@@ -17,15 +17,15 @@ from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.yamlfile import read_yaml
 from objectfolder.mesh.gridcodec import BOUND, band_width, pack_grid
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.procedural import generate
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.shapes import generate
 from objectfolder.workspace import params
-from objectfolder.yamlfile import read_yaml
 
 GENERATED = "generated"  # stands for the up axis of a procedural object
 ROOT = Path(__file__).parents[1]
@@ -60,8 +60,8 @@ def load(source: str, up: str, texture_size: int) -> TexturedMesh:
 
 def measure(key: str, source: str, up: str) -> dict:
     """Measure one object in this process."""
-    from objectfolder.fem.settings import VoxelizeConfig
-    from objectfolder.fem.voxelize import voxelize
+    from objectfolder.sound.fem.settings import VoxelizeConfig
+    from objectfolder.sound.fem.voxelize import voxelize
 
     values = params.read(ROOT / "params.yaml")
     row: dict = {"object": key}

@@ -21,6 +21,7 @@ from harness import parsed, write_record
 from rich.console import Console
 from rich.table import Table
 
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.grasp_data import (
     BATCH,
     Attempts,
@@ -30,11 +31,10 @@ from objectfolder.benchmarks.datasets.grasp_data import (
     label_grasps,
 )
 from objectfolder.benchmarks.tasks.running import machine
-from objectfolder.envs.body import RigidBody, rigid_body, user_folder
-from objectfolder.envs.grasp_scene import GraspScene, Physics
-from objectfolder.envs.hulls import cached_hulls
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.seeding import numpy_generator
+from objectfolder.sim.body import RigidBody, rigid_body, user_folder
+from objectfolder.sim.grasp_scene import GraspScene, Physics
+from objectfolder.sim.hulls import cached_hulls
 
 REFERENCE = 0.00025  #: time step, s
 STEPS = (0.001, 0.002, 0.004)

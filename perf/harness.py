@@ -13,8 +13,8 @@ from typing import Any
 
 from rich.console import Console
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_text
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_text
 
 ROOT = Path(__file__).parents[1]
 LIBRARIES = ("OMP", "OPENBLAS", "MKL", "IGL")

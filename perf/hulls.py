@@ -20,12 +20,12 @@ from manifold3d import Manifold, Mesh64, OpType
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.envs.body import density, rigid_body
-from objectfolder.envs.hulls import convex_hulls
-from objectfolder.envs.solid import close_holes
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.mesh.ply import read_surface
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.seeding import numpy_generator
+from objectfolder.sim.body import density, rigid_body
+from objectfolder.sim.hulls import convex_hulls
+from objectfolder.sim.solid import close_holes
 
 POINTS = 20_000
 

@@ -28,8 +28,8 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.metrics import psnr
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.metrics import psnr
 from objectfolder.touch.ball import BallModel
 from objectfolder.touch.calibration import SensorFit, fit_sensor_lights, save_fit
 from objectfolder.touch.imprint import find_imprint, find_overflow

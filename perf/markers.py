@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
 
-from objectfolder.figures import page, save_page
+from objectfolder.base.figures import page, save_page
 from objectfolder.touch.gel import deform
 from objectfolder.touch.markers import marker_flow
 from objectfolder.touch.profiles import SensorProfile, load_profile

@@ -19,18 +19,18 @@ from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.arrays import read_npz
-from objectfolder.audio.synthesis import sinusoid_bank
-from objectfolder.fem.adaptive import refine_grid
-from objectfolder.fem.eigen import solve_modes
-from objectfolder.fem.elasticity import Solid
-from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.fem.modal import MIN_FREQUENCY, refined_analysis
-from objectfolder.fem.settings import FineGrids
-from objectfolder.materials import material
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.materials import material
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh
+from objectfolder.sound.fem.adaptive import refine_grid
+from objectfolder.sound.fem.eigen import solve_modes
+from objectfolder.sound.fem.elasticity import Solid
+from objectfolder.sound.fem.elements import solid_from_arrays
+from objectfolder.sound.fem.modal import MIN_FREQUENCY, refined_analysis
+from objectfolder.sound.fem.settings import FineGrids
+from objectfolder.sound.synthesis import sinusoid_bank
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 

@@ -21,17 +21,17 @@ from numpy.polynomial import legendre
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.fem.blocks import merge_full_blocks
-from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.eigen import Modes, solve_modes
-from objectfolder.fem.elements import discretize
-from objectfolder.fem.modal import refined_analysis
-from objectfolder.fem.settings import FineGrids
-from objectfolder.materials import Material, material
+from objectfolder.base.materials import Material, material
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.procedural import generate
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
+from objectfolder.shapes import generate
+from objectfolder.sound.fem.blocks import merge_full_blocks
+from objectfolder.sound.fem.cutcell import cut_cells
+from objectfolder.sound.fem.eigen import Modes, solve_modes
+from objectfolder.sound.fem.elements import discretize
+from objectfolder.sound.fem.modal import refined_analysis
+from objectfolder.sound.fem.settings import FineGrids
 from objectfolder.workspace import params
 
 ROOT = Path(__file__).parents[1]

@@ -19,11 +19,11 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from objectfolder.fem.accuracy import Discretisation
-from objectfolder.fem.blocks import merge_full_blocks
-from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.eigen import FreeVibration
 from objectfolder.mesh.topology import Mesh, signed_volume
+from objectfolder.sound.fem.accuracy import Discretisation
+from objectfolder.sound.fem.blocks import merge_full_blocks
+from objectfolder.sound.fem.cutcell import cut_cells
+from objectfolder.sound.fem.eigen import FreeVibration
 
 MODES = 6
 RESOLUTIONS = (12, 16, 24, 32, 48)
@@ -122,7 +122,7 @@ def tetrahedra(name: str, surface: Mesh, wall: float) -> np.ndarray:
     """Solve on 40,000 or more quadratic tetrahedra with edges of at most about the wall; Hz."""
     import tetgen
 
-    from objectfolder.fem.tetrahedra import quadratic
+    from objectfolder.sound.fem.tetrahedra import quadratic
 
     largest = min(wall**3, signed_volume(*surface) / 40_000)
     vertices, faces = np.ascontiguousarray(surface[0], float), surface[1].astype(np.int32)

@@ -26,21 +26,21 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 
-from objectfolder.arrays import read_npz, write_npz
-from objectfolder.fem.eigen import FreeVibration
-from objectfolder.fem.elements import discretize
-from objectfolder.fem.modal import refined_analysis
-from objectfolder.fem.settings import ModalConfig
-from objectfolder.fem.tetrahedra import Tetrahedra, quadratic
-from objectfolder.io import read_json
-from objectfolder.materials import material
+from objectfolder.base.arrays import read_npz, write_npz
+from objectfolder.base.io import read_json
+from objectfolder.base.materials import material
 from objectfolder.mesh.closing.piercing import self_intersections
 from objectfolder.mesh.normalize import normalize
-from objectfolder.mesh.procedural import generate
 from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, signed_volume
+from objectfolder.shapes import generate
+from objectfolder.sound.fem.eigen import FreeVibration
+from objectfolder.sound.fem.elements import discretize
+from objectfolder.sound.fem.modal import refined_analysis
+from objectfolder.sound.fem.settings import ModalConfig
+from objectfolder.sound.fem.tetrahedra import Tetrahedra, quadratic
 from objectfolder.workspace import params
 
 ROOT = Path(__file__).parents[1]

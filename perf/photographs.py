@@ -12,14 +12,14 @@ from harness import parsed, write_record
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.arrays import read_npz
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.occupancy import is_inside, uniform_points
 from objectfolder.benchmarks.datasets.splits import per_sample
 from objectfolder.benchmarks.models.shape_model import load_model
 from objectfolder.benchmarks.tasks.photograph import photograph_scores, view_scores
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.seeding import numpy_generator
 from objectfolder.workspace.layout import Build
 
 SCORE_POINTS = 30000

@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder import ObjectFile
-from objectfolder.acoustics.farfield import FarField, unpack_far_field
-from objectfolder.acoustics.harmonics import real_harmonics
-from objectfolder.acoustics.radiation import radiate
-from objectfolder.arrays import read_npz, read_safetensors
+from objectfolder.base.arrays import read_npz, read_safetensors
 from objectfolder.mesh.ply import read_surface
+from objectfolder.sound.radiation.farfield import FarField, unpack_far_field
+from objectfolder.sound.radiation.harmonics import real_harmonics
+from objectfolder.sound.radiation.radiation import radiate
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 

@@ -18,6 +18,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy import ndimage
 
+from objectfolder.base.io import atomic
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.occupancy import is_inside, uniform_points
 from objectfolder.benchmarks.models.framing import frame_cutout
 from objectfolder.benchmarks.models.shape_model import ShapeModel, load_model
@@ -25,9 +27,7 @@ from objectfolder.benchmarks.reporting.shape_pictures import sheet
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import THRESHOLDS, best_level
 from objectfolder.benchmarks.tasks.photograph import cut_out, photograph_to_mesh, read_picture
-from objectfolder.io import atomic
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.seeding import numpy_generator
 
 FOCAL, CENTRE, UNITS = (1066.778, 1067.487), (312.9869, 241.3109), 10000.0  #: tools/demo.py of PoseCNN
 HEIGHTS = (0.004, 0.4)  #: m above the table

@@ -23,14 +23,14 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares, linear_sum_assignment
 
-from objectfolder.acoustics.radiation import radiate
-from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED
-from objectfolder.audio.fitting import fit_sound, match_modes
-from objectfolder.audio.recordings import read_recording, resample_to_lowest
-from objectfolder.audio.ringdown import BAND, LN_1000, Ringdown, ringdown, strikes
-from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.eigen import solve_modes
-from objectfolder.materials import Material, material
+from objectfolder.base.materials import Material, material
+from objectfolder.sound.click import AIR_DENSITY, SOUND_SPEED
+from objectfolder.sound.fem.cutcell import cut_cells
+from objectfolder.sound.fem.eigen import solve_modes
+from objectfolder.sound.fitting import fit_sound, match_modes
+from objectfolder.sound.radiation.radiation import radiate
+from objectfolder.sound.recordings import read_recording, resample_to_lowest
+from objectfolder.sound.ringdown import BAND, LN_1000, Ringdown, ringdown, strikes
 
 CELLS, SUBDIVISIONS = 32, 8
 MAX_RAW, MAX_FITTED = 0.03, 0.005  # of frequencies: the ceramic of the table, and after the fit, rms

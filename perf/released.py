@@ -12,15 +12,15 @@ import numpy as np
 import torch
 from harness import parsed, write_record
 
-from objectfolder.nets.released.gains import ReleasedGains
-from objectfolder.nets.released.kilo import ReleasedKilo
-from objectfolder.nets.released.network import Frame, ReleasedNetwork
-from objectfolder.nets.released.spectrogram import ReleasedSpectrogram
-from objectfolder.nets.released.touch import APEX, DEPTH_SIZE, ReleasedDepth, ReleasedImage
-from objectfolder.nets.released.vision import March, ReleasedNerf
-from objectfolder.nets.vision_osf import ScatteringFunction
+from objectfolder.nets.released_network import Frame, ReleasedNetwork
+from objectfolder.sound.released_gains import ReleasedGains
+from objectfolder.sound.released_spectrogram import ReleasedSpectrogram
 from objectfolder.touch.profiles import load_profile
+from objectfolder.touch.released_net import APEX, DEPTH_SIZE, ReleasedDepth, ReleasedImage
 from objectfolder.vision.cameras import Intrinsics, look_at
+from objectfolder.vision.osf_net import ScatteringFunction
+from objectfolder.vision.released_kilo import ReleasedKilo
+from objectfolder.vision.released_net import March, ReleasedNerf
 
 WIDTH, DEPTH = 256, 8
 MODES = 100

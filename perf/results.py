@@ -20,11 +20,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Undefined
 from query import FIGURES, significant
 from ruamel.yaml import YAML
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json, write_text
 from objectfolder.benchmarks.reporting.tables import Table
 from objectfolder.benchmarks.tasks.running import machine
 from objectfolder.benchmarks.tasks.task import Task, find_task
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json, write_text
 from objectfolder.workspace.layout import Benchmarks
 from objectfolder.workspace.params import BENCHMARKS
 from objectfolder.workspace.presets import read_preset

@@ -49,8 +49,8 @@ def hearing(bodies: str) -> dict:
     import torch
 
     from objectfolder import ObjectFile
-    from objectfolder.envs.body import add_body, rigid_body
-    from objectfolder.envs.hearing import Hearing
+    from objectfolder.sim.body import add_body, rigid_body
+    from objectfolder.sim.hearing import Hearing
 
     torch.set_num_threads(1)
     files = [ObjectFile.sample(name) for name in KINDS]
@@ -85,8 +85,8 @@ def feeling(pads: str) -> dict:
     import torch
 
     from objectfolder import ObjectFile
-    from objectfolder.envs.body import add_body, rigid_body
-    from objectfolder.envs.feeling import Feeling
+    from objectfolder.sim.body import add_body, rigid_body
+    from objectfolder.sim.feeling import Feeling
 
     torch.set_num_threads(1)
     file = ObjectFile.sample("mug")
@@ -136,7 +136,7 @@ def drop(first: str, count: str, path: str) -> dict:
     import numpy as np
     import torch
 
-    from objectfolder.envs.drop import DropEnv
+    from objectfolder.sim.drop import DropEnv
 
     torch.set_num_threads(1)
     env, sounds, answers = DropEnv(), [], []
@@ -153,8 +153,8 @@ def ear(folder: str, train: str) -> dict:
     import numpy as np
     import torch
 
-    from objectfolder.envs.drop import DropEnv
-    from objectfolder.envs.ears import Ear, features
+    from objectfolder.sim.drop import DropEnv
+    from objectfolder.sim.ears import Ear, features
 
     torch.set_num_threads(1)
     parts = [np.load(path, allow_pickle=False) for path in sorted(Path(folder).glob("*.npz"))]
@@ -186,8 +186,8 @@ def rows(first: str, count: str, path: str) -> dict:
     import numpy as np
     import torch
 
-    from objectfolder.envs.ears import features
-    from objectfolder.envs.tap import TapEnv
+    from objectfolder.sim.ears import features
+    from objectfolder.sim.tap import TapEnv
 
     torch.set_num_threads(1)
     env, heard, odd, stuff = TapEnv(), [], [], []
@@ -207,8 +207,8 @@ def tap(folder: str, train: str) -> dict:
     import numpy as np
     import torch
 
-    from objectfolder.envs.ears import THRESHOLDS, OddEar, find_odd
-    from objectfolder.envs.tap import TapEnv
+    from objectfolder.sim.ears import THRESHOLDS, OddEar, find_odd
+    from objectfolder.sim.tap import TapEnv
 
     torch.set_num_threads(1)
     parts = [np.load(path, allow_pickle=False) for path in sorted(Path(folder).glob("*.npz"))]
@@ -249,7 +249,7 @@ def touches(count: str, *files: str) -> dict:
     import torch
 
     from objectfolder import ObjectFile
-    from objectfolder.envs.explore import ExploreEnv, Explorer, explore
+    from objectfolder.sim.explore import ExploreEnv, Explorer, explore
 
     torch.set_num_threads(1)
     env = ExploreEnv([ObjectFile.load(file) for file in files] or KINDS)

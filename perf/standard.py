@@ -15,8 +15,8 @@ from modal_reference import REAL
 from rich.console import Console
 from workspaces import OwnWorkspace, show_scores
 
-from objectfolder.io import read_json
-from objectfolder.yamlfile import read_yaml
+from objectfolder.base.io import read_json
+from objectfolder.base.yamlfile import read_yaml
 
 THIN = ROOT / "catalogs/thin.yaml"
 SEEN, FELT, GAIN_ERROR = 40.0, 43.0, 0.02  #: dB, dB, share

@@ -27,9 +27,10 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder import ObjectFile
-from objectfolder.arrays import write_npz, write_png
-from objectfolder.errors import ObjectFolderError
-from objectfolder.figures import tile
+from objectfolder.base.arrays import write_npz, write_png
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.figures import tile
+from objectfolder.base.metrics import psnr
 from objectfolder.mesh.closing.surface import close_surface
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
@@ -38,22 +39,21 @@ from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.metrics import psnr
 from objectfolder.nets.fit import Session
-from objectfolder.nets.touch_geometric import GeometricTouch
-from objectfolder.nets.touch_geometric_training import fit_contacts
-from objectfolder.nets.touch_image_training import train_image
-from objectfolder.objectfile.evaluate_touch import score_images
-from objectfolder.objectfile.surface import UNMOVED, ObjectSurface
+from objectfolder.stored.surface import UNMOVED, ObjectSurface
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps
-from objectfolder.touch.dataset import render_contacts
+from objectfolder.touch.evaluation import score_images
 from objectfolder.touch.gel import deform
+from objectfolder.touch.geometric_net import GeometricTouch
+from objectfolder.touch.geometric_training import fit_contacts
+from objectfolder.touch.image_training import train_image
 from objectfolder.touch.net_settings import ImageConfig
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.simulate import touch_images
 from objectfolder.touch.tacto import TactoReference
 from objectfolder.touch.tacto_rays import TactoRays
+from objectfolder.touch.truth import render_contacts
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 

@@ -20,7 +20,8 @@ from rich.progress import track
 from rich.table import Table
 from torch.nn import functional as F
 
-from objectfolder.arrays import write_npz
+from objectfolder.base.arrays import write_npz
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.sampling import ask, draw_queries
 from objectfolder.benchmarks.datasets.settings import ObserveConfig
@@ -34,7 +35,6 @@ from objectfolder.benchmarks.tasks.recognize_training import FLAT, recognize
 from objectfolder.benchmarks.tasks.running import Run
 from objectfolder.engine.process import in_processes
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.workspace import params as workspace
 
 #: Touches of an object to learn from, and steps in thousands.

@@ -15,13 +15,13 @@ from harness import parsed, write_record
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.arrays import read_npz
-from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.fem.modal import modal_analysis
-from objectfolder.io import read_json
-from objectfolder.materials import LAWS, material
-from objectfolder.nets.audio_gains import energy_weights
-from objectfolder.objectfile.evaluate_sound import lost_energy
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.io import read_json
+from objectfolder.base.materials import LAWS, material
+from objectfolder.sound.evaluation import lost_energy
+from objectfolder.sound.fem.elements import solid_from_arrays
+from objectfolder.sound.fem.modal import modal_analysis
+from objectfolder.sound.gains_net import energy_weights
 from objectfolder.workspace.layout import Build
 
 FACTOR = 1.5

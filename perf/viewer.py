@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from objectfolder import ObjectFile
-from objectfolder.materials import material
+from objectfolder.base.materials import material
 from objectfolder.viewer.page import page_sensor, static_text, viewer_page
 from objectfolder.vision.cameras import sphere_points
 

@@ -20,26 +20,26 @@ from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
-from objectfolder.arrays import read_npz, write_npz, write_png
-from objectfolder.figures import tile
+from objectfolder.base.arrays import read_npz, write_npz, write_png
+from objectfolder.base.figures import tile
+from objectfolder.base.metrics import psnr
+from objectfolder.base.seeding import torch_generator
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
-from objectfolder.metrics import psnr
 from objectfolder.nets.fit import Session
-from objectfolder.nets.vision_osf import OsfNet
-from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.nets.vision_surface_training import train_surface
-from objectfolder.objectfile.evaluate_vision import evaluate_vision
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.vision import LitCameras, view_images
-from objectfolder.seeding import torch_generator
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
 from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
+from objectfolder.vision.evaluation import evaluate_vision
 from objectfolder.vision.net_settings import VisionConfig
+from objectfolder.vision.osf_net import OsfNet
+from objectfolder.vision.query import LitCameras, view_images
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.surface_net import SurfaceNet
+from objectfolder.vision.surface_training import train_surface
 from objectfolder.vision.view import draw as draw_surface
 from objectfolder.vision.volume import Rays
 from objectfolder.workspace import params

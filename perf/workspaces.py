@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from ruamel.yaml import YAML
 
-from objectfolder.io import read_json
+from objectfolder.base.io import read_json
 from objectfolder.objectfile.evaluation import summary_row
 from objectfolder.workspace.layout import Build
 

@@ -11,8 +11,8 @@ from typing import Any
 from rich.progress import track
 from threadpoolctl import threadpool_limits
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.terminal import Terminal, guard_stderr
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.terminal import Terminal, guard_stderr
 from objectfolder.workspace.installed import check_installed
 
 _console = Terminal(stderr=True)

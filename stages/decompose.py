@@ -1,8 +1,8 @@
 """decompose: ObjectFile.safetensors -> hulls.npz: the surface as a few convex hulls."""
 
 from objectfolder.benchmarks.datasets.settings import DecomposeConfig
-from objectfolder.envs.hulls import convex_hulls, write_hulls
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.sim.hulls import convex_hulls, write_hulls
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
 from stages import run

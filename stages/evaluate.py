@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from objectfolder.arrays import read_npz
-from objectfolder.figures import page, save_page
-from objectfolder.io import file_digest, read_json, write_json
-from objectfolder.objectfile.evaluate_sound import SoundTruth, UnitStrikes, compare_sounds, evaluate_sound
-from objectfolder.objectfile.evaluate_touch import evaluate_touch
-from objectfolder.objectfile.evaluate_vision import choose_views, compare_views, evaluate_vision
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.figures import page, save_page
+from objectfolder.base.io import file_digest, read_json, write_json
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.objectfile.file import load_placed
 from objectfolder.objectfile.settings import EvaluateConfig
 from objectfolder.report.comparison import show_sounds, show_views
-from objectfolder.seeding import numpy_generator
+from objectfolder.sound.evaluation import SoundTruth, UnitStrikes, compare_sounds, evaluate_sound
+from objectfolder.touch.evaluation import evaluate_touch
+from objectfolder.vision.evaluation import choose_views, compare_views, evaluate_vision
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
 from stages import run

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from objectfolder.io import atomic
-from objectfolder.mesh.procedural import generate
+from objectfolder.base.io import atomic
+from objectfolder.shapes import generate
 from objectfolder.workspace.params import procedural_entry
 from stages import run
 

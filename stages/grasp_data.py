@@ -2,10 +2,10 @@
 
 from objectfolder.benchmarks.datasets.grasp_data import collect_grasps
 from objectfolder.benchmarks.datasets.settings import GraspDataConfig
-from objectfolder.envs.body import rigid_body
-from objectfolder.envs.hulls import read_hulls
 from objectfolder.mesh.ply import read_surface
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.sim.body import rigid_body
+from objectfolder.sim.hulls import read_hulls
 from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.params import stage_params
 from stages import run

@@ -8,8 +8,8 @@ well. In a workspace without the package, stages depend on digests of the packag
 import sys
 from pathlib import Path
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_text
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_text
 from objectfolder.workspace.code_digests import code_text, data_names
 from objectfolder.workspace.installed import check_installed, is_recorded
 from objectfolder.workspace.layout import MATERIALS, code_list

@@ -3,23 +3,23 @@
 from contextlib import suppress
 from dataclasses import asdict
 
-from objectfolder.arrays import read_npz, write_npz
-from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.certainty import solver_warning, uncertainty_warning
-from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.fem.modal import (
+from objectfolder.base.arrays import read_npz, write_npz
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import keep, write_json
+from objectfolder.base.materials import own_material
+from objectfolder.base.seeding import numpy_generator
+from objectfolder.base.text import visible
+from objectfolder.mesh.ply import read_surface
+from objectfolder.mesh.sampling import split_rows
+from objectfolder.sound.fem.certainty import solver_warning, uncertainty_warning
+from objectfolder.sound.fem.elements import solid_from_arrays
+from objectfolder.sound.fem.modal import (
     refined_analysis,
     shape_points,
     solved_band,
 )
-from objectfolder.fem.reuse import Request, problem_digest, rescaled, solution_record
-from objectfolder.fem.settings import ModalConfig
-from objectfolder.io import keep, write_json
-from objectfolder.materials import own_material
-from objectfolder.mesh.ply import read_surface
-from objectfolder.mesh.sampling import split_rows
-from objectfolder.seeding import numpy_generator
-from objectfolder.text import visible
+from objectfolder.sound.fem.reuse import Request, problem_digest, rescaled, solution_record
+from objectfolder.sound.fem.settings import ModalConfig
 from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params

@@ -1,11 +1,11 @@
 """normalize: source mesh -> visual.glb, surface.ply (seen, touched), solid.ply (vibrates), normalize.json."""
 
-from objectfolder.io import atomic, write_json
+from objectfolder.base.io import atomic, write_json
+from objectfolder.base.text import visible
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.ply import write_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.settings import NormalizeConfig
-from objectfolder.text import visible
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
 from stages import run

@@ -1,7 +1,7 @@
 """pack: three nets, radiation.safetensors, sdf.npz, normalize.json, modal.json -> ObjectFile.safetensors."""
 
-from objectfolder.arrays import read_npz, read_safetensors, write_safetensors
-from objectfolder.io import file_digest, read_json
+from objectfolder.base.arrays import read_npz, read_safetensors, write_safetensors
+from objectfolder.base.io import file_digest, read_json
 from objectfolder.objectfile.packing import pack_object_file
 from objectfolder.workspace.layout import MODALITIES, Build
 from stages import run

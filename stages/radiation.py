@@ -1,9 +1,9 @@
 """radiation: surface, modes, scale -> radiation.safetensors."""
 
-from objectfolder.acoustics.radiation import pack_radiation, radiate
-from objectfolder.acoustics.settings import RadiationConfig
-from objectfolder.arrays import read_npz, write_safetensors
+from objectfolder.base.arrays import read_npz, write_safetensors
 from objectfolder.mesh.ply import read_surface
+from objectfolder.sound.radiation.radiation import pack_radiation, radiate
+from objectfolder.sound.radiation.settings import RadiationConfig
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
 from stages import run

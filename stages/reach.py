@@ -4,9 +4,9 @@ from objectfolder.benchmarks.datasets.samples import object_digest
 from objectfolder.benchmarks.tasks.reach import TASK
 from objectfolder.benchmarks.tasks.reach_training import reach
 from objectfolder.benchmarks.tasks.running import KnownObject, run_stage
-from objectfolder.envs.body import rigid_body
-from objectfolder.envs.hulls import hulls_digest, read_hulls
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.sim.body import rigid_body
+from objectfolder.sim.hulls import hulls_digest, read_hulls
 from objectfolder.workspace.layout import Build
 from stages import run
 

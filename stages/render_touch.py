@@ -1,12 +1,12 @@
 """render_touch: surface.ply, sensor profile -> touch/{train,val,test}.npz, touch.png (a contact sheet)."""
 
-from objectfolder.arrays import write_npz, write_png
-from objectfolder.figures import tile
+from objectfolder.base.arrays import write_npz, write_png
+from objectfolder.base.figures import tile
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.mesh.ply import read_surface
-from objectfolder.seeding import numpy_generator
-from objectfolder.touch.dataset import draw_contacts, render_contacts
 from objectfolder.touch.profiles import load_profile
 from objectfolder.touch.settings import RenderTouchConfig
+from objectfolder.touch.truth import draw_contacts, render_contacts
 from objectfolder.workspace.installed import sensor_file
 from objectfolder.workspace.layout import SPLITS, Build
 from objectfolder.workspace.params import stage_params

@@ -3,15 +3,15 @@
 import numpy as np
 import torch
 
-from objectfolder.arrays import write_npz, write_png
-from objectfolder.figures import tile
+from objectfolder.base.arrays import write_npz, write_png
+from objectfolder.base.figures import tile
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
-from objectfolder.seeding import numpy_generator
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import draw_shots, render_shots
 from objectfolder.vision.renderers.registry import make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.settings import RenderViewsConfig
+from objectfolder.vision.truth import draw_shots, render_shots
 from objectfolder.workspace.layout import SPLITS, Build
 from objectfolder.workspace.params import stage_params
 from stages import progress, run

@@ -3,16 +3,16 @@
 import numpy as np
 import torch
 
-from objectfolder.arrays import read_npz, write_safetensors
-from objectfolder.audio.net_settings import AudioConfig
-from objectfolder.io import write_curve
-from objectfolder.nets.audio_gains import GainsNet
-from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
-from objectfolder.nets.audio_spectrogram import SpectrogramNet
-from objectfolder.nets.audio_spectrogram_training import train_spectrogram
+from objectfolder.base.arrays import read_npz, write_safetensors
+from objectfolder.base.io import write_curve
+from objectfolder.base.seeding import torch_generator
 from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
 from objectfolder.nets.fit import Session
-from objectfolder.seeding import torch_generator
+from objectfolder.sound.gains_net import GainsNet
+from objectfolder.sound.gains_training import ModeSamples, train_gains
+from objectfolder.sound.net_settings import AudioConfig
+from objectfolder.sound.spectrogram_net import SpectrogramNet
+from objectfolder.sound.spectrogram_training import train_spectrogram
 from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params
 from stages import log_point, run

@@ -2,17 +2,17 @@
 
 import torch
 
-from objectfolder.arrays import read_npz, write_safetensors
-from objectfolder.io import write_curve
+from objectfolder.base.arrays import read_npz, write_safetensors
+from objectfolder.base.io import write_curve
+from objectfolder.base.seeding import torch_generator
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
 from objectfolder.nets.fit import Session
-from objectfolder.nets.touch_geometric import GeometricTouch
-from objectfolder.nets.touch_geometric_training import fit_contacts
-from objectfolder.nets.touch_image import ImageTouch
-from objectfolder.nets.touch_image_training import train_image
-from objectfolder.seeding import torch_generator
+from objectfolder.touch.geometric_net import GeometricTouch
+from objectfolder.touch.geometric_training import fit_contacts
+from objectfolder.touch.image_net import ImageTouch
+from objectfolder.touch.image_training import train_image
 from objectfolder.touch.net_settings import TouchConfig
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.installed import sensor_file

@@ -2,20 +2,20 @@
 
 import torch
 
-from objectfolder.arrays import read_npz, write_safetensors
-from objectfolder.io import write_curve
+from objectfolder.base.arrays import read_npz, write_safetensors
+from objectfolder.base.io import write_curve
+from objectfolder.base.seeding import torch_generator
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.reading.load import AS_STORED, load_mesh
 from objectfolder.nets.checkpoint import INTERVAL, Checkpoint, identity
 from objectfolder.nets.fit import Session
-from objectfolder.nets.vision_osf import OsfNet
-from objectfolder.nets.vision_osf_training import train_osf
-from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.nets.vision_surface_training import train_surface
-from objectfolder.seeding import torch_generator
 from objectfolder.vision.net_settings import VisionConfig
+from objectfolder.vision.osf_net import OsfNet
+from objectfolder.vision.osf_training import train_osf
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.surface_net import SurfaceNet
+from objectfolder.vision.surface_training import train_surface
 from objectfolder.workspace.layout import Build, code_list
 from objectfolder.workspace.params import stage_params
 from stages import log_point, run

@@ -1,11 +1,11 @@
 """voxelize: solid.ply -> solid.npz (elements); surface.ply -> sdf.npz (distance grid); voxelize.json."""
 
-from objectfolder.arrays import write_npz
-from objectfolder.fem.elements import solid_arrays
-from objectfolder.fem.settings import VoxelizeConfig
-from objectfolder.fem.voxelize import voxelize
-from objectfolder.io import write_json
+from objectfolder.base.arrays import write_npz
+from objectfolder.base.io import write_json
 from objectfolder.mesh.ply import read_surface
+from objectfolder.sound.fem.elements import solid_arrays
+from objectfolder.sound.fem.settings import VoxelizeConfig
+from objectfolder.sound.fem.voxelize import voxelize
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
 from stages import run

@@ -13,7 +13,7 @@ from hypothesis import settings
 from sharing import shared_folder
 from threadpoolctl import threadpool_limits
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.report.inspect_scene import draw_scene
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from disks import small_disk
 
-from objectfolder.disk import new_folder, refuse_links
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.disk import new_folder, refuse_links
+from objectfolder.base.errors import ObjectFolderError
 
 
 def folder(out, needed=1):
@@ -80,7 +80,7 @@ def test_folders_of_others_beside_it_stay_and_what_a_killed_run_left_is_named(tm
     for name in (".out.tmp", ".out.tmp-notes"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "thesis").write_text("mine")
-    command = "import os, sys\nfrom pathlib import Path\nfrom objectfolder.disk import new_folder\n"
+    command = "import os, sys\nfrom pathlib import Path\nfrom objectfolder.base.disk import new_folder\n"
     command += "with new_folder('x', Path(sys.argv[1]), 1, ''): os.kill(os.getpid(), 9)"
     subprocess.run([sys.executable, "-c", command, tmp_path / "out"], check=False)
     with folder(tmp_path / "out") as new:
@@ -114,8 +114,8 @@ def test_of_two_writers_one_wins_and_nothing_is_mixed(tmp_path, order):
 RACER = """
 import sys
 from pathlib import Path
-from objectfolder.disk import new_folder
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.disk import new_folder
+from objectfolder.base.errors import ObjectFolderError
 
 print("ready", flush=True)
 for round in map(int, sys.stdin):

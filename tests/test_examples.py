@@ -16,12 +16,12 @@ import pytest
 from markdown_it import MarkdownIt
 from typer.main import get_command
 
+from objectfolder.base.io import file_digest
 from objectfolder.cli import app
-from objectfolder.io import file_digest
+from objectfolder.hub.release.entries import index_text
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.objectfile.dataset import INDEX, IndexEntry
 from objectfolder.objectfile.samples import sample_path
-from objectfolder.release.entries import index_text
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 import objectfolder
-from objectfolder import installation
+from objectfolder.base import installation
+from objectfolder.base.installation import install_command, installed_version, requirement
 from objectfolder.cli import app
-from objectfolder.installation import install_command, installed_version, requirement
 
 ROOT = Path(__file__).parents[1]
 GIT = {"url": "https://example.org/o.git", "vcs_info": {"vcs": "git", "commit_id": "abc123"}}

@@ -12,9 +12,16 @@ import numpy as np
 import pytest
 from disks import small_disk
 
-from objectfolder.arrays import read_npz, read_safetensors, write_npy, write_npz, write_png, write_safetensors
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import (
+from objectfolder.base.arrays import (
+    read_npz,
+    read_safetensors,
+    write_npy,
+    write_npz,
+    write_png,
+    write_safetensors,
+)
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import (
     atomic,
     check_output,
     file_digest,
@@ -24,7 +31,7 @@ from objectfolder.io import (
     write_curve,
     write_json,
 )
-from objectfolder.locks import private_path, remove_abandoned
+from objectfolder.base.locks import private_path, remove_abandoned
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.workspace.layout import Build
 
@@ -264,7 +271,7 @@ def test_two_writers_at_once_leave_one_whole_file(tmp_path):
 
 KILLED = """
 import os, sys
-from objectfolder.io import atomic
+from objectfolder.base.io import atomic
 with atomic(sys.argv[1]) as path:
     path.write_text("half")
     os.kill(os.getpid(), 9)
@@ -368,7 +375,7 @@ def test_a_library_that_hides_a_full_disk_is_understood(tmp_path, monkeypatch, e
     with pytest.raises(type(error)) as found:
         failing()
     assert found.value is error
-    monkeypatch.setattr("objectfolder.io.free_bytes", lambda path: 100)
+    monkeypatch.setattr("objectfolder.base.io.free_bytes", lambda path: 100)
     with pytest.raises(OSError, match=r"No space left on device: '.*a\.pt'"):
         failing()
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-import objectfolder.materials
-from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import (
+import objectfolder.base.materials
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import (
     LAWS,
     Material,
     friction_of,
@@ -20,10 +20,10 @@ from objectfolder.materials import (
     roughness_of,
     stored_material,
 )
-from objectfolder.objectfile.header import checked_name
-from objectfolder.yamlfile import read_yaml
+from objectfolder.base.yamlfile import read_yaml
+from objectfolder.stored.header import checked_name
 
-FOLDER = Path(objectfolder.materials.__file__).with_suffix("")
+FOLDER = Path(objectfolder.base.materials.__file__).with_suffix("")
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from objectfolder.metrics import SpectrogramErrors, gain_errors, psnr, ssim
+from objectfolder.base.metrics import SpectrogramErrors, gain_errors, psnr, ssim
 
 
 def test_psnr_of_known_errors():

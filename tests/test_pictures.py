@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.pictures import PICTURE_FORMATS, decoded
 from objectfolder.benchmarks.tasks.photograph import read_picture
-from objectfolder.errors import ObjectFolderError
-from objectfolder.pictures import PICTURE_FORMATS, decoded
 from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import load_profile
 
@@ -58,7 +58,7 @@ def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path, width, he
     Image.new("1", (width, height)).save(path)
     # As bits, 32 MB; as decoded pixels, a gigabyte: what this process may not have.
     code = (
-        "import resource, sys; from pathlib import Path; from objectfolder.pictures import decoded\n"
+        "import resource, sys; from pathlib import Path; from objectfolder.base.pictures import decoded\n"
         "used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()\n"
         "resource.setrlimit(resource.RLIMIT_AS, (used + (24 << 20),) * 2)\n"
         "try: decoded(Path(sys.argv[1]), 'it')\n"

@@ -1,7 +1,7 @@
 import gc
 import weakref
 
-from objectfolder.recent import Recent
+from objectfolder.base.recent import Recent
 
 
 def test_the_ones_asked_for_last_are_kept():

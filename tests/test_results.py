@@ -12,8 +12,8 @@ import pytest
 import results
 from harness import encoded, rewrite, write_record
 
+from objectfolder.base.io import read_json, write_json
 from objectfolder.benchmarks.tasks import grasp_policy, localize
-from objectfolder.io import read_json, write_json
 
 #: Records of rows that never fail, as their scripts stop at the first failure.
 WITHOUT_FAILURES = ("faithful", "faithful_cpu", "real_photographs", "query", "grasp_speed")

@@ -1,6 +1,6 @@
 import torch
 
-from objectfolder.seeding import numpy_generator, torch_generator
+from objectfolder.base.seeding import numpy_generator, torch_generator
 
 
 def test_streams_depend_on_seed_object_and_purpose_only():

@@ -14,13 +14,13 @@ from rich.table import Table
 from rich.text import Text
 
 import objectfolder
+from objectfolder.base.terminal import Terminal
+from objectfolder.base.text import visible
 from objectfolder.cli.console import print_line, print_wide
 from objectfolder.engine.progress import Progress, print_summary
 from objectfolder.engine.summary import Finished, Planned, StageOutcome, StageResult, Started, Summary
-from objectfolder.fetch.report import download_progress, print_result
-from objectfolder.fetch.run import FetchResult, FetchStatus
-from objectfolder.terminal import Terminal
-from objectfolder.text import visible
+from objectfolder.hub.fetch.report import download_progress, print_result
+from objectfolder.hub.fetch.run import FetchResult, FetchStatus
 
 ALL = " ".join(WORDS)
 # Rich's own: colours, the cursor of a live display, and what clears its lines.
@@ -130,7 +130,7 @@ def test_a_file_of_such_a_name_is_reported(tmp_path):
 
 UNCAUGHT = """
 import logging, sys, threading, warnings
-from objectfolder.terminal import guard_stderr
+from objectfolder.base.terminal import guard_stderr
 evil = sys.argv[1]
 guard_stderr()
 warnings.warn("warned " + evil)

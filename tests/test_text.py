@@ -8,10 +8,10 @@ import pytest
 from hostile import CONTROLS, LINES, WORDS, Elements
 from markdown_it import MarkdownIt
 
-from objectfolder.checks import is_web_address
-from objectfolder.errors import ObjectFolderError
-from objectfolder.text import from_csv, in_csv, in_html, in_markdown, in_script, visible
-from objectfolder.yamlfile import read_yaml, yaml_text
+from objectfolder.base.checks import is_web_address
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.text import from_csv, in_csv, in_html, in_markdown, in_script, visible
+from objectfolder.base.yamlfile import read_yaml, yaml_text
 
 PLAIN = ("Pots & pans", "blue_mug", "YCB Object and Model Set, Calli et al., 2015", "CC BY 4.0 (https://c.d)")
 # With joiners, marks and spaces of their own.

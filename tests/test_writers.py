@@ -1,7 +1,7 @@
 """No writer follows a link that it did not make, at what it writes or at a name that it uses meanwhile.
 
-Files are written through `objectfolder.io.atomic` and `objectfolder.disk.new_folder`, or they are listed here
-with the reason why not.
+Files are written through `objectfolder.base.io.atomic` and `objectfolder.base.disk.new_folder`, or they are
+listed here with the reason why not.
 """
 
 import ast
@@ -17,7 +17,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from objectfolder import arrays, io
+from objectfolder.base import arrays, io
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.figures import page, save_page
+from objectfolder.base.io import write_json
 from objectfolder.benchmarks.datasets.export import write_datasets, write_webdataset
 from objectfolder.benchmarks.datasets.lerobot import write_lerobot
 from objectfolder.benchmarks.datasets.nerfstudio import write_nerfstudio
@@ -34,15 +37,12 @@ from objectfolder.engine.dvc.lockfile import LockFiles
 from objectfolder.engine.process import Children, Command, CommandResult
 from objectfolder.engine.records import record_cost, record_failure
 from objectfolder.engine.summary import StageOutcome, StageResult
-from objectfolder.envs.export import write_mjcf, write_urdf
-from objectfolder.envs.gltf import write_glb
-from objectfolder.errors import ObjectFolderError
-from objectfolder.fetch.run import record_checksums
-from objectfolder.figures import page, save_page
-from objectfolder.io import write_json
+from objectfolder.hub.fetch.run import record_checksums
 from objectfolder.nets.checkpoint import Checkpoint
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import sample_path
+from objectfolder.sim.export import write_mjcf, write_urdf
+from objectfolder.sim.gltf import write_glb
 from objectfolder.touch.calibration import SensorFit, save_fit
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.creation import create_workspace
@@ -73,19 +73,19 @@ WRITES = {
 #: Functions that write otherwise, and why no link leads them astray.
 EXCEPTIONS = {
     # What the two ways are made of.
-    "objectfolder/disk.py:new_folder": "makes and removes the folder, whose name is random",
-    "objectfolder/disk.py:_place": "renames it over an empty folder that it has made itself",
-    "objectfolder/io.py:_replace": "renames the file, whose name is random",
-    "objectfolder/io.py:atomic_stream": "opens the descriptor of the file",
-    "objectfolder/io.py:keep": "a hard link of a random name",
-    "objectfolder/locks.py:claim_file": "O_EXCL and O_NOFOLLOW",
-    "objectfolder/locks.py:remove_unused": "rmtree follows no links; in a progress folder",
+    "objectfolder/base/disk.py:new_folder": "makes and removes the folder, whose name is random",
+    "objectfolder/base/disk.py:_place": "renames it over an empty folder that it has made itself",
+    "objectfolder/base/io.py:_replace": "renames the file, whose name is random",
+    "objectfolder/base/io.py:atomic_stream": "opens the descriptor of the file",
+    "objectfolder/base/io.py:keep": "a hard link of a random name",
+    "objectfolder/base/locks.py:claim_file": "O_EXCL and O_NOFOLLOW",
+    "objectfolder/base/locks.py:remove_unused": "rmtree follows no links; in a progress folder",
     # The caller gives a path or a folder of its own.
     "objectfolder/benchmarks/datasets/lerobot.py:_write_frames": "in the new folder of write_lerobot",
-    "objectfolder/envs/export.py:_write_meshes": "in an export_folder",
-    "objectfolder/fetch/files.py:collect": "in a folder that it makes, in a temporary one",
-    "objectfolder/fetch/archive.py:extract": "removes the folder that it has made",
-    "objectfolder/fetch/archive.py:_extract_tar": "in the folder that extract has made; members are no links",
+    "objectfolder/sim/export.py:_write_meshes": "in an export_folder",
+    "objectfolder/hub/fetch/files.py:collect": "in a folder that it makes, in a temporary one",
+    "objectfolder/hub/fetch/archive.py:extract": "removes the folder that it has made",
+    "objectfolder/hub/fetch/archive.py:_extract_tar": "in the folder that extract has made; members are no links",
     "objectfolder/mesh/ply.py:write_surface": "callers give the path of an atomic",
     "objectfolder/mesh/textured.py:TexturedMesh.write_glb": "callers give the path of an atomic",
     "objectfolder/vision/renderers/cycles.py:CyclesRenderer.__init__": "in a TemporaryDirectory",
@@ -100,10 +100,10 @@ EXCEPTIONS = {
     "objectfolder/engine/dvc/runcache.py:remove_saved_run": "a rename to a random name",
     "objectfolder/engine/process.py:Children.run": "a pipe",
     "objectfolder/engine/process.py:open_log": "O_NOFOLLOW; a link is removed before",
-    "objectfolder/engine/verify.py:restore_files": "rmtree of an output, which follows no links",
-    "objectfolder/fetch/download.py:_receive": "O_EXCL, or goes on with a file that is no link",
-    "objectfolder/fetch/download.py:download_to": "a rename, which replaces links, into a temporary folder",
-    "objectfolder/fetch/run.py:_fetch": "temporary folders; those that were left, under a lock",
+    "objectfolder/engine/verify.py:restore_files": "rmtree of an output, which follows no link",
+    "objectfolder/hub/fetch/download.py:_receive": "O_EXCL, or goes on with a file that is no link",
+    "objectfolder/hub/fetch/download.py:download_to": "a rename, which replaces links, into a temporary folder",
+    "objectfolder/hub/fetch/run.py:_fetch": "temporary folders; those that were left, under a lock",
     "objectfolder/workspace/creation.py:_create": "removes what it has made under the lock of the folder",
     "objectfolder/workspace/objects.py:add_mesh": "removes the folder that it has placed",
     "objectfolder/cli/__init__.py:main": "opens the null device",
@@ -171,11 +171,11 @@ def writes(call):
         return plain or any(flag in flags for flag in ("O_WRONLY", "O_RDWR", "O_CREAT"))
     if name == "replace":  # of a path; that of a text takes two
         return module == "os" or (len(call.args) == 1 and not call.keywords)
-    if name == "write_table":  # of pyarrow; that of objectfolder.io takes three
+    if name == "write_table":  # of pyarrow; that of objectfolder.base.io takes three
         return len(given) == 2
     if name == "save":
         return module in ("np", "numpy", "torch")
-    if name in ("write_text", "write_bytes"):  # of a path; those of objectfolder.io are functions
+    if name in ("write_text", "write_bytes"):  # of a path; those of objectfolder.base.io are functions
         return isinstance(call.func, ast.Attribute)
     named = {"os": ("link", "truncate"), "shutil": ("copy", "move")}.get(module, ())
     return name in WRITES or name in named

@@ -4,16 +4,16 @@ import time
 
 import pytest
 
+from objectfolder.base.errors import MAX_MESSAGE, ObjectFolderError, quoted
+from objectfolder.base.yamlfile import MAX_NESTING, read_yaml
 from objectfolder.engine.dvc.repository import open_repository
-from objectfolder.errors import MAX_MESSAGE, ObjectFolderError, quoted
-from objectfolder.fetch.catalogue import read_catalogue
-from objectfolder.fetch.run import read_checksums
+from objectfolder.hub.fetch.catalogue import read_catalogue
+from objectfolder.hub.fetch.run import read_checksums
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace import params
 from objectfolder.workspace.discover import discover
 from objectfolder.workspace.document import editable
 from objectfolder.workspace.presets import read_preset
-from objectfolder.yamlfile import MAX_NESTING, read_yaml
 
 
 def bomb(levels=9, width=10):

@@ -16,6 +16,8 @@ import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
 
+from objectfolder.base.errors import ObjectFolderError, plural
+from objectfolder.base.io import read_json, write_json
 from objectfolder.benchmarks.datasets import grasps, observations
 from objectfolder.benchmarks.datasets.close_ups import close_up_request, has_close_ups, sample_close_ups
 from objectfolder.benchmarks.datasets.samples import Samples, object_digest
@@ -28,8 +30,6 @@ from objectfolder.benchmarks.tasks.running import KnownObject, Run, machine, run
 from objectfolder.benchmarks.tasks.task import Objects, Scores, Task, TaskParams
 from objectfolder.engine.process import in_processes
 from objectfolder.engine.resources import cores
-from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.io import read_json, write_json
 from objectfolder.objectfile.dataset import INDEX, Dataset
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace import params as workspace
@@ -219,8 +219,8 @@ def _known_object(task: Task, folder: Benchmarks, path: Path, max_hulls: int) ->
     file = ObjectFile.load(path)
     if not task.robot:
         return KnownObject(file, object_digest(file))
-    from objectfolder.envs.body import rigid_body
-    from objectfolder.envs.hulls import cached_hulls, hulls_digest
+    from objectfolder.sim.body import rigid_body
+    from objectfolder.sim.hulls import cached_hulls, hulls_digest
 
     hulls = cached_hulls(file, folder.hulls, max_hulls)
     return KnownObject(file, object_digest(file) + hulls_digest(hulls), rigid_body(file, hulls))
@@ -426,9 +426,9 @@ def collect_all_grasps(
     answer the presses of pads.
     """
     from objectfolder.benchmarks.datasets.grasp_data import grasp_request, is_collected
-    from objectfolder.envs.body import rigid_body
-    from objectfolder.envs.hulls import cached_hulls
     from objectfolder.mesh.ply import read_surface
+    from objectfolder.sim.body import rigid_body
+    from objectfolder.sim.hulls import cached_hulls
 
     folders = {key: folder.grasps(key) for key in sources}
     surfaces = {key: source.path.with_name(Build(key).surface.name) for key, source in sources.items()}
@@ -466,9 +466,9 @@ def _collect_grasps(
     report: Report,
 ) -> None:
     from objectfolder.benchmarks.datasets.grasp_data import collect_grasps
-    from objectfolder.envs.body import rigid_body
-    from objectfolder.envs.hulls import cached_hulls
     from objectfolder.mesh.ply import read_surface
+    from objectfolder.sim.body import rigid_body
+    from objectfolder.sim.hulls import cached_hulls
 
     torch.set_num_threads(1)
     with threadpool_limits(1):

@@ -10,6 +10,11 @@ import typer
 from rich.text import Text
 from typer.core import TyperGroup
 
+from objectfolder.base.disk import is_shortage
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import installed_version
+from objectfolder.base.terminal import Terminal, guard_stderr
+from objectfolder.base.text import visible
 from objectfolder.cli import (
     bench,
     creation,
@@ -32,11 +37,6 @@ from objectfolder.cli import (
     workspace,
 )
 from objectfolder.cli.files import SAMPLE
-from objectfolder.disk import is_shortage
-from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import installed_version
-from objectfolder.terminal import Terminal, guard_stderr
-from objectfolder.text import visible
 
 __all__ = ["app", "main"]
 

@@ -10,8 +10,8 @@ from rich.measure import Measurement
 from rich.progress import track
 from rich.table import Table
 
-from objectfolder.terminal import Terminal
-from objectfolder.text import visible
+from objectfolder.base.terminal import Terminal
+from objectfolder.base.text import visible
 
 console = Terminal()
 

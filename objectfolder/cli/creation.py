@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import install_command, installed_version
 from objectfolder.cli.console import console
-from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import install_command, installed_version
 
 MAX_NAMES = 5  # names in a line
 

@@ -12,8 +12,8 @@ from packaging.requirements import Requirement
 from rich.table import Table
 from rich.text import Text
 
+from objectfolder.base.installation import install_command, installed_version
 from objectfolder.cli.console import console, print_wide
-from objectfolder.installation import install_command, installed_version
 from objectfolder.workspace.installed import INSTALLED
 
 #: What each extra of pyproject.toml brings, and its size on disk. Extras for developers are left out.

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from objectfolder.base.errors import ObjectFolderError, plural
+from objectfolder.base.installation import install_command
 from objectfolder.cli.console import console, print_line, track_progress
 from objectfolder.cli.files import SAMPLE, folder_to_write, object_files
-from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.installation import install_command
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.export import Report
@@ -90,7 +90,7 @@ def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
     Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Half a minute per object.
     """
     _require("rl", *SIMULATION)
-    from objectfolder.envs.export import write_mjcf
+    from objectfolder.sim.export import write_mjcf
 
     _export_objects(out, files, hulls, write_mjcf)
 
@@ -103,7 +103,7 @@ def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
     object.
     """
     _require("rl", *SIMULATION)
-    from objectfolder.envs.export import write_urdf
+    from objectfolder.sim.export import write_urdf
 
     _export_objects(out, files, hulls, write_urdf)
 
@@ -116,7 +116,7 @@ def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
     KHR_audio_rigid_bodies (docs/robots.md). Half a minute per object.
     """
     _require("rl", *SIMULATION)
-    from objectfolder.envs.gltf import write_glb
+    from objectfolder.sim.gltf import write_glb
 
     _export_objects(out, files, hulls, write_glb)
 
@@ -129,7 +129,7 @@ def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
     """
     _require("usd", "pxr")
     _require("rl", *SIMULATION)
-    from objectfolder.envs.usd import write_usd
+    from objectfolder.sim.usd import write_usd
 
     _export_objects(out, files, hulls, write_usd)
 
@@ -201,7 +201,7 @@ def lerobot(
 def _export_objects(
     out: Path, files: list[Path], hulls: int, write: "Callable[[ObjectFile, Path, int], Path]"
 ) -> None:
-    from objectfolder.envs.body import density
+    from objectfolder.sim.body import density
 
     objects = _load_objects(out, files, "geometry")
     for found in objects:

@@ -4,8 +4,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from objectfolder.errors import ObjectFolderError, shortened
-from objectfolder.io import check_output
+from objectfolder.base.errors import ObjectFolderError, shortened
+from objectfolder.base.io import check_output
 from objectfolder.objectfile.samples import available_samples, file_or_sample
 
 #: Names of the samples, for the help of commands.

@@ -43,13 +43,13 @@ def sound(
     density and Poisson's ratio stay as they are. The next build rescales the modes; it does not solve them
     again.
     """
-    from objectfolder.arrays import read_npz
-    from objectfolder.audio.fitting import fit_sound
-    from objectfolder.audio.recordings import read_recording, resample_to_lowest
-    from objectfolder.audio.ringdown import LN_1000
-    from objectfolder.checks import one_of
-    from objectfolder.io import check_output, read_json
-    from objectfolder.materials import LAWS, Material
+    from objectfolder.base.arrays import read_npz
+    from objectfolder.base.checks import one_of
+    from objectfolder.base.io import check_output, read_json
+    from objectfolder.base.materials import LAWS, Material
+    from objectfolder.sound.fitting import fit_sound
+    from objectfolder.sound.recordings import read_recording, resample_to_lowest
+    from objectfolder.sound.ringdown import LN_1000
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_object
     from objectfolder.workspace.layout import Build

@@ -7,9 +7,9 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from objectfolder.base.errors import plural
 from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import page_to_write
-from objectfolder.errors import plural
 
 listening_app = typer.Typer(
     no_args_is_help=True,
@@ -32,7 +32,7 @@ def make(
     first 10 s of the loudest channel are played. Levels are matched, orders are random and balanced. By
     default as in the paper, which had 10 listeners.
     """
-    from objectfolder.io import write_text
+    from objectfolder.base.io import write_text
     from objectfolder.report.listening import study_page
 
     write_text(page_to_write(out), study_page(ours, other, pairs, seed))

@@ -8,11 +8,11 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from objectfolder.arrays import read_rows
+from objectfolder.base.arrays import read_rows
+from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import SAMPLE, empty_folder, object_file
-from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.objectfile.header import PARTS, RADIATION, known_kinds
+from objectfolder.stored.header import PARTS, RADIATION, known_kinds
 
 if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
@@ -98,11 +98,11 @@ def vision(
     ] = None,
 ) -> None:
     """Render views. Positions are in the unit frame, in which the object's longest side is 1."""
-    from objectfolder.arrays import write_npz, write_png
+    from objectfolder.base.arrays import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
-    from objectfolder.objectfile.vision import LitCameras
     from objectfolder.vision.cameras import Intrinsics
     from objectfolder.vision.environment import gather_lamps
+    from objectfolder.vision.query import LitCameras
 
     given = lights is not None or environment is not None
     hint = ", cameras, beside --lights or --environment" if given else ", or give --lights"
@@ -173,10 +173,10 @@ def audio(
 
     Amplitudes are absolute and tiny; `--normalize` makes them audible.
     """
-    from objectfolder.arrays import wav_bytes
-    from objectfolder.audio.synthesis import count_samples
-    from objectfolder.io import write_bytes
+    from objectfolder.base.arrays import wav_bytes
+    from objectfolder.base.io import write_bytes
     from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.sound.synthesis import count_samples
 
     points = read_rows(
         vertices, 3 if forces else 6, "" if forces else " (points and impulses), or give --forces"
@@ -246,10 +246,10 @@ def touch(
     sideways (metres), traction (Pa), marker_flow and the markers at rest (pixels), shear force and torque.
     docs/touch.md defines them.
     """
-    from objectfolder.arrays import write_png
-    from objectfolder.io import write_table
+    from objectfolder.base.arrays import write_png
+    from objectfolder.base.io import write_table
     from objectfolder.objectfile.file import ObjectFile
-    from objectfolder.objectfile.touch import ContactPoses
+    from objectfolder.touch.query import ContactPoses
 
     names = [name.strip() for name in outputs.split(",")]
     unknown = [name for name in names if name not in TOUCH_OUTPUTS]
@@ -295,7 +295,7 @@ def touch(
 
 def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str]) -> None:
     """Write the named outputs of one contact."""
-    from objectfolder.arrays import write_npz, write_png
+    from objectfolder.base.arrays import write_npz, write_png
 
     if "image" in names:
         write_png(out / f"{number}.png", batch.images[row])
@@ -334,7 +334,7 @@ def _contact_summary(rows: np.ndarray) -> str:
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:
     """Describe a part in a line, reading no tensors but the modes."""
-    from objectfolder.fem.certainty import MAX_UNWARNED_ERROR
+    from objectfolder.sound.fem.certainty import MAX_UNWARNED_ERROR
 
     if part not in obj.header:
         return "none"

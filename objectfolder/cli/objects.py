@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 from rich.text import Text
 
+from objectfolder.base.errors import ObjectFolderError, plural
+from objectfolder.base.terminal import Terminal
 from objectfolder.cli.console import console, print_line, track_progress
-from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.terminal import Terminal
 
 if TYPE_CHECKING:
     from objectfolder.workspace.discover import Candidate, Examination
@@ -258,10 +258,10 @@ def fetch(
     `objectfolder fetch --all --from ~/meshes`. Run the same command again to resume an
     interrupted download. Each mesh has its own licence, stored next to it in SOURCE.txt.
     """
-    from objectfolder.fetch import report
-    from objectfolder.fetch.catalogue import read_catalogue, select_objects
-    from objectfolder.fetch.files import check_directory
-    from objectfolder.fetch.run import FetchStatus, fetch_all
+    from objectfolder.hub.fetch import report
+    from objectfolder.hub.fetch.catalogue import read_catalogue, select_objects
+    from objectfolder.hub.fetch.files import check_directory
+    from objectfolder.hub.fetch.run import FetchStatus, fetch_all
     from objectfolder.workspace import params
 
     present = params.read()["objects"]

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import check_output
 from objectfolder.cli.console import print_line
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import check_output
 
 
 def reconstruct(

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from objectfolder.checks import is_web_address, one_line
+from objectfolder.base.checks import is_web_address, one_line
+from objectfolder.base.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import folder_to_write
-from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
 
 
 def release(
@@ -47,10 +47,10 @@ def release(
 
     Example: objectfolder release dataset --name "Kitchen" --creator "A. Smith" --licence CC0-1.0
     """
+    from objectfolder.hub.release.entries import entry_of, notices_of, select_keys
+    from objectfolder.hub.release.pages import describe_release
+    from objectfolder.hub.release.write import write_release
     from objectfolder.objectfile.dataset import MAX_CATEGORY, MAX_TEXT
-    from objectfolder.release.entries import entry_of, notices_of, select_keys
-    from objectfolder.release.pages import describe_release
-    from objectfolder.release.write import write_release
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_own
 

@@ -6,9 +6,9 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import check_output
 from objectfolder.cli.console import print_line
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import check_output
 
 
 def import_released(
@@ -55,7 +55,7 @@ def import_released(
 
     `objectfolder import Objects/25/ObjectFile.pth bowl.safetensors --bounds -0.1 -0.1 -0.05 0.1 0.1 0.05`
     """
-    from objectfolder.released.convert import ImportOptions, convert
+    from objectfolder.hub.importer.convert import ImportOptions, convert
     from objectfolder.workspace.layout import MODALITIES
 
     if out.suffix != ".safetensors":

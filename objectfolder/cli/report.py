@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_line, show_page
 from objectfolder.cli.files import SAMPLE, object_files, page_to_write, site_to_write
-from objectfolder.errors import ObjectFolderError, plural
 
 
 def report(

@@ -6,11 +6,11 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from objectfolder.arrays import write_npy
+from objectfolder.base.arrays import write_npy
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import check_output
 from objectfolder.cli.console import print_line
 from objectfolder.cli.objectfile import FileArgument
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import check_output
 
 sample_app = typer.Typer(
     no_args_is_help=True,

@@ -7,10 +7,10 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from objectfolder.base.errors import ObjectFolderError, plural
+from objectfolder.base.io import check_output
 from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import empty_folder
-from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.io import check_output
 
 sensor_app = typer.Typer(
     no_args_is_help=True,

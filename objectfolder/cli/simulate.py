@@ -39,13 +39,13 @@ def simulate(
     """
     import mujoco
 
+    from objectfolder.base.errors import ObjectFolderError, shortened
     from objectfolder.cli.console import console
-    from objectfolder.envs.clip import SceneCamera, default_view
-    from objectfolder.envs.clip import simulate as run
-    from objectfolder.envs.hearing import Hearing
-    from objectfolder.errors import ObjectFolderError, shortened
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.objectfile.samples import available_samples
+    from objectfolder.sim.clip import SceneCamera, default_view
+    from objectfolder.sim.clip import simulate as run
+    from objectfolder.sim.hearing import Hearing
 
     program = encoder("simulate", out, *size)
     try:

@@ -7,9 +7,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from objectfolder.base.errors import plural
 from objectfolder.cli.console import print_wide
 from objectfolder.engine.status import Outlook, StageStatus, State
-from objectfolder.errors import plural
 from objectfolder.workspace.params import TASKS
 
 MARKS = {

@@ -8,8 +8,8 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_wide, track_progress
-from objectfolder.errors import ObjectFolderError, plural
 
 Targets = Annotated[
     list[str] | None,

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli.console import print_line, show_page
 from objectfolder.cli.files import SAMPLE, object_files, page_to_write
-from objectfolder.errors import ObjectFolderError
 
 
 def view(
@@ -29,7 +29,7 @@ def view(
 
     Examples: objectfolder view mug, objectfolder view build/mug/ObjectFile.safetensors
     """
-    from objectfolder.io import write_text
+    from objectfolder.base.io import write_text
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.viewer.page import viewer_page
 

@@ -8,8 +8,8 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_line
-from objectfolder.errors import ObjectFolderError, plural
 
 MAX_SCORES = 40  # objects whose scores a build prints
 
@@ -77,11 +77,11 @@ def build(
     The stage `observe` runs only for tasks that `benchmarks` in params.yaml lists, or if a target names it.
     Stage logs are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
+    from objectfolder.base.io import check_output
     from objectfolder.engine.build import BuildOptions, local_workers
     from objectfolder.engine.build import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
     from objectfolder.engine.ray import ray_workers
-    from objectfolder.io import check_output
     from objectfolder.touch.profiles import load_profile, require_renderer
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_all
@@ -162,9 +162,9 @@ def inspect(
 
 def _print_metrics(keys: list[str]) -> None:
     """Print the metrics of objects, what is uncertain, and the paths of Object Files and pictures."""
-    from objectfolder.fem.certainty import uncertainty_warning
-    from objectfolder.io import read_json
+    from objectfolder.base.io import read_json
     from objectfolder.objectfile.evaluation import summary_row
+    from objectfolder.sound.fem.certainty import uncertainty_warning
     from objectfolder.workspace.layout import Build
 
     rows = [summary_row(key, read_json(Build(key).metrics)) for key in keys]

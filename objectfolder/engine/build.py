@@ -12,7 +12,8 @@ from importlib.util import cache_from_source
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from objectfolder import disk
+from objectfolder.base import disk
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.dvc import remote, steps
 from objectfolder.engine.dvc.graph import StageGraph, stage_graph
 from objectfolder.engine.dvc.inputs import Stamps, hold_params
@@ -54,7 +55,6 @@ from objectfolder.engine.summary import (
     Summary,
 )
 from objectfolder.engine.workers import FinishedQueue, LocalWorkers, WorkerLost, Workers
-from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.code_digests import PACKAGES
 from objectfolder.workspace.installed import check_installed
 from objectfolder.workspace.template import note_foreign_code

@@ -16,8 +16,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.supervisor import die_with
-from objectfolder.errors import ObjectFolderError
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 TAIL_LINES = 15

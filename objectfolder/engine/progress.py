@@ -12,6 +12,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from objectfolder.base.errors import plural
+from objectfolder.base.terminal import Terminal
 from objectfolder.engine.summary import (
     Disturbed,
     Event,
@@ -24,8 +26,6 @@ from objectfolder.engine.summary import (
     Stopping,
     Summary,
 )
-from objectfolder.errors import plural
-from objectfolder.terminal import Terminal
 
 MIN_SHARE = 0.1  # of the planned work, after which the rest is estimated
 MAX_ROWS = 60  # of the summary table; with more results, one row per stage and outcome

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.dvc.graph import all_stages, dvc_files
 from objectfolder.engine.dvc.repository import OpenRepository, open_repository, read_params
 from objectfolder.engine.dvc.runcache import hashes_in, outputs_of, read_entry, remove_saved_run, saved_runs
 from objectfolder.engine.records import LOGS
-from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.layout import MODALITIES, Benchmarks, Build
 from objectfolder.workspace.params import OBJECT_TASKS, TASKS
 

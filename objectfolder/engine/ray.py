@@ -15,14 +15,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import install_command
 from objectfolder.engine import node
 from objectfolder.engine.build import MakeWorkers
 from objectfolder.engine.process import Command, CommandResult
 from objectfolder.engine.records import LOGS
 from objectfolder.engine.resources import Needs
 from objectfolder.engine.workers import FinishedQueue, WorkerLost
-from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import install_command
 
 #: Seconds between two queries for the nodes of the cluster.
 PERIOD = 1.0

@@ -10,10 +10,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_json
 from objectfolder.engine.process import CommandResult
 from objectfolder.engine.summary import StageResult
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_json
 
 LOGS = Path("build/.logs")
 _FAILURE, _COST = ".failed", ".cost"

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import atomic
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.dvc.recorded import READ_ONLY, RecordedFile, check_out, file_hash, records
 from objectfolder.engine.dvc.repository import OpenRepository, open_repository
 from objectfolder.engine.dvc.runcache import hashes_in, outputs_of, read_entry, remove_saved_run, saved_runs
 from objectfolder.engine.summary import Addressed, Listener, Summary
 from objectfolder.engine.survey import Survey, Track, runs_by_object, take_survey
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
 
 
 @dataclass(frozen=True)

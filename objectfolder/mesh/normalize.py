@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.closing.piercing import self_intersections
 from objectfolder.mesh.closing.surface import ClosedSurface, RepairStep, close_surface
 from objectfolder.mesh.textured import TexturedMesh, appearance_report

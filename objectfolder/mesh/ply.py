@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.topology import Mesh
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 
 CERTIFICATE_COLUMNS = 128  #: along the longest side
 MAX_OUTSIDE = 1e-3  #: accepted `Certificate.outside_fraction`: scans intersect themselves slightly

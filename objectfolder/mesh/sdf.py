@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.featurecodec import Features
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.gridcodec import BOUND, band_width, quantise

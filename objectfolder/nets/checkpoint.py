@@ -9,9 +9,9 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-from objectfolder.arrays import torch_problem
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic_stream, file_digest
+from objectfolder.base.arrays import torch_problem
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import atomic_stream, file_digest
 
 INTERVAL = 60.0  #: wall seconds between two checkpoints of a training whose units are short
 FORMAT = "objectfolder training 1"

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.nets.checkpoint import Checkpoint, Training, TrainingState, copy_state, run_training
 from objectfolder.nets.optimizers import Optimizer, make_default_adam, make_papers_adam
 from objectfolder.nets.positional import train_in

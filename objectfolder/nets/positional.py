@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import torch
 from torch import nn
 
-from objectfolder.settings import Precision
+from objectfolder.base.settings import Precision
 
 SKIP = 4  # the input is concatenated to the output of this layer (Mildenhall et al. 2020)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from objectfolder.settings import Count, Octaves, Positive, Precision, Share
+from objectfolder.base.settings import Count, Octaves, Positive, Precision, Share
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,12 +14,12 @@ from typing import Any, get_args
 import numpy as np
 import torch
 
-from objectfolder.arrays import MAX_BYTES
-from objectfolder.errors import ObjectFolderError, quoted, shortened
-from objectfolder.io import file_digest
+from objectfolder.base.arrays import MAX_BYTES
+from objectfolder.base.errors import ObjectFolderError, quoted, shortened
+from objectfolder.base.io import file_digest
+from objectfolder.base.text import from_csv, visible
 from objectfolder.objectfile.file import Device, ObjectFile
-from objectfolder.objectfile.header import NAMES, checked_name
-from objectfolder.text import from_csv, visible
+from objectfolder.stored.header import NAMES, checked_name
 
 INDEX = "objects.csv"  #: in a release's folder
 OBJECTS = "objects"  #: folder of the Object Files

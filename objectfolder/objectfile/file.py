@@ -12,26 +12,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from objectfolder.arrays import open_safetensors, safetensors_bytes, write_safetensors
-from objectfolder.audio.synthesis import checked_sample_rate
-from objectfolder.checks import require_memory, whole_number
-from objectfolder.errors import ObjectFolderError, shortened
-from objectfolder.materials import Material
+from objectfolder.base.arrays import open_safetensors, safetensors_bytes, write_safetensors
+from objectfolder.base.checks import require_memory, whole_number
+from objectfolder.base.errors import ObjectFolderError, shortened
+from objectfolder.base.materials import Material
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.objectfile.arguments import Rows, finite_rows, usual_modes
-from objectfolder.objectfile.audio import SoundQueries, struck_object
-from objectfolder.objectfile.header import checked_header
 from objectfolder.objectfile.parts import StoredParts
-from objectfolder.objectfile.reading import described_part, held_parts
 from objectfolder.objectfile.samples import available_samples, sample_path
-from objectfolder.objectfile.touch import TouchQueries
-from objectfolder.objectfile.vision import VisionQueries
-from objectfolder.objectfile.vision_senses import OSF_KINDS
+from objectfolder.sound.query import SoundQueries, struck_object
+from objectfolder.sound.synthesis import checked_sample_rate
+from objectfolder.stored.arguments import Rows, finite_rows, usual_modes
+from objectfolder.stored.header import checked_header
+from objectfolder.stored.reading import described_part, held_parts
+from objectfolder.touch.query import TouchQueries
+from objectfolder.vision.query import VisionQueries
+from objectfolder.vision.senses import OSF_KINDS
 
 if TYPE_CHECKING:
     import trimesh
 
-    from objectfolder.objectfile.gradients.answers import Answers
+    from objectfolder.objectfile.gradient import Answers
     from objectfolder.objectfile.voice import Voice
 
 Device = str | torch.device  #: of nets
@@ -284,7 +284,7 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
         ObjectFolderError
             If the type is another.
         """
-        answers = import_module("objectfolder.objectfile.gradients.answers")  # as in `voice`
+        answers = import_module("objectfolder.objectfile.gradient")  # as in `voice`
         made: Answers = answers.Answers(self._parts, dtype)
         return self._answers.setdefault(made.dtype, made)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from objectfolder.mesh.featurecodec import Features, pack_features
 from objectfolder.mesh.gridcodec import pack_grid
-from objectfolder.objectfile.header import MODALITIES, RADIATION, checked_header, format_name
+from objectfolder.stored.header import MODALITIES, RADIATION, checked_header, format_name
 
 ESTIMATING = "hex20 cut cells"  #: element whose errors of frequencies are estimated if its grid allows it
 

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.featurecodec import COUNTED, Features, unpack_features
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import unpack_grid
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.nets.released.registry import trained_box
-from objectfolder.objectfile.audio import SoundSense
-from objectfolder.objectfile.audio_senses import sound_sense
-from objectfolder.objectfile.header import RADIATION
-from objectfolder.objectfile.radiation import Radiation
-from objectfolder.objectfile.reading import (
+from objectfolder.sound.far_field import Radiation
+from objectfolder.sound.query import SoundSense
+from objectfolder.sound.senses import sound_sense
+from objectfolder.stored.header import RADIATION
+from objectfolder.stored.reading import (
     StoredNet,
     checked_tensor,
     described_part,
@@ -28,11 +27,12 @@ from objectfolder.objectfile.reading import (
     read_once,
     report_damage,
 )
-from objectfolder.objectfile.surface import TOLERANCE, ObjectSurface
-from objectfolder.objectfile.touch import TouchSense
-from objectfolder.objectfile.touch_senses import touch_sense
-from objectfolder.objectfile.vision import VisionSense
-from objectfolder.objectfile.vision_senses import vision_sense
+from objectfolder.stored.released import trained_box
+from objectfolder.stored.surface import TOLERANCE, ObjectSurface
+from objectfolder.touch.query import TouchSense
+from objectfolder.touch.senses import touch_sense
+from objectfolder.vision.query import VisionSense
+from objectfolder.vision.senses import vision_sense
 
 TAPS = 2000  #: points of the surface whose mode shapes are kept for rough answers
 

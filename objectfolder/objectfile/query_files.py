@@ -5,8 +5,8 @@ import math
 import numpy as np
 import torch
 
-from objectfolder.checks import finite_number, one_of, require_memory, whole_number
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.checks import finite_number, one_of, require_memory, whole_number
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.vision.cameras import CAMERA_RADIUS, LIGHT_RADIUS, MAX_COORDINATE, sphere_points

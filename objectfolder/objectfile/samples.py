@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.base.errors import ObjectFolderError, quoted
 
 _FOLDER = Path(__file__).with_suffix("")
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from objectfolder.settings import Count
+from objectfolder.base.settings import Count
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,10 +8,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.signal import resample_poly
 
-from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
-from objectfolder.checks import finite_number, require_memory, whole_number
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.checks import finite_number, require_memory, whole_number
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.sound.spectrogram import DURATION, SAMPLE_RATE
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
 from objectfolder.vision.lighting import studio
 

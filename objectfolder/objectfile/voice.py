@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.audio.click import AIR_DENSITY, SOUND_SPEED, Recoil
-from objectfolder.audio.contact import effective_modulus
-from objectfolder.audio.synthesis import gains, is_audible
-from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import Material
-from objectfolder.objectfile.arguments import Rows, broadcast_rows, finite_rows
-from objectfolder.objectfile.audio_senses import ModalSense, no_modes
-from objectfolder.objectfile.header import RADIATION
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import Material
 from objectfolder.objectfile.parts import TAPS, StoredParts
+from objectfolder.sound.click import AIR_DENSITY, SOUND_SPEED, Recoil
+from objectfolder.sound.contact import effective_modulus
+from objectfolder.sound.senses import ModalSense, no_modes
+from objectfolder.sound.synthesis import gains, is_audible
+from objectfolder.stored.arguments import Rows, broadcast_rows, finite_rows
+from objectfolder.stored.header import RADIATION
 
 _ALIKE = 0.01  # relative change of wavelengths, over the size, that is not worth a warning
 log = logging.getLogger(__name__)

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.fem.certainty import MAX_RESIDUAL, MAX_UNWARNED_ERROR, rigid_limit
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.report.pictures import playing_rate
+from objectfolder.sound.fem.certainty import MAX_RESIDUAL, MAX_UNWARNED_ERROR, rigid_limit
 
 STRIKES = 8  # points at which sounds and touches are checked
 VOLUME = 0.05  # difference between the volume of the surface and that of the solid, relative

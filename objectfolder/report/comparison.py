@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from objectfolder.audio.spectrogram import DYNAMIC_RANGE, HOP, magnitudes, show_spectrogram
-from objectfolder.figures import show_image
-from objectfolder.metrics import psnr
+from objectfolder.base.figures import show_image
+from objectfolder.base.metrics import psnr
+from objectfolder.sound.spectrogram import DYNAMIC_RANGE, HOP, magnitudes, show_spectrogram
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

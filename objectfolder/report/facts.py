@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.arrays import read_npz
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import file_digest, read_json
+from objectfolder.base.metrics import psnr
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.engine.records import recall_costs
-from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.certainty import uncertainty_warning
-from objectfolder.io import file_digest, read_json
-from objectfolder.metrics import psnr
-from objectfolder.objectfile.evaluate_sound import UnitStrikes, compare_sounds
-from objectfolder.objectfile.evaluate_vision import choose_views, compare_views
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.header import PARTS
 from objectfolder.report.certificate import build_checks, file_checks
 from objectfolder.report.comparison import join_images, join_spectrograms
 from objectfolder.report.pictures import picture_uri, playing_rate, sound_uri
-from objectfolder.seeding import numpy_generator
+from objectfolder.sound.evaluation import UnitStrikes, compare_sounds
+from objectfolder.sound.fem.certainty import uncertainty_warning
+from objectfolder.stored.header import PARTS
+from objectfolder.vision.evaluation import choose_views, compare_views
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import OBJECT_STAGES
 

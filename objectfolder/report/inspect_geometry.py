@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Any
 import igl
 import numpy as np
 
-from objectfolder.arrays import read_npz
-from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.cutcell import CutCells
-from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.figures import page, page_rows, save_page, show_image
-from objectfolder.io import atomic, read_json
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.figures import page, page_rows, save_page, show_image
+from objectfolder.base.io import atomic, read_json
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.ply import read_surface
@@ -21,6 +19,8 @@ from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.report.inspect_scene import CLAY, VIEW_FROM, add_textured, draw_scene, hexahedra, triangles
 from objectfolder.report.inspection import Inspection, kilobytes, picture_path, require, span
+from objectfolder.sound.fem.cutcell import CutCells
+from objectfolder.sound.fem.elements import solid_from_arrays
 from objectfolder.workspace.layout import Build
 
 if TYPE_CHECKING:

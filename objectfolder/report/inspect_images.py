@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from objectfolder.arrays import read_npz
-from objectfolder.figures import page, page_columns, page_rows, save_page, show_image
-from objectfolder.io import read_json
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.figures import page, page_columns, page_rows, save_page, show_image
+from objectfolder.base.io import read_json
 from objectfolder.mesh.ply import read_surface
 from objectfolder.report.inspect_scene import CLAY, VIEW_FROM, draw_scene, triangles
 from objectfolder.report.inspection import Inspection, kilobytes, picture_path, require, span

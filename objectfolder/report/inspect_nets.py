@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.arrays import read_safetensors
-from objectfolder.audio.spectrogram import show_spectrogram
-from objectfolder.figures import page, page_rows, save_page, show_image
-from objectfolder.io import read_json
+from objectfolder.base.arrays import read_safetensors
+from objectfolder.base.figures import page, page_rows, save_page, show_image
+from objectfolder.base.io import read_json
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.report.inspection import Inspection, in_kilobytes, kilobytes, picture_path, require, span
+from objectfolder.sound.spectrogram import show_spectrogram
 from objectfolder.vision.cameras import CAMERA_RADIUS
 from objectfolder.workspace.layout import Build
 

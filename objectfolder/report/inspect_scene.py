@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import install_command
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import install_command
 from objectfolder.mesh.textured import TexturedMesh
 
 if TYPE_CHECKING:

@@ -7,17 +7,17 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from objectfolder.acoustics.farfield import FarField, unpack_far_field
-from objectfolder.acoustics.harmonics import real_harmonics
-from objectfolder.arrays import read_npz, read_safetensors
-from objectfolder.audio.spectrogram import SAMPLE_RATE, show_spectrogram
-from objectfolder.audio.synthesis import gains, sinusoid_bank
-from objectfolder.figures import page, page_rows, save_page, show_image
-from objectfolder.io import read_json
+from objectfolder.base.arrays import read_npz, read_safetensors
+from objectfolder.base.figures import page, page_rows, save_page, show_image
+from objectfolder.base.io import read_json
 from objectfolder.mesh.ply import read_surface
-from objectfolder.nets.audio_gains import energy_weights
 from objectfolder.report.inspect_scene import draw_scene, triangles
 from objectfolder.report.inspection import Inspection, kilobytes, picture_path, require, span
+from objectfolder.sound.gains_net import energy_weights
+from objectfolder.sound.radiation.farfield import FarField, unpack_far_field
+from objectfolder.sound.radiation.harmonics import real_harmonics
+from objectfolder.sound.spectrogram import SAMPLE_RATE, show_spectrogram
+from objectfolder.sound.synthesis import gains, sinusoid_bank
 from objectfolder.workspace.layout import Build
 
 if TYPE_CHECKING:

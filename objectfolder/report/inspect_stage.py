@@ -7,8 +7,8 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
 
-from objectfolder.disk import refuse_links
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.disk import refuse_links
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.report.inspect_geometry import export_vtu, inspect_normalize, inspect_voxelize
 from objectfolder.report.inspect_images import inspect_render_touch, inspect_render_views
 from objectfolder.report.inspect_nets import inspect_evaluate, inspect_net, inspect_pack

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from objectfolder.audio.recordings import loudest_channel, open_sound, read_channels, resample_sound
-from objectfolder.checks import whole_number
-from objectfolder.errors import ObjectFolderError, plural, quoted, shortened
-from objectfolder.text import from_csv, in_script
+from objectfolder.base.checks import whole_number
+from objectfolder.base.errors import ObjectFolderError, plural, quoted, shortened
+from objectfolder.base.text import from_csv, in_script
+from objectfolder.sound.recordings import loudest_channel, open_sound, read_channels, resample_sound
 from objectfolder.viewer.page import fill_page, static_text
 
 PAIRS = 16  #: of the paper's study

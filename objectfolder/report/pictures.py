@@ -7,8 +7,8 @@ import numpy as np
 import soundfile
 from PIL import Image
 
-from objectfolder.audio.spectrogram import SAMPLE_RATE
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.sound.spectrogram import SAMPLE_RATE
 
 QUALITY = 80  # of WebP
 FULL_RATE = 48000  # Hz, of sounds with modes above 8 kHz

@@ -5,9 +5,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from objectfolder.disk import refuse_links
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_text
+from objectfolder.base.disk import refuse_links
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_text
+from objectfolder.base.text import in_html, in_script
 from objectfolder.report.facts import (
     SCORES,
     ObjectReport,
@@ -16,7 +17,6 @@ from objectfolder.report.facts import (
     object_report,
     read_key,
 )
-from objectfolder.text import in_html, in_script
 from objectfolder.viewer.page import fill_page, page_parts, static_text
 
 

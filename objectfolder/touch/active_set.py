@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.gel import Layer, precondition, respond, within_reach
 
 ACCURACY = 1e-10  #: of a displacement, relative to the greatest

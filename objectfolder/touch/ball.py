@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from objectfolder.recent import Recent
+from objectfolder.base.recent import Recent
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.gel import GAP, deform
 from objectfolder.touch.optics import Optics

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from objectfolder.arrays import write_png
-from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.io import file_digest, write_json, write_text
-from objectfolder.metrics import psnr
+from objectfolder.base.arrays import write_png
+from objectfolder.base.errors import ObjectFolderError, plural
+from objectfolder.base.io import file_digest, write_json, write_text
+from objectfolder.base.metrics import psnr
 from objectfolder.touch.ball import BallModel
 from objectfolder.touch.imprint import (
     Imprint,

@@ -6,7 +6,7 @@ from functools import cache, lru_cache
 import numpy as np
 import torch
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.touch.arrays import Array, array_library
 from objectfolder.touch.camera import gel_depth, ray_directions

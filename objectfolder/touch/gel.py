@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import scipy  # scipy.fft loads at first use: views and sounds start without it
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.profiles import SensorProfile
 
 #: Largest gap between gel and object that heightmaps resolve, as a fraction of the elastomer's thickness;

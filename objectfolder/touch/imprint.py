@@ -9,7 +9,7 @@ from skimage.filters import threshold_otsu
 from skimage.measure import label, regionprops
 from skimage.morphology import reconstruction
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 
 _MIN_RADIUS = 4.0  # pixels
 _MIN_CONTRAST = 4.0  # brightness of an imprint over the noise

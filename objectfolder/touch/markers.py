@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # scipy.ndimage loads at first use
 
-from objectfolder.checks import finite_number
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.checks import finite_number
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth
 from objectfolder.touch.profiles import SensorProfile
 

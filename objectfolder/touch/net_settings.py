@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from objectfolder.base.settings import Count, Octaves, Positive
 from objectfolder.nets.settings import PapersNetConfig
-from objectfolder.settings import Count, Octaves, Positive
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.pictures import decoded
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.pictures import decoded
 from objectfolder.touch.profiles import SensorProfile
 
 _ARRAYS = ("f0", "imgs", "touch_center", "touch_radius")

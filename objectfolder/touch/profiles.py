@@ -7,8 +7,8 @@ from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from objectfolder.errors import ObjectFolderError, quoted, shortened
-from objectfolder.yamlfile import is_yaml_name, read_yaml
+from objectfolder.base.errors import ObjectFolderError, quoted, shortened
+from objectfolder.base.yamlfile import is_yaml_name, read_yaml
 
 _PROFILES = Path(__file__).with_suffix("")
 

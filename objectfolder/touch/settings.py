@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from objectfolder.settings import Count, NonNegative
+from objectfolder.base.settings import Count, NonNegative
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_sag
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
 from objectfolder.touch.gel import MAX_DENSE_PIXELS, SPACING, Layer, double, halve, layer_of, period
 from objectfolder.touch.profiles import SensorProfile

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from objectfolder.io import atomic_stream
+from objectfolder.base.io import atomic_stream
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 

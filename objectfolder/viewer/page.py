@@ -7,8 +7,8 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from objectfolder.materials import LAWS, material, material_names
-from objectfolder.text import in_html, in_script
+from objectfolder.base.materials import LAWS, material, material_names
+from objectfolder.base.text import in_html, in_script
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.viewer.background import pack_background
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from objectfolder.checks import finite_number, real_array, whole_number
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.checks import finite_number, real_array, whole_number
+from objectfolder.base.errors import ObjectFolderError
 
 CAMERA_RADIUS = 2.5  #: training cameras sit on this sphere (supplementary C)
 LIGHT_RADIUS = 1.0

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.checks import real_array
-from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.base.checks import real_array
+from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.vision.lighting import MAX_COLOR, DistantLight, Lamp, choose_lamps
 
@@ -26,7 +26,7 @@ def read_environment(path: str | Path) -> np.ndarray:
     """
     path = Path(path)
     if path.suffix.lower() not in HDR_SUFFIXES:
-        from objectfolder.pictures import decoded  # loads PIL
+        from objectfolder.base.pictures import decoded  # loads PIL
 
         return srgb.decode(np.asarray(decoded(path, str(path))) / 255)
     try:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.checks import finite_number, real_array
-from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.base.checks import finite_number, real_array
+from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.vision.cameras import MAX_COORDINATE
 
 MAX_COLOR = 1e12  #: of a colour: its light near a surface still fits into single precision

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
+from objectfolder.base.settings import Count, Octaves, Positive
 from objectfolder.nets.settings import PapersNetConfig
-from objectfolder.settings import Count, Octaves, Positive
 
 
 @dataclass(frozen=True, kw_only=True)

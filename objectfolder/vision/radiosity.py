@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
+from objectfolder.base.recent import Recent
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.recent import Recent
 from objectfolder.vision.lighting import toward
 from objectfolder.vision.trace import SurfaceSamples, is_lit, nearest_corners, weighted_rows
 from objectfolder.vision.vectors import column_major, dot, take_rows

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.textured import DEFAULT_ROUGHNESS, PLAIN, TexturedMesh
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, MultipleOf
 
-from objectfolder.settings import Count, NonNegative
+from objectfolder.base.settings import Count, NonNegative
 
 RendererName = Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]
 MIN_RESOLUTION = 11  #: pixels along a side of a whole view: the window of the SSIM that ``evaluate`` takes

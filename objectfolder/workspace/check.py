@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 from pydantic import create_model
 
-from objectfolder.errors import ObjectFolderError, quoted
-from objectfolder.materials import own_material
+from objectfolder.base.errors import ObjectFolderError, quoted
+from objectfolder.base.materials import own_material
 from objectfolder.workspace.params import (
     BENCHMARKS,
     OBJECT_TASKS,

@@ -12,19 +12,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import file_digest
+from objectfolder.base.yamlfile import is_yaml_name
 from objectfolder.workspace.installed import INSTALLED, PACKAGE, PROFILES, SENSORS, located, runs_installed
 from objectfolder.workspace.layout import MATERIALS
 from objectfolder.workspace.params import PARAMS_FILE, read
-from objectfolder.yamlfile import is_yaml_name
 
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 PACKAGES = (PACKAGE, "stages")  #: packages of the project
 #: Files and folders of the package that stages read; a workspace without the package depends on digests.
 DATA = (
     f"{PACKAGE}/benchmarks/data",
-    f"{PACKAGE}/objectfile/objectfile.schema.json",
+    f"{PACKAGE}/stored/objectfile.schema.json",
     PROFILES,
 )
 

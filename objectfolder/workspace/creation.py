@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_text
-from objectfolder.locks import exclusive
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_text
+from objectfolder.base.locks import exclusive
 from objectfolder.workspace import template
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.document import editable, write_params

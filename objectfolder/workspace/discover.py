@@ -12,16 +12,16 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from objectfolder.errors import ObjectFolderError, plural, quoted
-from objectfolder.fem.settings import VoxelizeConfig
-from objectfolder.fem.voxelize import voxelize
-from objectfolder.materials import own_material
+from objectfolder.base.errors import ObjectFolderError, plural, quoted
+from objectfolder.base.materials import own_material
+from objectfolder.base.yamlfile import is_yaml_name, read_yaml
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
 from objectfolder.mesh.settings import NormalizeConfig
+from objectfolder.sound.fem.settings import VoxelizeConfig
+from objectfolder.sound.fem.voxelize import voxelize
 from objectfolder.workspace.objects import MAX_SCALE, MIN_SCALE, check_new, object_files
 from objectfolder.workspace.params import settings
-from objectfolder.yamlfile import is_yaml_name, read_yaml
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  #: metres
 SMALL = 0.01  # metres; smallest size that is guessed

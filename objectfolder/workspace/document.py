@@ -8,10 +8,10 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from objectfolder.io import write_text
-from objectfolder.locks import exclusive
+from objectfolder.base.io import write_text
+from objectfolder.base.locks import exclusive
+from objectfolder.base.yamlfile import check_yaml
 from objectfolder.workspace.params import read
-from objectfolder.yamlfile import check_yaml
 
 
 def editable(path: Path) -> tuple[Any, dict[str, Any]]:

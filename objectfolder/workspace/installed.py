@@ -6,8 +6,8 @@ that it was made for, so that a build with any other version is refused instead 
 
 from pathlib import Path
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import file_digest
 
 PACKAGE = "objectfolder"
 #: In a workspace: digests of the installed package, and of the files that ``objectfolder init`` wrote.

@@ -9,17 +9,17 @@ from typing import Any
 
 from ruamel.yaml.comments import CommentedMap
 
-from objectfolder.disk import new_folder
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_text
-from objectfolder.materials import own_material
+from objectfolder.base.disk import new_folder
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_text
+from objectfolder.base.materials import own_material
+from objectfolder.base.yamlfile import is_yaml_name
 from objectfolder.mesh.reading.load import default_up, load_mesh, references
 from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_object
 from objectfolder.workspace.document import edited
 from objectfolder.workspace.layout import MATERIALS
-from objectfolder.yamlfile import is_yaml_name
 
 MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; beyond, the unit is probably wrong
 
@@ -146,7 +146,7 @@ def _place_material(given: str, root: Path) -> tuple[str, str]:
 
 
 def set_material(key: str, described: dict[str, Any], root: Path = Path()) -> None:
-    """Give an object of a workspace a material of its own; see `objectfolder.materials.own_material`."""
+    """Give an object of a workspace a material of its own; see `objectfolder.base.materials.own_material`."""
     path = root / params.PARAMS_FILE
     with edited(path) as (document, _):
         document["objects"][key]["material"] = _one_line(described)

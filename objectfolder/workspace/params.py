@@ -1,7 +1,7 @@
 """Read and check ``params.yaml``: objects, and one section of settings for each stage.
 
-A section is a frozen dataclass beside the code that uses it, such as `objectfolder.fem.settings.ModalConfig`.
-Its annotations are the checks (`objectfolder.settings`).
+A section is a frozen dataclass beside the code that uses it, such as
+`objectfolder.sound.fem.settings.ModalConfig`. Its annotations are the checks (`objectfolder.base.settings`).
 """
 
 import difflib
@@ -20,9 +20,9 @@ from typing import Any, Generic, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
-from objectfolder.errors import ObjectFolderError, quoted, shortened
+from objectfolder.base.errors import ObjectFolderError, quoted, shortened
+from objectfolder.base.yamlfile import is_yaml_name, read_yaml
 from objectfolder.workspace.layout import MATERIALS
-from objectfolder.yamlfile import is_yaml_name, read_yaml
 
 PARAMS_FILE = "params.yaml"
 #: Environment variable by which a build gives its stages the parameters that it recorded: a copy of the file.
@@ -46,13 +46,13 @@ _log = logging.getLogger(__name__)
 #: Dataclass of each section. By name, so that a stage depends on the modules of its own section alone.
 SECTIONS = {
     "normalize": "objectfolder.mesh.settings:NormalizeConfig",
-    "voxelize": "objectfolder.fem.settings:VoxelizeConfig",
-    "modal": "objectfolder.fem.settings:ModalConfig",
-    "radiation": "objectfolder.acoustics.settings:RadiationConfig",
+    "voxelize": "objectfolder.sound.fem.settings:VoxelizeConfig",
+    "modal": "objectfolder.sound.fem.settings:ModalConfig",
+    "radiation": "objectfolder.sound.radiation.settings:RadiationConfig",
     "render_views": "objectfolder.vision.settings:RenderViewsConfig",
     "render_touch": "objectfolder.touch.settings:RenderTouchConfig",
     "train_vision": "objectfolder.vision.net_settings:VisionConfig",
-    "train_audio": "objectfolder.audio.net_settings:AudioConfig",
+    "train_audio": "objectfolder.sound.net_settings:AudioConfig",
     "train_touch": "objectfolder.touch.net_settings:TouchConfig",
     "evaluate": "objectfolder.objectfile.settings:EvaluateConfig",
     "observe": "objectfolder.benchmarks.datasets.settings:ObserveConfig",
@@ -138,7 +138,7 @@ class ObjectEntry(Record):
 
 
 class ProceduralEntry(BaseModel):
-    """An object that ``objectfolder.mesh.procedural`` generates; other fields go to the generator."""
+    """An object that ``objectfolder.shapes`` generates; other fields go to the generator."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 

@@ -7,11 +7,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from objectfolder.errors import ObjectFolderError, quoted
+from objectfolder.base.errors import ObjectFolderError, quoted
+from objectfolder.base.yamlfile import inline_lists, read_yaml
 from objectfolder.workspace.check import check_all, check_own
 from objectfolder.workspace.document import edited
 from objectfolder.workspace.params import PARAMS_FILE, SECTIONS, Shared, differences, plain, section_config
-from objectfolder.yamlfile import inline_lists, read_yaml
 
 DEFAULT = "quick"
 

@@ -10,9 +10,10 @@ from importlib.machinery import all_suffixes
 from pathlib import Path
 from typing import Any
 
-from objectfolder.errors import ObjectFolderError, shortened
-from objectfolder.installation import installed_version, requirement
-from objectfolder.io import file_digest, write_text
+from objectfolder.base.errors import ObjectFolderError, shortened
+from objectfolder.base.installation import installed_version, requirement
+from objectfolder.base.io import file_digest, write_text
+from objectfolder.base.yamlfile import read_yaml, yaml_text
 from objectfolder.workspace.check import Selection
 from objectfolder.workspace.code_digests import DATA
 from objectfolder.workspace.installed import (
@@ -26,7 +27,6 @@ from objectfolder.workspace.installed import (
 from objectfolder.workspace.layout import code_list
 from objectfolder.workspace.params import PARAMS_FILE
 from objectfolder.workspace.presets import default_sections
-from objectfolder.yamlfile import read_yaml, yaml_text
 
 REQUIREMENTS = "requirements.txt"
 #: Files that a clone does not have, by the name that they get.
@@ -36,7 +36,7 @@ EXTRA = "build"  #: of the package, which a workspace needs
 _TEMPLATE = Path(__file__).with_suffix("")
 _DEPENDENCY = re.compile(rf"^(\s+- )({PACKAGE}(?:/\S+)?)$", re.MULTILINE)
 
-#: What `objectfolder.installation.requirement` writes, and its form for a wheel on a server.
+#: What `objectfolder.base.installation.requirement` writes, and its form for a wheel on a server.
 _PIN = re.compile(rf"^{PACKAGE}\[{EXTRA}\](?:==\S+| @ \S+)$", re.MULTILINE)
 _NOTE = (
     f"# If this line works on this machine alone, write `{PACKAGE}[{EXTRA}] @ URL`: of a wheel, or "

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from objectfolder.acoustics.farfield import unpack_far_field
-from objectfolder.arrays import read_npz, read_safetensors
-from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.elements import solid_from_arrays
-from objectfolder.io import read_json
+from objectfolder.base.arrays import read_npz, read_safetensors
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.objectfile.evaluation import summary_row
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.reading import report_damage
+from objectfolder.sound.fem.elements import solid_from_arrays
+from objectfolder.sound.radiation.farfield import unpack_far_field
+from objectfolder.stored.reading import report_damage
 from objectfolder.workspace.layout import MODALITIES, SPLITS, Build
 
 #: Array shapes; a letter stands for the same number throughout a file.

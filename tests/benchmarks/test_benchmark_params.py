@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.tasks.grasp_stability import GraspStabilityConfig
 from objectfolder.benchmarks.tasks.task import find_task
-from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.params import BENCHMARKS, check_key, read, section_config, settings
 

@@ -12,7 +12,8 @@ import typer
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
-from objectfolder.arrays import open_safetensors, write_safetensors
+from objectfolder.base.arrays import open_safetensors, write_safetensors
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import object_split
@@ -20,7 +21,6 @@ from objectfolder.benchmarks.tasks import recognize, retrieve
 from objectfolder.benchmarks.tasks.task import find_task
 from objectfolder.cli import app
 from objectfolder.cli.console import track_progress
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Benchmarks
 from objectfolder.workspace.params import BENCHMARKS, read

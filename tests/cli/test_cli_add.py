@@ -13,10 +13,10 @@ from PIL import Image
 from rich.console import Console
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
 from objectfolder.engine.build import build
 from objectfolder.engine.dvc.repository import track
-from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.normalize import Normalized
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import discover as discovery

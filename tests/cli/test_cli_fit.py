@@ -8,10 +8,10 @@ import soundfile
 from taps import MODES, RATE, taps
 from typer.testing import CliRunner
 
-from objectfolder.arrays import write_npz
+from objectfolder.base.arrays import write_npz
+from objectfolder.base.io import write_json
+from objectfolder.base.materials import material, own_material
 from objectfolder.cli import app
-from objectfolder.io import write_json
-from objectfolder.materials import material, own_material
 from objectfolder.workspace import params
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.layout import Build

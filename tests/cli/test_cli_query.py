@@ -9,8 +9,8 @@ from brick import SCALE, build_brick
 from PIL import Image
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.vision import environment
 from objectfolder.vision.lighting import PointLight

@@ -7,8 +7,8 @@ from brick import SCALE, SIDES, with_images
 from scipy import stats
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.query_files import sample_presses, sample_strikes
 from objectfolder.touch.profiles import load_profile
 

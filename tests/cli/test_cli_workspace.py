@@ -6,8 +6,8 @@ import json
 import pytest
 from rich.console import Console
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app, workspace
-from objectfolder.errors import ObjectFolderError
 from objectfolder.report.inspect_stage import STAGES
 from objectfolder.workspace.layout import Build
 

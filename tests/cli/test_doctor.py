@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 import objectfolder
+from objectfolder.base.installation import install_command
 from objectfolder.cli import app, doctor
-from objectfolder.installation import install_command
 
 ROOT = Path(__file__).parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())

@@ -8,8 +8,8 @@ import pytest
 from disks import small_disk
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
 
 MAIN = "from objectfolder.cli import main; main()"
 

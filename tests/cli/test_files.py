@@ -8,10 +8,10 @@ import pytest
 from brick import SCALE, SIDES
 from typer.main import get_command
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.run import load_object_files
 from objectfolder.cli import app, main
 from objectfolder.cli.files import file_or_folder, object_file
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import sample_path
 from objectfolder.workspace.params import BENCHMARKS

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace import params
 

@@ -7,10 +7,10 @@ import pytest
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Benchmarks
 

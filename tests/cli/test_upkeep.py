@@ -4,9 +4,9 @@ import shutil
 
 import pytest
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
 from objectfolder.engine.dvc.repository import open_repository
-from objectfolder.errors import ObjectFolderError
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,10 @@ import shutil
 
 import pytest
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.records import recall_costs
 from objectfolder.engine.summary import Finished, Planned, StageOutcome, Started
-from objectfolder.errors import ObjectFolderError
 
 from .conftest import everything
 

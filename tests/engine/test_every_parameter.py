@@ -13,9 +13,9 @@ from pathlib import Path
 from hypothesis import settings
 from ruamel.yaml import YAML
 
+from objectfolder.base.io import write_text
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.summary import StageOutcome
-from objectfolder.io import write_text
 from objectfolder.workspace.code_digests import code_text
 from objectfolder.workspace.layout import MATERIALS, code_list
 from objectfolder.workspace.params import OBJECT_TASKS, TASKS
@@ -81,7 +81,7 @@ TEXTS |= {
     "stages/__init__.py": COMMON,
     "data/objects/bell/mesh.obj": "mesh",
     "dvc.yaml": (ROOT / "dvc.yaml").read_text(),
-    "objectfolder/objectfile/objectfile.schema.json": "{}",
+    "objectfolder/stored/objectfile.schema.json": "{}",
     "objectfolder/benchmarks/data/objects.csv": "bell",
     f"{MATERIALS}/README.md": "own materials",
     **{

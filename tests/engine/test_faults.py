@@ -13,14 +13,14 @@ import psutil
 import pytest
 from disks import mounted, small_disk
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.locks import private_path
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.dvc.repository import track
 from objectfolder.engine.process import Children, open_log
 from objectfolder.engine.records import LOGS, log_path
 from objectfolder.engine.summary import Finished, StageOutcome
 from objectfolder.engine.verify import verify
-from objectfolder.errors import ObjectFolderError
-from objectfolder.locks import private_path
 
 from .conftest import KEYS, everything, spoil
 from .processes import DIE_AT_A_CHANGE, alive, meanwhile, start, started, wait_for

@@ -7,8 +7,8 @@ import time
 import psutil
 import pytest
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.build import build
-from objectfolder.errors import ObjectFolderError
 
 from .conftest import everything
 from .processes import alive, start, started, wait_for

@@ -11,11 +11,11 @@ import pytest
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
 from objectfolder.engine.build import build
 from objectfolder.engine.prune import prune, survey
 from objectfolder.engine.verify import verify
-from objectfolder.errors import ObjectFolderError
 
 from .conftest import PIPELINE
 

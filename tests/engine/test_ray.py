@@ -14,13 +14,13 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import install_command
 from objectfolder.cli import app
 from objectfolder.engine import resources
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.ray import Node, RayWorkers, fit_to_nodes, ray_workers
 from objectfolder.engine.resources import Needs
-from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import install_command
 
 from .conftest import STEPS, Workspace, everything
 from .processes import PATH, alive, started, wait_for

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import pytest
 from dvc.repo import Repo
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.summary import Planned, StageOutcome
-from objectfolder.errors import ObjectFolderError
 
 from .conftest import PIPELINE, Workspace, everything
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli.statusview import as_json, print_details, print_outlook, print_table
 from objectfolder.engine.build import build
 from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.engine.status import Outlook, StageStatus, State, status
 from objectfolder.engine.summary import StageOutcome
-from objectfolder.errors import ObjectFolderError
 
 from . import tiny_project
 from .conftest import KEYS, everything

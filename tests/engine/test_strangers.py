@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.dvc.lockfile import COPIES
 from objectfolder.engine.verify import verify
-from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.installed import INSTALLED
 from objectfolder.workspace.template import foreign_code
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from dvc.repo import Repo
 
-from objectfolder.mesh.procedural import GENERATORS
+from objectfolder.shapes import GENERATORS
 from objectfolder.workspace import params
 from objectfolder.workspace.code_digests import imported_files, source_digest
 from objectfolder.workspace.params import SECTIONS
@@ -133,7 +133,7 @@ text = f"normalize {VERSION} {SHAPE} ({read_values(params, 'normalize', key)}, {
 write(f"build/{key}/surface.txt", text, VERSION)
 """,
     "observe": """
-from objectfolder.materials import MATERIALS
+from objectfolder.base.materials import MATERIALS
 from stages import key, params, read, read_values, write
 surface = read(f"build/{key}/surface.txt")
 profile = read(f"objectfolder/touch/profiles/{params['sensor']}.yaml")

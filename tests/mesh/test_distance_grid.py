@@ -7,7 +7,7 @@ import torch
 import trimesh
 from solids import TURN, box, flipped, join, sphere
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BAND_VOXELS, BOUND, band_width, quantise
 from objectfolder.mesh.isosurface import Isosurface

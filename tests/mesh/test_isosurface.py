@@ -10,7 +10,7 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.topology import is_closed, signed_volume
-from objectfolder.objectfile.surface import UNMOVED
+from objectfolder.stored.surface import UNMOVED
 
 SOLIDS = {
     "sphere": (sphere(0.42, 5), 4 / 3 * np.pi * 0.42**3),

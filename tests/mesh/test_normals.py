@@ -12,9 +12,9 @@ from objectfolder.mesh.normals import (
     split_vertices,
     unit_vectors,
 )
-from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.textured import TexturedMesh, appearance_report
+from objectfolder.shapes import GENERATORS, generate
 
 WHOLE = np.s_[:]
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from solids import TURN, box, flipped, join, sphere
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.scanline import Certificate, check_winding, crossings, inside, winding_certificate
 
 COUNT = 24

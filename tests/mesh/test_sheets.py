@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from solids import TURN, box, isosurface, join, sharp_isosurface, sphere
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.sampling import sample_surface

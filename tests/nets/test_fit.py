@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import nn
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.nets.fit import FitSettings, Session, fit, minibatches, sum_in_parts
 from objectfolder.nets.optimizers import make_papers_adam
 

@@ -11,15 +11,15 @@ from pretend_device import pretend_device
 from small_trainings import train_sounds, train_touches, train_views
 
 from objectfolder import ObjectFile
-from objectfolder.nets.audio_spectrogram import SpectrogramNet
+from objectfolder.hub.importer.checkpoint import read_released
+from objectfolder.hub.importer.nets import configured_net, depth_net, gains_net, image_net, spectrogram_net
 from objectfolder.nets.fit import Session
-from objectfolder.nets.released.network import Frame
-from objectfolder.nets.touch_image import ImageTouch
-from objectfolder.nets.vision_osf import OsfNet
-from objectfolder.released.checkpoint import read_released
-from objectfolder.released.nets import configured_net, depth_net, gains_net, image_net, spectrogram_net
+from objectfolder.nets.released_network import Frame
+from objectfolder.sound.spectrogram_net import SpectrogramNet
+from objectfolder.touch.image_net import ImageTouch
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, look_at
+from objectfolder.vision.osf_net import OsfNet
 
 POSE = look_at(np.array([2.0, -1.0, 0.7]))[0]
 LIGHT = np.array([2.0, 0.0, 1.0])

@@ -11,16 +11,16 @@ from small_trainings import train_sounds, train_touches, train_views
 from tiny_tasks import Follow, Line
 from torch import nn
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.ppo import train_ppo
 from objectfolder.benchmarks.models.settings import GraspPolicyConfig, ReachConfig
 from objectfolder.benchmarks.models.training import Objective, TrainSettings, shuffle, train
 from objectfolder.benchmarks.models.trpo import train_trpo
-from objectfolder.errors import ObjectFolderError
 from objectfolder.nets.checkpoint import Checkpoint, identity
 from objectfolder.nets.fit import FitSettings, Session, fit
 from objectfolder.nets.optimizers import Soap
-from objectfolder.seeding import numpy_generator, seeded
 
 POLICY = {"seeds": 1, "batch": 16, "learning_rate": 0.01, "discount": 0.9, "width": 4, "log_deviation": -0.5}
 

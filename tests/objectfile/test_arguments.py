@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile import arguments
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.stored import arguments
 
 ROWS = np.array([[1.0, 2, 3], [4, 5, 6]])
 

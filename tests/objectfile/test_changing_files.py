@@ -13,8 +13,14 @@ import numpy as np
 import pytest
 
 from objectfolder import ObjectFile
-from objectfolder.arrays import open_safetensors, read_npz, read_rows, read_safetensors, write_safetensors
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.arrays import (
+    open_safetensors,
+    read_npz,
+    read_rows,
+    read_safetensors,
+    write_safetensors,
+)
+from objectfolder.base.errors import ObjectFolderError
 
 TOP, UP = [[0.0, 0.0, 0.015]], [[0.0, 0.0, 1.0]]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.objectfile.dataset import COLUMNS, INDEX, OBJECTS, Dataset, IndexEntry
 from objectfolder.objectfile.file import ObjectFile
 

@@ -9,12 +9,10 @@ import torch
 from brick import SCALE
 
 from objectfolder import ObjectFile
-from objectfolder.audio.spectrogram import spectrogram
-from objectfolder.audio.synthesis import gains, sinusoid_bank
-from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import material
-from objectfolder.nets.audio_gains import energy_weights
-from objectfolder.objectfile.evaluate_sound import (
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import material
+from objectfolder.objectfile.evaluation import summary_row
+from objectfolder.sound.evaluation import (
     SoundTruth,
     UnitStrikes,
     compare_sounds,
@@ -23,10 +21,12 @@ from objectfolder.objectfile.evaluate_sound import (
     evaluate_sound,
     lost_energy,
 )
-from objectfolder.objectfile.evaluate_touch import evaluate_touch, score_images
-from objectfolder.objectfile.evaluate_vision import choose_views, compare_views, evaluate_vision
-from objectfolder.objectfile.evaluation import summary_row
+from objectfolder.sound.gains_net import energy_weights
+from objectfolder.sound.spectrogram import spectrogram
+from objectfolder.sound.synthesis import gains, sinusoid_bank
+from objectfolder.touch.evaluation import evaluate_touch, score_images
 from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
+from objectfolder.vision.evaluation import choose_views, compare_views, evaluate_vision
 
 ROWS = np.arange(20, 60)
 PLACES = ("points", "split")  # what is not of modes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from objectfolder import ObjectFile
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 
 CAMERA, LIGHT = [2.0, 1.0, 1.0], [0.5, 0.5, 0.9]
 

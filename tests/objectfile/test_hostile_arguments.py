@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import Material, material
-from objectfolder.objectfile import query_files, vision
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import Material, material
+from objectfolder.objectfile import query_files
 from objectfolder.touch.profiles import load_profile
+from objectfolder.vision import query as vision
 from objectfolder.vision.cameras import Intrinsics, look_at
 
 CAMERA, LIGHT, TOP, UP = [2.0, 1.0, 1.0], [0.5, 0.5, 0.9], [[0.0, 0.0, 0.015]], [[0.0, 0.0, 1.0]]

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from objectfolder import ObjectFile
-from objectfolder.arrays import read_rows, read_safetensors, write_safetensors
-from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile.header import checked_header
+from objectfolder.base.arrays import read_rows, read_safetensors, write_safetensors
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.stored.header import checked_header
 
 quick = settings(deadline=None, suppress_health_check=list(HealthCheck))
 

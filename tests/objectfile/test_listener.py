@@ -7,11 +7,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from objectfolder import ObjectFile
-from objectfolder.audio.click import recoil_pressure
-from objectfolder.audio.stream import ModalStream, Pulse
-from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import Material, material
-from objectfolder.objectfile.radiation import Radiation
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import Material, material
+from objectfolder.sound.click import recoil_pressure
+from objectfolder.sound.far_field import Radiation
+from objectfolder.sound.stream import ModalStream, Pulse
 
 UP = [[0.0, 0.0, 1.0]]
 
@@ -135,7 +135,7 @@ def test_strikes_are_heard_in_batches(brick, struck, monkeypatch):
     options = {"duration": 0.02, "striker": "rubber", "listener": listener}
     ways = [options | {"delay": delay} for delay in (False, True)]
     whole = [brick.impact(points, UP, **way) for way in ways]
-    monkeypatch.setattr("objectfolder.objectfile.audio_senses._BATCH", 4)
+    monkeypatch.setattr("objectfolder.sound.senses._BATCH", 4)
     places, pressure = [], Radiation.pressure
     monkeypatch.setattr(
         Radiation, "pressure", lambda self, *given: places.append(len(given[1])) or pressure(self, *given)

@@ -19,12 +19,12 @@ from safetensors.numpy import save_file
 from solids import box
 
 from objectfolder import ObjectFile
-from objectfolder.arrays import read_safetensors, write_safetensors
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.arrays import read_safetensors, write_safetensors
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.featurecodec import COUNTED, pack_features
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.topology import signed_volume
-from objectfolder.objectfile.header import PARTS, format_name, schema
+from objectfolder.stored.header import PARTS, format_name, schema
 
 CAMERA, LIGHT = [2.0, 1.0, 1.0], [0.5, 0.5, 0.9]
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from objectfolder.fem.certainty import CUT_CELLS
 from objectfolder.objectfile.packing import ESTIMATING, certainty
+from objectfolder.sound.fem.certainty import CUT_CELLS
 
 
 @pytest.mark.parametrize(

@@ -14,15 +14,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from objectfolder import ObjectFile
-from objectfolder.audio.contact import contact_time, load_striker
-from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import Material, material
-from objectfolder.nets.audio_gains import GainsNet, GainsShape
-from objectfolder.objectfile.audio import SoundSettings, Strikes
-from objectfolder.objectfile.audio_senses import ModalSense
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import Material, material
 from objectfolder.objectfile.parts import StoredParts
-from objectfolder.objectfile.reading import StoredNet
-from objectfolder.objectfile.surface import ObjectSurface
+from objectfolder.sound.contact import contact_time, load_striker
+from objectfolder.sound.gains_net import GainsNet, GainsShape
+from objectfolder.sound.query import SoundSettings, Strikes
+from objectfolder.sound.senses import ModalSense
+from objectfolder.stored.reading import StoredNet
+from objectfolder.stored.surface import ObjectSurface
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points

@@ -3,10 +3,10 @@ from pathlib import Path
 import pytest
 
 from objectfolder import ObjectFile
-from objectfolder.arrays import safetensors_bytes
-from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile.header import format_name
+from objectfolder.base.arrays import safetensors_bytes
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.objectfile.samples import available_samples, file_or_sample, sample_path
+from objectfolder.stored.header import format_name
 
 
 def test_samples_are_small_files_of_this_format():

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.audio.spectrogram import spectrogram
-from objectfolder.audio.synthesis import sinusoid_bank
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile.evaluate_sound import UnitStrikes, score_spectrograms
+from objectfolder.sound.evaluation import UnitStrikes, score_spectrograms
+from objectfolder.sound.spectrogram import spectrogram
+from objectfolder.sound.synthesis import sinusoid_bank
 
 
 @pytest.fixture

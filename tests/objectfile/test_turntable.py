@@ -11,8 +11,8 @@ import pytest
 from brick import with_images
 from scipy.signal import correlate
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.turntable import FACING, LOUDEST, SMALLEST, Turntable, contacts, pictures, sound
 
 SHORT = Turntable(seconds=0.4, size=64, rate=10, contacts=2)

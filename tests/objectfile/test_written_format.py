@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.nets.vision_osf import OsfNet
+from objectfolder.vision.osf_net import OsfNet
 
 
 @pytest.fixture(scope="module")

@@ -17,11 +17,11 @@ from conftest import ROOT, Workspace
 from ruamel.yaml import YAML
 
 from objectfolder import ObjectFile
-from objectfolder.arrays import read_npz
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.models.shape_model import load_model
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.vision.cameras import Intrinsics
@@ -104,8 +104,10 @@ def test_changed_material_reruns_the_audio_lane_of_that_object_only(built):
 
 
 def test_a_material_that_no_object_uses_reruns_nothing(built):
-    olive = (ROOT / "objectfolder/materials/wood.yaml").read_text()
-    new = [built.root / f"{folder}/olive_wood.yaml" for folder in ("materials", "objectfolder/materials")]
+    olive = (ROOT / "objectfolder/base/materials/wood.yaml").read_text()
+    new = [
+        built.root / f"{folder}/olive_wood.yaml" for folder in ("materials", "objectfolder/base/materials")
+    ]
     for path in new:
         path.write_text(olive)
     assert built.build() == {"hash_code"}
@@ -115,7 +117,7 @@ def test_a_material_that_no_object_uses_reruns_nothing(built):
 
 @pytest.mark.slow
 def test_a_material_of_ones_own_reruns_the_objects_that_name_it(built):
-    own, wood = built.root / "materials/olive_wood.yaml", ROOT / "objectfolder/materials/wood.yaml"
+    own, wood = built.root / "materials/olive_wood.yaml", ROOT / "objectfolder/base/materials/wood.yaml"
     audio = {f"{stage}@cube" for stage in ("modal", "radiation", "train_audio", "pack")}
     own.write_text(wood.read_text())
     with built.edit() as values:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import stages
-from objectfolder.arrays import read_npz, write_npz
+from objectfolder.base.arrays import read_npz, write_npz
 from objectfolder.engine.verify import verify
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.validate import find_problem, readers

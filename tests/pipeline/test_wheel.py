@@ -12,7 +12,7 @@ import pytest
 from conftest import TINY
 from ruamel.yaml import YAML
 
-from objectfolder.mesh.procedural import generate
+from objectfolder.shapes import generate
 from objectfolder.workspace.installed import PIPELINE, package_digests, pipeline_files
 
 ROOT = Path(__file__).parents[2]
@@ -39,7 +39,7 @@ def test_a_wheel_holds_the_package_and_the_pipeline(wheel):
     pipeline = {name.removeprefix(f"{PIPELINE}/") for name in held if name.startswith(f"{PIPELINE}/")}
     assert {"dvc.yaml", ".dvcignore", "params/laptop.yaml", "stages/modal.py"} <= pipeline
     for name in (
-        *("objectfile/objectfile.schema.json", "objectfile/samples/mug.safetensors", "py.typed"),
+        *("stored/objectfile.schema.json", "objectfile/samples/mug.safetensors", "py.typed"),
         *("touch/profiles/digit.yaml", "viewer/static/viewer.js", "benchmarks/data/objects.csv"),
         *("workspace/template/README.md", "workspace/template/gitignore", "workspace/template/objects.yml"),
     ):
@@ -85,15 +85,15 @@ def test_an_installed_wheel_makes_builds_and_upgrades_a_workspace(wheel, tmp_pat
 
     module = site / "objectfolder" / "fem" / "modal.py"
     module.write_text(module.read_text() + "\n# of a newer version\n")
-    refused = "1 file differs (objectfolder/fem/modal.py); run `objectfolder upgrade`"
+    refused = "1 file differs (objectfolder/sound/fem/modal.py); run `objectfolder upgrade`"
     for command in (("build",), ("status",)):
         assert refused in run(tool, *command, cwd=root, ok=False)
     assert refused in run(python, "-m", "stages.pack", "mug", cwd=root, ok=False)
     said = run(tool, "upgrade", cwd=root)
-    assert "changed in the package: objectfolder/fem/modal.py" in said
+    assert "changed in the package: objectfolder/sound/fem/modal.py" in said
     runs = {line.split()[1]: line for line in said.splitlines() if line.startswith("run ")}
     assert runs.keys() >= {"hash_code", "modal@mug"}
-    assert "code changed: objectfolder/fem/modal.py" in runs["modal@mug"]
+    assert "code changed: objectfolder/sound/fem/modal.py" in runs["modal@mug"]
     assert not [address for address in runs if address.startswith(("normalize", "render"))]
     ran = run(tool, "build", "-j", "1", cwd=root)
     assert "modal" in ran

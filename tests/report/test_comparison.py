@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from objectfolder.audio.spectrogram import magnitudes
-from objectfolder.figures import page, save_page
+from objectfolder.base.figures import page, save_page
 from objectfolder.report.comparison import show_sounds, show_views
+from objectfolder.sound.spectrogram import magnitudes
 
 
 def test_the_sheet_of_views_shows_truth_answer_and_enlarged_difference(rng, tmp_path):

@@ -17,14 +17,10 @@ from matplotlib.legend import Legend
 from PIL import Image
 from rich.console import Console
 
-from objectfolder.acoustics.radiation import pack_radiation, radiate
-from objectfolder.arrays import read_npz, read_safetensors, write_npz, write_png, write_safetensors
-from objectfolder.errors import ObjectFolderError
-from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.elements import solid_arrays, solid_from_arrays
-from objectfolder.fem.modal import modal_analysis
-from objectfolder.io import atomic, read_json, write_curve, write_json
-from objectfolder.materials import material
+from objectfolder.base.arrays import read_npz, read_safetensors, write_npz, write_png, write_safetensors
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import atomic, read_json, write_curve, write_json
+from objectfolder.base.materials import material
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.normalize import normalize
@@ -32,19 +28,23 @@ from objectfolder.mesh.ply import write_surface
 from objectfolder.mesh.sampling import sample_surface, split_rows
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.nets.audio_gains import GainsNet, GainsShape
 from objectfolder.nets.fit import CurvePoint
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.touch_geometric import GeometricTouch
-from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.packing import pack_object_file
 from objectfolder.report import inspect_images, inspect_nets, inspect_sound
 from objectfolder.report.inspect_scene import triangles
 from objectfolder.report.inspect_stage import STAGES, inspect_stage
 from objectfolder.report.inspection import Inspection, print_inspection
+from objectfolder.sound.fem.cutcell import cut_cells
+from objectfolder.sound.fem.elements import solid_arrays, solid_from_arrays
+from objectfolder.sound.fem.modal import modal_analysis
+from objectfolder.sound.gains_net import GainsNet, GainsShape
+from objectfolder.sound.radiation.radiation import pack_radiation, radiate
+from objectfolder.touch.geometric_net import GeometricTouch
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import look_at, sphere_points
+from objectfolder.vision.surface_net import SurfaceNet
 from objectfolder.workspace.layout import MODALITIES, SPLITS, Build
 
 SCALE = 0.2  # m

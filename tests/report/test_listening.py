@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import soundfile
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
 from objectfolder.report.listening import COLUMNS, Preference, Scores, preferences, study_page
 
 VIEWER = Path(__file__).parents[2] / "viewer"

@@ -14,16 +14,16 @@ import pytest
 import soundfile
 from PIL import Image
 
-from objectfolder.arrays import read_npz, write_npz
+from objectfolder.base.arrays import read_npz, write_npz
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import file_digest, read_json, write_json
 from objectfolder.cli import app
 from objectfolder.engine.process import CommandResult
 from objectfolder.engine.records import LOGS, record_cost
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest, read_json, write_json
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.header import PARTS
 from objectfolder.report.facts import object_report
 from objectfolder.report.site import write_site
+from objectfolder.stored.header import PARTS
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.workspace.layout import Build
 

@@ -4,24 +4,24 @@ import numpy as np
 import torch
 from solids import box
 
-from objectfolder.acoustics.radiation import pack_radiation, radiate
-from objectfolder.audio.net_settings import GainsConfig
-from objectfolder.fem.cutcell import cut_cells
-from objectfolder.fem.modal import modal_analysis, solved_band
-from objectfolder.materials import material
+from objectfolder.base.materials import material
 from objectfolder.mesh.normalize import mass_properties
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.nets.audio_gains_training import ModeSamples, train_gains
-from objectfolder.nets.audio_spectrogram import SpectrogramNet
 from objectfolder.nets.fit import Session
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.touch_geometric import GeometricTouch
-from objectfolder.nets.touch_image import ImageTouch
-from objectfolder.nets.vision_surface import SurfaceNet
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.packing import pack_object_file
+from objectfolder.sound.fem.cutcell import cut_cells
+from objectfolder.sound.fem.modal import modal_analysis, solved_band
+from objectfolder.sound.gains_training import ModeSamples, train_gains
+from objectfolder.sound.net_settings import GainsConfig
+from objectfolder.sound.radiation.radiation import pack_radiation, radiate
+from objectfolder.sound.spectrogram_net import SpectrogramNet
+from objectfolder.touch.geometric_net import GeometricTouch
+from objectfolder.touch.image_net import ImageTouch
 from objectfolder.touch.profiles import load_profile
+from objectfolder.vision.surface_net import SurfaceNet
 
 SIDES = (1.0, 0.6, 0.3)
 SCALE = 0.1

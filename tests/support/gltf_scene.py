@@ -7,7 +7,7 @@ import json
 import numpy as np
 from PIL import Image
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.load import load_mesh
 

@@ -7,8 +7,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from objectfolder.mesh.procedural import generate
-from objectfolder.mesh.procedural.toy import KINDS
+from objectfolder.shapes import generate
+from objectfolder.shapes.toy import KINDS
 from objectfolder.workspace import params
 
 ROOT = Path(__file__).parents[2]

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from objectfolder.audio.net_settings import SpectrogramConfig
-from objectfolder.nets.audio_gains_training import ModeSamples
-from objectfolder.nets.audio_spectrogram_training import train_spectrogram
-from objectfolder.nets.touch_image_training import train_image
-from objectfolder.nets.vision_osf_training import train_osf
+from objectfolder.sound.gains_training import ModeSamples
+from objectfolder.sound.net_settings import SpectrogramConfig
+from objectfolder.sound.spectrogram_training import train_spectrogram
+from objectfolder.touch.image_training import train_image
 from objectfolder.touch.net_settings import ImageConfig
 from objectfolder.vision.cameras import Intrinsics, look_at, sphere_points
 from objectfolder.vision.net_settings import OsfConfig
+from objectfolder.vision.osf_training import train_osf
 
 TRAINING = {"steps": 30, "learning_rate": 0.01, "final_rate": 1.0, "precision": "float32"}
 

@@ -4,16 +4,16 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from objectfolder.fem.cutcell import CutCells
-from objectfolder.fem.hex20 import NODES
-from objectfolder.fem.voxel import lattice_connectivity
-from objectfolder.materials import Material
+from objectfolder.base.materials import Material
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BOUND, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.topology import signed_volume
+from objectfolder.sound.fem.cutcell import CutCells
+from objectfolder.sound.fem.hex20 import NODES
+from objectfolder.sound.fem.voxel import lattice_connectivity
 
 STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
 TURN = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()

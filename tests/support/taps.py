@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from objectfolder.audio.ringdown import LN_1000
+from objectfolder.sound.ringdown import LN_1000
 
 RATE = 44100
 #: Hz, T60 in s: two pairs of a round object, and modes of their own.

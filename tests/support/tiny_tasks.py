@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from objectfolder.envs.grasp_task import STEPS
+from objectfolder.sim.grasp_task import STEPS
 
 NEAR = 0.3  #: of the target, at which an episode of `Follow` succeeds
 

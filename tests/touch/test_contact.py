@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from touch_solids import caster, slab
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import UP, contact_normals, heightmaps, probe_directions, sensor_frames
 from objectfolder.touch.gel import GAP

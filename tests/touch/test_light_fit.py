@@ -6,8 +6,8 @@ import torch
 from PIL import Image
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
 from objectfolder.touch import lightfit
 from objectfolder.touch.ball import BallModel
 from objectfolder.touch.calibration import fit_sensor_lights

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import material
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import available_samples, sample_path
 from objectfolder.touch.markers import Markers, draw_markers, marker_flow
@@ -133,7 +133,7 @@ def test_object_moves_as_far_as_the_gel_is_pressed_in_and_turns_by_half(file, po
 
 def test_wrong_motions_are_refused_before_anything_is_pressed(file, points, monkeypatch):
     monkeypatch.setattr(
-        "objectfolder.nets.touch_geometric.press", lambda *given: pytest.fail("a contact was computed")
+        "objectfolder.touch.geometric_net.press", lambda *given: pytest.fail("a contact was computed")
     )
     for wrong in ({"shear": [1, 1]}, {"twist": 5}, {"friction": -1}, {"markers": "yes"}):
         with pytest.raises(ObjectFolderError, match=next(iter(wrong))):

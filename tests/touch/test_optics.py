@@ -6,7 +6,7 @@ import pytest
 import torch
 from PIL import Image
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.arrays import blur
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.optics import Optics

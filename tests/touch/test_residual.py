@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import RESIDUAL_TERMS, SensorProfile
 from objectfolder.touch.residual import places, residual_levels, residual_terms

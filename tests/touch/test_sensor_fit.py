@@ -6,9 +6,9 @@ import torch
 from PIL import Image
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json
 from objectfolder.touch.ball import _CACHED_DISPLACEMENTS, BallModel
 from objectfolder.touch.calibration import fit_sensor, fit_sensor_lights
 from objectfolder.touch.camera import gel_depth, ray_directions

@@ -7,11 +7,11 @@ import pytest
 import torch
 import trimesh
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.metrics import psnr
 from objectfolder.mesh.closing.surface import close_surface
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.reading.load import load_mesh
-from objectfolder.metrics import psnr
 from objectfolder.touch.contact import heightmaps
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import load_profile

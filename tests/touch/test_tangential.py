@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.linalg import expm
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch import tangential
 from objectfolder.touch.gel import Layer, deform
 from objectfolder.touch.tangential import shear_compliance, shear_contacts, slide, spreading

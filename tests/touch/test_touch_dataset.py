@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from solids import sphere
 
-from objectfolder.touch.dataset import draw_contacts, render_contacts
 from objectfolder.touch.profiles import load_profile
 from objectfolder.touch.settings import RenderTouchConfig
+from objectfolder.touch.truth import draw_contacts, render_contacts
 
 BALL = sphere(0.4, 4)
 VERTICES = RenderTouchConfig(

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from objectfolder.acoustics.farfield import FarField, pack_far_field, unpack_far_field
-from objectfolder.acoustics.harmonics import degrees
-from objectfolder.audio.click import SOUND_SPEED, Recoil, recoil_pressure
-from objectfolder.audio.synthesis import force_factors, half_sine, responses
+from objectfolder.sound.click import SOUND_SPEED, Recoil, recoil_pressure
+from objectfolder.sound.radiation.farfield import FarField, pack_far_field, unpack_far_field
+from objectfolder.sound.radiation.harmonics import degrees
+from objectfolder.sound.synthesis import force_factors, half_sine, responses
 
 FILE = Path(__file__).parents[2] / "viewer" / "tests" / "heard.json"
 SCALE, SIZE, DENSITY, VOLUME, RADIUS = 0.2, 1.5, 2400.0, 0.11, 0.6

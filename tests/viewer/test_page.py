@@ -12,12 +12,12 @@ import pytest
 import soundfile
 from hostile import WORDS, Elements
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import material, material_names
+from objectfolder.base.text import visible
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import material, material_names
 from objectfolder.report.listening import study_page
 from objectfolder.report.site import write_site
-from objectfolder.text import visible
 from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.viewer.background import STEP

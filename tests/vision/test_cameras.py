@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.vision.cameras import Intrinsics, PixelRays, camera_rays, look_at, project, sphere_points
 
 positions = st.lists(st.floats(-5, 5), min_size=3, max_size=3).filter(lambda p: np.linalg.norm(p) > 1e-2)

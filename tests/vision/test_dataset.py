@@ -5,14 +5,14 @@ import pytest
 import torch
 from solids import box, join, sphere
 
+from objectfolder.base.metrics import psnr
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.metrics import psnr
-from objectfolder.objectfile.evaluate_vision import evaluate_vision
 from objectfolder.vision.cameras import Intrinsics, image_intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.dataset import TILES_PER_LIGHT, Shots, estimate_noise, render_shots
+from objectfolder.vision.evaluation import evaluate_vision
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.truth import TILES_PER_LIGHT, Shots, estimate_noise, render_shots
 
 SMALL = Intrinsics.square(32)
 

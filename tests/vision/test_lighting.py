@@ -8,9 +8,8 @@ import pytest
 import torch
 from solids import box, isosurface, sphere, stored
 
-from objectfolder.arrays import write_png
-from objectfolder.errors import ObjectFolderError
-from objectfolder.objectfile.vision import light_picture
+from objectfolder.base.arrays import write_png
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.environment import MAX_PIXEL, environment_lamps, pixel_directions, read_environment
 from objectfolder.vision.lighting import (
@@ -22,6 +21,7 @@ from objectfolder.vision.lighting import (
     studio,
     toward,
 )
+from objectfolder.vision.query import light_picture
 from objectfolder.vision.radiosity import Radiosity
 from objectfolder.vision.trace import trace
 from objectfolder.vision.view import draw

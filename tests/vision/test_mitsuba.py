@@ -10,9 +10,9 @@ from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.bsdf import principled
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
-from objectfolder.vision.dataset import Shots, render_shots
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.truth import Shots, render_shots
 from objectfolder.workspace.presets import read_preset
 
 REPOSITORY = Path(__file__).parents[2]

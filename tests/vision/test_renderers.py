@@ -15,15 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from solids import box, sphere
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.normals import unit_vectors
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, covered_rectangle, look_at, project, sphere_points
-from objectfolder.vision.dataset import Shots, render_shots
 from objectfolder.vision.renderers import blender_scene, cycles
 from objectfolder.vision.renderers.registry import NEEDS, RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.settings import RendererName
+from objectfolder.vision.truth import Shots, render_shots
 
 ROOT = Path(__file__).parents[2]
 FRONT = look_at(np.array([2.5, 0, 0]))[0]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.workspace.code_digests import digests, imported_files, source_digest
 
 ROOT = Path(__file__).parents[2]

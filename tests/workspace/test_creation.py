@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import requirement
 from objectfolder.cli import app
 from objectfolder.engine.dvc.repository import start_repository
 from objectfolder.engine.status import Outlook, status
-from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import requirement
 from objectfolder.workspace import creation, installed, template
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.code_digests import DATA, code_text, digests
@@ -187,10 +187,10 @@ def test_another_version_is_refused_until_an_upgrade(made, monkeypatch):
     """The record is that of an older package: another modal.py, no errors.py, a module that is gone."""
     check_installed(made)
     lines = (made / RECORD).read_text().splitlines(keepends=True)
-    old = [line for line in lines if not line.endswith("  objectfolder/errors.py\n")]
+    old = [line for line in lines if not line.endswith("  objectfolder/base/errors.py\n")]
     old = ["0" * 64 + line[64:] if line.endswith("/fem/modal.py\n") else line for line in old]
     (made / RECORD).write_text("".join([*old, "1" * 64 + "  objectfolder/gone.py\n"]))
-    expected = ["objectfolder/errors.py", "objectfolder/fem/modal.py", "objectfolder/gone.py"]
+    expected = ["objectfolder/base/errors.py", "objectfolder/sound/fem/modal.py", "objectfolder/gone.py"]
     assert changed_files(made) == expected
     with pytest.raises(ObjectFolderError, match=r"another version.*3 files differ .*objectfolder upgrade"):
         check_installed(made)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from objectfolder import materials
+from objectfolder.base import materials
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.dvc.repository import open_repository, track
-from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace import params
 from objectfolder.workspace.discover import Candidate, examine
 from objectfolder.workspace.objects import add_catalogue, add_mesh, check_new

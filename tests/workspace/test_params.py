@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.materials import Material
-from objectfolder.mesh.procedural import GENERATORS
-from objectfolder.metrics import ssim
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import Material
+from objectfolder.base.metrics import ssim
+from objectfolder.shapes import GENERATORS
 from objectfolder.vision.settings import MIN_RESOLUTION
 from objectfolder.workspace.check import Selection, check_all, check_entries, check_object
 from objectfolder.workspace.params import (

@@ -1,5 +1,5 @@
 /**
- * Vision net `surface`: indirect light, as objectfolder/nets/vision_surface.py.
+ * Vision net `surface`: indirect light, as objectfolder/vision/surface_net.py.
  *
  * What vertices gather and mirror is found as in the Python library. The corrections of the net, which are
  * smooth, are evaluated at the patches that may face the camera; the library does so in squares of pixels.

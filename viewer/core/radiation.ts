@@ -1,4 +1,4 @@
-/** Sound that reaches a listener, as objectfolder/objectfile/radiation.py: far fields of the modes, and the recoil. */
+/** Sound that reaches a listener, as objectfolder/sound/far_field.py: far fields of the modes, and the recoil. */
 
 import type { ObjectFile } from "./objectfile.ts";
 import { floats } from "./safetensors.ts";

@@ -1,4 +1,4 @@
-/** Modal sound: a sum of damped sinusoids, as objectfolder/audio/synthesis.py. */
+/** Modal sound: a sum of damped sinusoids, as objectfolder/sound/synthesis.py. */
 
 import type { Modes } from "./tuning.ts";
 

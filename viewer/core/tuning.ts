@@ -1,4 +1,4 @@
-/** Modes of an object of another material or size, as objectfolder/audio/tuning.py. */
+/** Modes of an object of another material or size, as objectfolder/sound/tuning.py. */
 
 import type { Gains } from "./gains.ts";
 import { damping, type Material } from "./materials.ts";

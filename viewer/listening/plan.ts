@@ -42,7 +42,7 @@ export function plan(pairs: number, listener: string, seed: number): Trial[] {
   return order.map((pair, n) => ({ pair, swapped: sides[n] }));
 }
 
-/** Where spreadsheets would take a text for a formula; objectfolder/text.py takes the apostrophes away again. */
+/** Where spreadsheets would take a text for a formula; objectfolder/base/text.py takes the apostrophes away again. */
 const FORMULA = /(^|[,;])(?=['"\s]*[=+\-@\t\r\n＝＋－＠])/g;
 
 const cell = (value: string | number) => {

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.arrays import write_npy
+from objectfolder.base.arrays import write_npy
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json, write_json
+from objectfolder.base.locks import exclusive
 from objectfolder.benchmarks.datasets.observations import CLOSE_UP_ARRAYS, CLOSE_UP_RECORD
 from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json, write_json
-from objectfolder.locks import exclusive
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics

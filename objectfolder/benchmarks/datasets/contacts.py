@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.samples import Samples, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, Split
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.query_files import sample_depths, sample_strikes
+from objectfolder.sound.spectrogram import DURATION, SAMPLE_RATE
 
 TOGETHER = 8  #: contacts of one sequence
 CHUNK = 64  #: contacts asked at once

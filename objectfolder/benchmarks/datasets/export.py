@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.arrays import wav_bytes
+from objectfolder.base.arrays import wav_bytes
+from objectfolder.base.disk import new_folder
+from objectfolder.base.errors import ObjectFolderError, plural
+from objectfolder.base.io import write_json, write_text
+from objectfolder.base.pictures import png_bytes
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.splits import Split
-from objectfolder.disk import new_folder
-from objectfolder.errors import ObjectFolderError, plural
-from objectfolder.io import write_json, write_text
-from objectfolder.objectfile.header import checked_name
-from objectfolder.pictures import png_bytes
-from objectfolder.seeding import numpy_generator
+from objectfolder.stored.header import checked_name
 from objectfolder.workspace.layout import MODALITIES, SPLITS
 
 _BATCH = 50  # rows in the memory at once, and in a row group of Parquet, which viewers read whole

@@ -9,14 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.arrays import write_npz
+from objectfolder.base.arrays import write_npz
+from objectfolder.base.disk import enough_space, refuse_links
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import atomic_stream, read_json, write_json
+from objectfolder.base.locks import exclusive
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
 from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
 from objectfolder.benchmarks.datasets.settings import GraspDataConfig
-from objectfolder.disk import enough_space, refuse_links
-from objectfolder.envs.body import RigidBody, rotation, turn_poses
-from objectfolder.envs.camera import ExternalCamera
-from objectfolder.envs.fingers import (
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.sim.body import RigidBody, rotation, turn_poses
+from objectfolder.sim.camera import ExternalCamera
+from objectfolder.sim.fingers import (
     Presses,
     TrueSurface,
     pad_presses,
@@ -24,14 +29,9 @@ from objectfolder.envs.fingers import (
     require_pads,
     tactile_images,
 )
-from objectfolder.envs.grasp_scene import GraspScene, Outcomes, Physics, lowest_hand
-from objectfolder.envs.gripper import PAD, hand_axes
-from objectfolder.envs.hulls import hulls_digest
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic_stream, read_json, write_json
-from objectfolder.locks import exclusive
-from objectfolder.objectfile.file import ObjectFile
-from objectfolder.seeding import numpy_generator
+from objectfolder.sim.grasp_scene import GraspScene, Outcomes, Physics, lowest_hand
+from objectfolder.sim.gripper import PAD, hand_axes
+from objectfolder.sim.hulls import hulls_digest
 from objectfolder.workspace.code_digests import code_digest
 
 POSES = "poses.npz"  #: poses and contacts, sufficient to repeat each grasp

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json
 from objectfolder.benchmarks.datasets.samples import Samples, array_path, check_equal_shapes, map_array
 from objectfolder.benchmarks.datasets.splits import label_order
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json
 
 FORMAT = "objectfolder grasps 1"  #: of the sampling procedure and the files; others are refused
 RECORD = "record.json"

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from objectfolder.checks import finite_number, whole_number
-from objectfolder.disk import new_folder
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_json
+from objectfolder.base.checks import finite_number, whole_number
+from objectfolder.base.disk import new_folder
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_json
+from objectfolder.base.pictures import png_bytes
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.query_files import sample_strikes
-from objectfolder.pictures import png_bytes
-from objectfolder.seeding import numpy_generator
 
 VERSION = "v3.0"  #: of the format
 TOUCH, AUDIO, STATE, ACTION = "observation.images.touch", "observation.audio", "observation.state", "action"

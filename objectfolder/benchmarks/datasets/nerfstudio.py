@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from objectfolder.disk import new_folder
-from objectfolder.io import write_json
+from objectfolder.base.disk import new_folder
+from objectfolder.base.io import write_json
 from objectfolder.mesh.srgb import encode
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.query_files import sample_views

@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.arrays import read_npz
+from objectfolder.base.arrays import read_npz
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json
 from objectfolder.benchmarks.datasets.samples import (
     Samples,
     array_path,
@@ -20,8 +22,6 @@ from objectfolder.benchmarks.datasets.samples import (
     map_array,
 )
 from objectfolder.benchmarks.datasets.splits import label_order
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json
 from objectfolder.workspace.layout import MODALITIES
 
 VERSION = 1  #: of the sampling procedure and the format; other versions are refused

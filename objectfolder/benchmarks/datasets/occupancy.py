@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from objectfolder.arrays import read_npz, write_npz
+from objectfolder.base.arrays import read_npz, write_npz
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.seeding import numpy_generator
 
 #: Points fill [-HALF_SIDE, HALF_SIDE]^3, a tenth larger than the unit cube, as in Occupancy Networks.
 HALF_SIDE = 0.55

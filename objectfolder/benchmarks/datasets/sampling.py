@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.arrays import write_npy, write_npz
-from objectfolder.audio.spectrogram import DURATION, SAMPLE_RATE
+from objectfolder.base.arrays import write_npy, write_npz
+from objectfolder.base.disk import enough_space
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import atomic_stream, read_json, write_json
+from objectfolder.base.locks import exclusive
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, RELIEF, SOURCE, UNTOUCHED, VERSION
 from objectfolder.benchmarks.datasets.samples import array_path, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
-from objectfolder.disk import enough_space
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic_stream, read_json, write_json
-from objectfolder.locks import exclusive
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.objectfile.header import PARTS
 from objectfolder.objectfile.query_files import sample_depths, sample_strikes, sample_views
-from objectfolder.seeding import numpy_generator
+from objectfolder.sound.spectrogram import DURATION, SAMPLE_RATE
+from objectfolder.stored.header import PARTS
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import MODALITIES

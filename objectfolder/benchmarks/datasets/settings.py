@@ -5,7 +5,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Interval, MultipleOf
 
-from objectfolder.settings import Count
+from objectfolder.base.settings import Count
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,8 +17,8 @@ from importlib.resources import files
 
 import numpy as np
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.samples import Samples
-from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.layout import SPLITS
 
 TEN = 10  #: observations of an object come in tens, each with 8 for training, 1 for validation, 1 for tests

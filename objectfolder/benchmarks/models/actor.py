@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from objectfolder.arrays import open_safetensors, write_safetensors
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.arrays import open_safetensors, write_safetensors
+from objectfolder.base.errors import ObjectFolderError
 
 FORMAT = "objectfolder actor 1"
 CLIP = 10.0  #: standard deviations to which normalized observations are clipped

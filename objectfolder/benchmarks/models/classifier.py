@@ -7,7 +7,7 @@ from typing import cast
 import torch
 from torch import nn
 
-from objectfolder.seeding import seeded
+from objectfolder.base.seeding import seeded
 
 Inputs = dict[str, torch.Tensor]  #: of encoders, by name
 

@@ -12,12 +12,12 @@ from runpy import run_path
 import torch
 from torch import nn
 
-from objectfolder.arrays import torch_problem
+from objectfolder.base.arrays import torch_problem
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import file_digest
 from objectfolder.benchmarks.models.inputs import CHANNELS
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.benchmarks.models.settings import EncodeConfig
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest
 
 Factory = Callable[[int], nn.Module]
 _FACTORIES: dict[str, Factory] = {}
@@ -128,8 +128,8 @@ def _factory(name: str) -> Factory:
 def make_encoder(name: str, modality: str, weights: Weights | None = None) -> nn.Module:
     """Make a registered encoder for a modality: "vision", "audio" or "touch".
 
-    Its random parameters come from torch's global generator: call within `objectfolder.seeding.seeded`. The
-    name is one that `registered` returns: no file is run here, since names may come from untrusted model
+    Its random parameters come from torch's global generator: call within `objectfolder.base.seeding.seeded`.
+    The name is one that `registered` returns: no file is run here, since names may come from untrusted model
     files. A convolution over three channels of given initial weights is summed over them if the encoder takes
     one. Raises ObjectFolderError if there is no such encoder, or the weights do not fit it.
     """

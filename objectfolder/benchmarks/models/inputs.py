@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.audio.spectrogram import spectrogram
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models.settings import InputSizes
-from objectfolder.errors import ObjectFolderError
+from objectfolder.sound.spectrogram import spectrogram
 
 CHANNELS = {"vision": 3, "audio": 1, "touch": 3}  #: of `encoder_inputs`
 SUMMED = 65535 // 255  #: pixels at most whose sum fits into 16 bits

@@ -10,10 +10,10 @@ import torch
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
+from objectfolder.base.seeding import draw_seed
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.settings import GraspPolicyConfig, ReachConfig
 from objectfolder.nets.checkpoint import Checkpoint, Training, TrainingState, run_training
-from objectfolder.seeding import draw_seed
 
 Figures = tuple[float, ...]
 

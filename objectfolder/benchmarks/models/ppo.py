@@ -55,7 +55,7 @@ def train_ppo(
 ) -> tuple[Actor, list[list[Any]], float]:
     """Train a policy until it makes no mistake in validation, `SOLVED` times in a row.
 
-    ``make`` gives a new environment; ``purpose`` names what is trained, for `objectfolder.seeding`.
+    ``make`` gives a new environment; ``purpose`` names what is trained, for `objectfolder.base.seeding`.
     ``validate`` returns figures of a policy: the first is its success, 1 without a failure; a larger tuple is
     better. Of equally good parts the last one is kept. ``report`` is called after each part with the control
     steps so far, the figures, and seconds since the start. For the rest, and the result, see

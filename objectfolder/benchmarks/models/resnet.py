@@ -32,8 +32,8 @@ class ResNet18(nn.Module):
     """Residual network of 18 layers, up to and with its average pooling.
 
     Convolutions start from Kaiming's normal distribution (fan out), drawn from torch's global generator: make
-    it within `objectfolder.seeding.seeded`. ``width`` is a factor of the number of channels of every layer,
-    and hence of ``features``.
+    it within `objectfolder.base.seeding.seeded`. ``width`` is a factor of the number of channels of every
+    layer, and hence of ``features``.
     """
 
     def __init__(self, channels: int = 3, width: float = 1.0):

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Interval, MultipleOf
 
-from objectfolder.settings import Batch, Count, Discount, NonNegative, Positive, Precision
+from objectfolder.base.settings import Batch, Count, Discount, NonNegative, Positive, Precision
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.arrays import read_safetensors, write_safetensors
+from objectfolder.base.arrays import read_safetensors, write_safetensors
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.occupancy import extract_mesh, grid_points
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder
 from objectfolder.benchmarks.models.framing import frame_views
 from objectfolder.benchmarks.models.inputs import encoder_inputs
 from objectfolder.benchmarks.models.occupancy_net import Reconstructor, SeveralTouches, occupancy_logits
 from objectfolder.benchmarks.models.settings import InputSizes
-from objectfolder.errors import ObjectFolderError
 
 FORMAT = "objectfolder reconstruction 2"
 ROWS = 64  # observations encoded at once

@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.settings import Precision
 from objectfolder.nets.checkpoint import (
     Checkpoint,
     Training,
@@ -21,7 +22,6 @@ from objectfolder.nets.checkpoint import (
     identity,
     run_training,
 )
-from objectfolder.settings import Precision
 
 WARM_UP = 20  #: steps of linear learning rate warm-up
 RISE = 0.2  #: share of a cycle in which the learning rate rises

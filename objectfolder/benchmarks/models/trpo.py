@@ -20,7 +20,7 @@ from objectfolder.benchmarks.models.policy_training import (
     train_policy,
 )
 from objectfolder.benchmarks.models.settings import GraspPolicyConfig
-from objectfolder.envs.grasp_task import STEPS
+from objectfolder.sim.grasp_task import STEPS
 
 Vector = gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]
 
@@ -86,7 +86,7 @@ def train_trpo(
 ) -> tuple[Actor, list[list[Any]], float]:
     """Train a policy in parts of ``params.updates`` updates.
 
-    ``purpose`` names what is trained, for `objectfolder.seeding`; ``validate`` returns the success of a
+    ``purpose`` names what is trained, for `objectfolder.base.seeding`; ``validate`` returns the success of a
     policy. Of equally good parts the last one is kept. ``report`` is called after each part with the episodes
     so far, success in training and in validation, and seconds since the start. For the rest, and the result,
     see `objectfolder.benchmarks.models.policy_training.train_policy`; its rows hold the same first three.

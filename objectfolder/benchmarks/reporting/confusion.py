@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from objectfolder.figures import page, save_page
+from objectfolder.base.figures import page, save_page
 
 NAMED = 40  #: classes at most whose names are legible
 

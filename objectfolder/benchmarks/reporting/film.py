@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from objectfolder.io import atomic_stream
+from objectfolder.base.io import atomic_stream
 
 SUCCESS, FAILURE = (30, 150, 60), (190, 40, 40)  #: sRGB of the mark
 MARK = 6  #: height of the mark, pixels

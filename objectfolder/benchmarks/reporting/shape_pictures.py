@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
-from objectfolder.figures import tile
+from objectfolder.base.figures import tile
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 
 BLOCK = 256  #: queries ranked at a time, which bounds memory for large galleries
 SCALE = 10**9  #: cosines are ranked as multiples of 1 / SCALE; far finer than float32 embeddings resolve

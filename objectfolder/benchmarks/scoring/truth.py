@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.occupancy import OccupancySamples, cached_occupancy, extract_mesh
 from objectfolder.benchmarks.scoring.shapes import (
     SampledSurface,
@@ -16,7 +17,6 @@ from objectfolder.benchmarks.scoring.shapes import (
     surface_scores,
 )
 from objectfolder.mesh.isosurface import Isosurface
-from objectfolder.seeding import numpy_generator
 
 POOL = 2**16  #: points of each kind to train on, per object
 VAL_POINTS = 2**12  #: uniform points to validate on

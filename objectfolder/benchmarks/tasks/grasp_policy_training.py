@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.models.trpo import train_trpo
 from objectfolder.benchmarks.reporting.film import mark_outcome, write_gif
 from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.job import ObjectJob
-from objectfolder.envs.camera import ExternalCamera
-from objectfolder.envs.features import FeatureFunction, TouchBank, TouchFeatures
-from objectfolder.envs.grasp import Episodes, GraspVectorEnv
-from objectfolder.envs.grasp_task import FORCE, STEPS, GraspTask
-from objectfolder.seeding import numpy_generator
+from objectfolder.sim.camera import ExternalCamera
+from objectfolder.sim.features import FeatureFunction, TouchBank, TouchFeatures
+from objectfolder.sim.grasp import Episodes, GraspVectorEnv
+from objectfolder.sim.grasp_task import FORCE, STEPS, GraspTask
 
 #: Observations of trained policies: everything; tactile images alone, as the paper's; all but those; what is
 #: known without touch.

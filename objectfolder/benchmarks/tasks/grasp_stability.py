@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, MinLen
 
+from objectfolder.base.settings import Count, NonNegative, Positive
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import Table, describe_rows, format_figure, format_interval
 from objectfolder.benchmarks.tasks.task import Task
-from objectfolder.settings import Count, NonNegative, Positive
 
 #: Rows of grasp stability, in their order.
 PREDICTED_FROM = {

@@ -13,6 +13,8 @@ import torch
 from sklearn.metrics import balanced_accuracy_score, roc_auc_score
 from torch import nn
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.models.baselines import predict_outcomes
 from objectfolder.benchmarks.models.inputs import encoder_inputs
@@ -20,8 +22,6 @@ from objectfolder.benchmarks.models.training import EpochPoint, Objective, shuff
 from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
 from objectfolder.benchmarks.tasks.grasp_stability import GraspStabilityConfig
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.errors import ObjectFolderError
-from objectfolder.seeding import numpy_generator, seeded
 
 #: Input array of each stream of the net, V or T, by variant. Touches are simulated with Object Files or, if
 #: "explicit", with the ground truth of the same contacts.

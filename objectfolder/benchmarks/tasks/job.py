@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from objectfolder.base.io import read_json, write_json
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, without_rows
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder, registered
@@ -22,12 +23,11 @@ from objectfolder.benchmarks.models.training import (
     TrainSettings,
     train,
 )
-from objectfolder.io import read_json, write_json
 from objectfolder.workspace.layout import SPLITS
 
 if TYPE_CHECKING:
-    from objectfolder.envs.body import RigidBody
     from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.sim.body import RigidBody
 
 GROUND = 1000  #: training touches at most to find their `Ground` of
 KEPT_BYTES = 2**31  #: of all that is kept of rows, such as spectrograms: they take longer than the encoder
@@ -176,7 +176,7 @@ class Job(Generic[_Params]):
             encoder_inputs(name, self.observations.read(name, self.split.train[:1]), self.sizes)
 
     def make_encoder(self, modality: str) -> nn.Module:
-        """Make an untrained encoder; call within `objectfolder.seeding.seeded`."""
+        """Make an untrained encoder; call within `objectfolder.base.seeding.seeded`."""
         return make_encoder(self.encoder, modality, self.weights)
 
     def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:

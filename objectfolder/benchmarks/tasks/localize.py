@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, MultipleOf
 
+from objectfolder.base.settings import Count, NonNegative, Positive
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import Table, format_interval
 from objectfolder.benchmarks.tasks.task import Task
-from objectfolder.settings import Count, NonNegative, Positive
 
 SENSES = {"T": "touch", "A": "sound", "TA": "touch + sound"}  #: that contacts are localized by
 

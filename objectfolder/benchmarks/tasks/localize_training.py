@@ -15,7 +15,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 from torch.nn import functional as F
 
-from objectfolder.arrays import read_npz, write_npz
+from objectfolder.base.arrays import read_npz, write_npz
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, sample_contacts
 from objectfolder.benchmarks.models.inputs import shift_each
 from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, add_beliefs, choose_likeliest
@@ -23,7 +24,6 @@ from objectfolder.benchmarks.models.training import EpochPoint, Objective, count
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job, ObjectJob
 from objectfolder.benchmarks.tasks.localize import LocalizeConfig
-from objectfolder.seeding import numpy_generator, seeded
 
 LETTERS = {"T": "touch", "A": "audio"}
 COMBINATIONS = ("T", "A", "TA")

@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.models.classifier import Classifier
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.scores import mean_average_precision
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.seeding import numpy_generator, seeded
 
 CHUNK = 64  #: most rows encoded at once
 SAMPLE = 256  #: training rows in the gallery of validation

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import atomic
+from objectfolder.base.pictures import decoded
 from objectfolder.benchmarks.models.framing import OBJECT, composite, frame_cutout, resize_picture
 from objectfolder.benchmarks.models.shape_model import ShapeModel
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import atomic
 from objectfolder.mesh.reading.load import default_up
 from objectfolder.mesh.srgb import decode, encode
 from objectfolder.mesh.textured import y_up
-from objectfolder.pictures import decoded
 
 FORMATS = (".obj", ".ply", ".glb")
 DIFFERENCE = 30  #: smallest difference of the object from a plain background, levels of 255

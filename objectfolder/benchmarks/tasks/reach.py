@@ -52,7 +52,7 @@ def _thousands(steps: Sequence[int]) -> str:
 
 
 def _require_metaworld(*given: Any) -> None:
-    import objectfolder.envs.metaworld  # noqa: F401 (it says what to install)
+    import objectfolder.sim.metaworld  # noqa: F401 (it says what to install)
 
 
 TASK = Task(

@@ -8,14 +8,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.ppo import train_ppo
 from objectfolder.benchmarks.models.settings import ReachConfig
 from objectfolder.benchmarks.reporting.film import mark_outcome, write_gif
 from objectfolder.benchmarks.scoring.scores import share_95
 from objectfolder.benchmarks.tasks.job import ObjectJob
-from objectfolder.envs.reach import ACTION_SCALE, TIP, ReachEnv
-from objectfolder.seeding import numpy_generator
+from objectfolder.sim.reach import ACTION_SCALE, TIP, ReachEnv
 
 POLICIES = ("ppo", "controller", "random", "nothing")  #: that are scored
 GAIN = 0.5  #: of the controller: fraction of the distance to the goal per step
@@ -81,7 +81,7 @@ def environment_class(task: str) -> Callable[..., Env]:
     """Return the environment class of a task, ``reach`` or ``metaworld_reach``."""
     if task == "reach":
         return ReachEnv
-    from objectfolder.envs.metaworld import MetaWorldReach
+    from objectfolder.sim.metaworld import MetaWorldReach
 
     return MetaWorldReach
 

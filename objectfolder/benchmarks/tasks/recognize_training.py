@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.classifier import Classifier, Inputs, join_classifiers
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
@@ -29,7 +30,6 @@ from objectfolder.benchmarks.tasks.recognize import (
     material_target,
 )
 from objectfolder.benchmarks.tasks.task import Objects
-from objectfolder.seeding import numpy_generator, seeded
 
 LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
 #: V, A, T, VA, VT, AT, VAT: input modalities; the rows of the main paper's Table 2.

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Interval
 
+from objectfolder.base.settings import Count, NonNegative, Positive
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import (
     NEW_OBJECTS,
@@ -15,7 +16,6 @@ from objectfolder.benchmarks.reporting.tables import (
     format_interval,
 )
 from objectfolder.benchmarks.tasks.task import Task
-from objectfolder.settings import Count, NonNegative, Positive
 from objectfolder.workspace.layout import MODALITIES
 
 #: IoU, Chamfer-L1, normal consistency; seen objects. Touches are not in the paper.

@@ -15,7 +15,9 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from objectfolder.arrays import write_png
+from objectfolder.base.arrays import write_png
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import keep
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.shape_model import ShapeModel, load_model, save_model
 from objectfolder.benchmarks.reporting.shape_pictures import sheet
@@ -31,8 +33,6 @@ from objectfolder.benchmarks.tasks.shape_training import (
     read_variant,
     validation_rows,
 )
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import keep
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import MODALITIES

@@ -7,12 +7,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.settings import Count, NonNegative, Positive
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
 from objectfolder.benchmarks.tasks.task import Objects, Task
-from objectfolder.errors import ObjectFolderError
-from objectfolder.settings import Count, NonNegative, Positive
 from objectfolder.workspace.layout import MODALITIES
 
 #: Mean average precision, theirs and that of their CCA; seen objects.

@@ -11,6 +11,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.models.baselines import find_directions, fit_whitening
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
@@ -25,7 +26,6 @@ from objectfolder.benchmarks.tasks.naming import (
 )
 from objectfolder.benchmarks.tasks.retrieve import RetrieveConfig, check_objects
 from objectfolder.benchmarks.tasks.task import Objects
-from objectfolder.seeding import numpy_generator, seeded
 from objectfolder.workspace.layout import MODALITIES
 
 Pair = tuple[str, str]  #: two modalities

@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from objectfolder.base.disk import refuse_links
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import file_digest, read_json, write_json, write_text
+from objectfolder.base.locks import exclusive, remove_unused
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import Weights, own_code
 from objectfolder.benchmarks.tasks.job import Job, ObjectJob, Report
 from objectfolder.benchmarks.tasks.task import Scores, Task, TaskParams
-from objectfolder.disk import refuse_links
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import file_digest, read_json, write_json, write_text
-from objectfolder.locks import exclusive, remove_unused
 from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import Benchmarks
 
 if TYPE_CHECKING:
-    from objectfolder.envs.body import RigidBody
     from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.sim.body import RigidBody
 
 #: Files in a progress folder that are kept as results: a trained model, a figure, an animation.
 KEPT = {"model.safetensors": Benchmarks.model, "sheet.png": Benchmarks.sheet, "episodes.gif": Benchmarks.film}

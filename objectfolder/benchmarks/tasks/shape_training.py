@@ -17,6 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.datasets.occupancy import OccupancySamples
 from objectfolder.benchmarks.datasets.splits import Companions
 from objectfolder.benchmarks.models.framing import frame_views
@@ -29,7 +30,6 @@ from objectfolder.benchmarks.scoring.truth import THRESHOLDS, best_level
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import CHUNK, train_namer
 from objectfolder.benchmarks.tasks.reconstruct import ReconstructConfig
-from objectfolder.seeding import numpy_generator, seeded
 
 #: Inputs of each variant. VA comes last: it starts from the nets of the others.
 VARIANTS: dict[str, tuple[str, ...]] = {

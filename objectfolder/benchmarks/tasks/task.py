@@ -11,9 +11,9 @@ from typing import Any, Generic, Literal, TypeVar, cast
 
 import numpy as np
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.benchmarks.reporting.tables import Table
-from objectfolder.errors import ObjectFolderError
 from objectfolder.workspace.params import BENCHMARKS, PARAMS_FILE, read, settings, shared
 
 Config = TypeVar("Config")

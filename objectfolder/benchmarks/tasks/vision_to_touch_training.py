@@ -10,16 +10,16 @@ import torch
 from scipy.spatial import cKDTree
 from torch.nn import functional as F
 
-from objectfolder.arrays import write_png
+from objectfolder.base.arrays import write_png
+from objectfolder.base.figures import tile
+from objectfolder.base.io import keep
+from objectfolder.base.metrics import psnr, ssim
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.models.translator import Translator
 from objectfolder.benchmarks.scoring.scores import interval_95
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.vision_to_touch import VisionToTouchConfig
-from objectfolder.figures import tile
-from objectfolder.io import keep
-from objectfolder.metrics import psnr, ssim
-from objectfolder.seeding import numpy_generator, seeded
 
 ROUNDING = 1 / 12 / 255**2  #: mean squared error of rounding to grey levels; 59 dB
 POOLED = (10, 8)  #: size of the views by which the nearest is sought

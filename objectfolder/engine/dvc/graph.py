@@ -10,8 +10,8 @@ import networkx as nx
 from dvc.repo.reproduce import get_active_graph
 from dvc.stage import PipelineStage, Stage
 
+from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.engine.dvc.repository import OpenRepository
-from objectfolder.errors import ObjectFolderError, shortened
 from objectfolder.workspace.params import ON_DEMAND, TASKS
 
 

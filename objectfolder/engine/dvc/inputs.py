@@ -14,8 +14,8 @@ from typing import Any
 from dvc.dependency import ParamsDependency, param
 from dvc.stage import Stage
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_bytes
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_bytes
 from objectfolder.workspace.code_digests import content_digest
 from objectfolder.workspace.installed import INSTALLED, located
 from objectfolder.workspace.layout import CODE

@@ -21,8 +21,8 @@ from dvc.stage.serialize import to_lockfile
 from dvc.utils.serialize import EncodingError, dumps_yaml
 from dvc.utils.strictyaml import YAMLSyntaxError, YAMLValidationError
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import write_text
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_text
 
 PERIOD = 5.0
 # With thousands of stages a write takes seconds; this bounds its share of the build time.

@@ -17,8 +17,8 @@ from dvc_objects.fs.errors import RemoteMissingDepsError
 from dvc_objects.fs.generic import copy
 from dvc_objects.fs.local import localfs
 
-from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import install_command
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import install_command
 
 _ENTRY = re.compile(r"[0-9a-f]{2}/[0-9a-f]{64}/[0-9a-f]{64}")  # of the run cache
 _log = logging.getLogger(__name__)

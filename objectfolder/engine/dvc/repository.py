@@ -28,14 +28,14 @@ from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.tree import Tree
 from voluptuous import Invalid
 
-from objectfolder.disk import free_bytes
+from objectfolder.base.disk import free_bytes
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.locks import remove_abandoned
+from objectfolder.base.yamlfile import check_yaml, read_yaml
 from objectfolder.engine.dvc.lockfile import COPIES, LockFiles
 from objectfolder.engine.dvc.replacements import replacements
 from objectfolder.engine.dvc.runcache import RunCache
-from objectfolder.errors import ObjectFolderError
-from objectfolder.locks import remove_abandoned
 from objectfolder.workspace.params import outside_workspace
-from objectfolder.yamlfile import check_yaml, read_yaml
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 PARAMS = "params.yaml"

@@ -20,8 +20,8 @@ from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.tree import Tree
 from voluptuous import Invalid
 
+from objectfolder.base.locks import private_path
 from objectfolder.engine.dvc.remote import pull_outputs
-from objectfolder.locks import private_path
 from objectfolder.workspace.params import UNSEEN_BY_DVC
 
 _log = logging.getLogger(__name__)

@@ -18,9 +18,9 @@ from dvc.stage import Stage
 from dvc.stage.cache import RunCacheNotFoundError
 from dvc.stage.run import prepare_kwargs
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.dvc.inputs import Stamps, check_code, find_written, stamps
 from objectfolder.engine.dvc.runcache import is_there, remove_damaged
-from objectfolder.errors import ObjectFolderError
 
 
 @dataclass(frozen=True)

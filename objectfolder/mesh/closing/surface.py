@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import igl
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError, plural
+from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.mesh.closing.contour import RESOLUTION, remesh_on_grid
 from objectfolder.mesh.closing.holes import close_piece, visible_loops
 from objectfolder.mesh.closing.solids import SPECKS, bridge, drop_specks, label_bodies, unite, untangle

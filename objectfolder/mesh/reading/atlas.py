@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 from trimesh.path.packing import rectangles_single
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.reading.parts import MeshPart
 from objectfolder.mesh.reading.texels import (
     base_color,

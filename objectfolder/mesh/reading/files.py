@@ -6,8 +6,8 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from PIL import Image
 
-from objectfolder.errors import ObjectFolderError, shortened
-from objectfolder.pictures import decoded
+from objectfolder.base.errors import ObjectFolderError, shortened
+from objectfolder.base.pictures import decoded
 
 HERE = PurePosixPath()
 MAX_NAME = 255  #: bytes of a file's or folder's name, as file systems have it
@@ -80,6 +80,6 @@ def _other_case(path: Path) -> str:
 def read_image(data: bytes, name: str | Path, mesh: Path, mode: str = "RGB") -> Image.Image:
     """Decode an image that a mesh refers to, with pixels of Pillow's ``mode``; ``name`` is for messages.
 
-    Raises `ObjectFolderError` if `objectfolder.pictures.decoded` does not take it.
+    Raises `ObjectFolderError` if `objectfolder.base.pictures.decoded` does not take it.
     """
     return decoded(BytesIO(data), f"{mesh}: its texture {shortened(name)}", mode)

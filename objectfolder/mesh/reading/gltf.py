@@ -15,7 +15,7 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 from PIL import Image, ImageStat
 
-from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh.reading.files import read_image, read_referenced
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.normals import replace_bad_normals
 from objectfolder.mesh.reading.bake import join
 from objectfolder.mesh.reading.files import referenced_path

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from PIL import Image
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.files import decode_text, read_image, read_referenced, referenced_path
 from objectfolder.mesh.reading.parts import SurfaceMaterial

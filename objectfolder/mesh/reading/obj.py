@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from trimesh.visual.texture import unmerge_faces
 
-from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import split
 from objectfolder.mesh.reading.mtl import MaterialLibraries, MtlMaterial, strip_comment

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh.reading.files import decode_text
 
 #: Keywords of lines of numbers; the corners of a face have the numbers of lines of the first three.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import split
 from objectfolder.mesh.reading.parts import (

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from trimesh.exchange.ply import _elements_to_kwargs
 
-from objectfolder.errors import ObjectFolderError, shortened
+from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import fan, needs_ears, split
 from objectfolder.mesh.reading.files import decode_text, read_image, read_referenced

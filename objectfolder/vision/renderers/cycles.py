@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.renderers import blender_scene
 from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene

@@ -7,7 +7,7 @@ import drjit
 import mitsuba as mi
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.textured import PLAIN
 from objectfolder.vision.cameras import Intrinsics, covered_rectangle, project
 from objectfolder.vision.scene import BOUNCES, LIGHT_INTENSITY, SPECULAR, Scene

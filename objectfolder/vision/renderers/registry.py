@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.scene import Scene
 

@@ -3,6 +3,7 @@ import pytest
 import torch
 from brick import felt_by
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets import close_ups
 from objectfolder.benchmarks.datasets.close_ups import (
     close_up_request,
@@ -12,7 +13,6 @@ from objectfolder.benchmarks.datasets.close_ups import (
     sample_close_ups,
 )
 from objectfolder.benchmarks.datasets.observations import CloseUps
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
 SIZE = (16, 12)

@@ -9,15 +9,15 @@ import soundfile
 from PIL import Image
 from typer.testing import CliRunner
 
-from objectfolder.arrays import wav_bytes
+from objectfolder.base.arrays import wav_bytes
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import install_command
 from objectfolder.benchmarks.datasets import export
 from objectfolder.benchmarks.datasets.export import write_datasets, write_webdataset
 from objectfolder.benchmarks.datasets.observations import Observations, find_folders
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import named_split
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
-from objectfolder.installation import install_command
 from objectfolder.objectfile.file import ObjectFile
 
 KEYS = ("espresso_mug", "tea_beaker", "own")  # for training, for tests, for training

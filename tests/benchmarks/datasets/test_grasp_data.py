@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from brick import felt_by, with_images
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets import grasp_data
 from objectfolder.benchmarks.datasets.grasp_data import (
     FORCES,
@@ -17,12 +18,11 @@ from objectfolder.benchmarks.datasets.grasp_data import (
     is_collected,
 )
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, Grasps
-from objectfolder.envs.body import rigid_body, rotation
-from objectfolder.envs.fingers import Presses
-from objectfolder.envs.grasp_scene import GraspScene, Physics, lowest_hand
-from objectfolder.envs.hulls import convex_hulls
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.sim.body import rigid_body, rotation
+from objectfolder.sim.fingers import Presses
+from objectfolder.sim.grasp_scene import GraspScene, Physics, lowest_hand
+from objectfolder.sim.hulls import convex_hulls
 
 WANTED = GraspDataConfig(grasps=10, perturbations=1, image=24, touch=(16, 12), timestep=0.002)
 
@@ -149,7 +149,7 @@ def test_a_rigid_gel_is_refused(brick, body, tmp_path):
 
 
 def test_a_net_that_knows_no_turned_sensor_is_refused(brick, body, tmp_path, monkeypatch):
-    monkeypatch.setattr("objectfolder.envs.fingers.DepthMapSense", type(brick.touch_sense))
+    monkeypatch.setattr("objectfolder.sim.fingers.DepthMapSense", type(brick.touch_sense))
     with pytest.raises(ObjectFolderError, match=r"brick: the touch net of an imported 2\.0 file knows no"):
         collect_grasps(brick, body, WANTED, 0, tmp_path)
     assert list(tmp_path.iterdir()) == []

@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, Grasps
-from objectfolder.errors import ObjectFolderError
 
 COUNT = 10
 SHAPES = {"image": (6, 8, 3), "touch": (2, 5, 4, 3), "explicit": (2, 5, 4, 3), "offset": (3,)}

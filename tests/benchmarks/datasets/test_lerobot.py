@@ -8,9 +8,9 @@ import pytest
 from brick import with_images
 from PIL import Image
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets import lerobot as module
 from objectfolder.benchmarks.datasets.lerobot import ACTION, AUDIO, STATE, STATES, TOUCH, write_lerobot
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
 datasets = pytest.importorskip("datasets", reason="datasets is not installed")

@@ -9,9 +9,9 @@ import trimesh
 from PIL import Image
 from typer.testing import CliRunner
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.nerfstudio import unpremultiply, write_nerfstudio
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
 

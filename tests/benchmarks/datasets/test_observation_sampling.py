@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from brick import with_images
 
-from objectfolder import disk as space
+from objectfolder.base import disk as space
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets import sampling
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.samples import object_digest
@@ -20,7 +21,6 @@ from objectfolder.benchmarks.datasets.sampling import (
     sample_observations,
 )
 from objectfolder.benchmarks.run import load_object_files
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.code_digests import code_digest

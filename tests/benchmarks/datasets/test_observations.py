@@ -3,9 +3,9 @@ import json
 import numpy as np
 import pytest
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.sampling import sample_observations
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
 COUNT, SIDE = 10, 8

@@ -4,6 +4,7 @@ import pytest
 import trimesh
 from solids import box, isosurface, sphere
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.occupancy import (
     HALF_SIDE,
     NEAR,
@@ -15,7 +16,6 @@ from objectfolder.benchmarks.datasets.occupancy import (
     uniform_points,
 )
 from objectfolder.benchmarks.scoring.shapes import surface_points
-from objectfolder.errors import ObjectFolderError
 
 RNG = np.random.default_rng
 

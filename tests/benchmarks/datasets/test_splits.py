@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.splits import (
     Split,
     label_order,
@@ -16,7 +17,6 @@ from objectfolder.benchmarks.datasets.splits import (
     repeated_rows,
     without_rows,
 )
-from objectfolder.errors import ObjectFolderError
 
 DATA = files("objectfolder.benchmarks") / "data"
 CATALOGS = Path(__file__).parents[3] / "catalogs"

@@ -6,6 +6,7 @@ import torch
 from pretend_device import pretend_device
 from torch import nn
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.encoders import (
     check_encoder,
@@ -18,7 +19,6 @@ from objectfolder.benchmarks.models.encoders import (
 from objectfolder.benchmarks.models.inputs import encoder_inputs
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.benchmarks.models.settings import EncodeConfig, InputSizes
-from objectfolder.errors import ObjectFolderError
 
 SIZES = InputSizes(image=56, spectrogram=(64, 50), touch=(64, 48))
 

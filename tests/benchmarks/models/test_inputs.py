@@ -3,11 +3,11 @@ import pytest
 import torch
 from torch import nn
 
-from objectfolder.audio.spectrogram import SAMPLE_RATE
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models import inputs
 from objectfolder.benchmarks.models.inputs import DEVIATION, MEAN, encoder_inputs
 from objectfolder.benchmarks.models.settings import InputSizes
-from objectfolder.errors import ObjectFolderError
+from objectfolder.sound.spectrogram import SAMPLE_RATE
 
 SIZES = InputSizes(image=56, spectrogram=(64, 50), touch=(64, 48))
 

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from objectfolder.base.seeding import seeded
 from objectfolder.benchmarks.models.resnet import Block, ResNet18
-from objectfolder.seeding import seeded
 
 
 def _norm(name, width):

@@ -6,6 +6,8 @@ import pytest
 import torch
 from torch import nn
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.models.training import (
     Objective,
     TrainSettings,
@@ -14,8 +16,6 @@ from objectfolder.benchmarks.models.training import (
     shuffle,
     train,
 )
-from objectfolder.errors import ObjectFolderError
-from objectfolder.seeding import numpy_generator, seeded
 
 
 def _data(noise, count):

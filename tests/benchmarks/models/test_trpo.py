@@ -6,7 +6,7 @@ from tiny_tasks import Follow
 
 from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.models.trpo import train_trpo
-from objectfolder.envs.grasp_task import STEPS
+from objectfolder.sim.grasp_task import STEPS
 
 PARAMS = GraspPolicyConfig(
     seeds=1,

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 from sklearn.metrics import average_precision_score
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.scoring import scores
 from objectfolder.benchmarks.scoring.scores import (
     accuracy,
@@ -14,7 +15,6 @@ from objectfolder.benchmarks.scoring.scores import (
     share_95,
     wilson_95,
 )
-from objectfolder.errors import ObjectFolderError
 
 
 def on_circle(*degrees):

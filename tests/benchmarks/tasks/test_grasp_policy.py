@@ -11,11 +11,11 @@ from objectfolder.benchmarks.tasks import grasp_policy_training as grasp_policy_
 from objectfolder.benchmarks.tasks.grasp_policy import TASK
 from objectfolder.benchmarks.tasks.grasp_policy_training import grasp_policy, rollout_successes
 from objectfolder.benchmarks.tasks.job import ObjectJob
-from objectfolder.envs.body import rigid_body
-from objectfolder.envs.features import TouchFeatures
-from objectfolder.envs.grasp import Episodes
-from objectfolder.envs.grasp_task import ACTION_SCALE, GraspTask
-from objectfolder.envs.hulls import convex_hulls
+from objectfolder.sim.body import rigid_body
+from objectfolder.sim.features import TouchFeatures
+from objectfolder.sim.grasp import Episodes
+from objectfolder.sim.grasp_task import ACTION_SCALE, GraspTask
+from objectfolder.sim.hulls import convex_hulls
 
 PARAMS = GraspPolicyConfig(
     seeds=1,

@@ -6,6 +6,7 @@ import torch
 from encoding import encoding
 from torch import nn
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.splits import object_split, per_object, per_sample
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.baselines import BASELINES, predict_outcomes
@@ -22,7 +23,6 @@ from objectfolder.benchmarks.tasks.grasp_stability_training import (
     nested_order,
 )
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.errors import ObjectFolderError
 
 SIZES = InputSizes(image=8, spectrogram=(16, 8), touch=(99, 99))
 PARAMS = SimpleNamespace(

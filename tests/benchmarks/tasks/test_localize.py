@@ -8,7 +8,8 @@ from brick import with_images
 from encoding import encoding
 from torch import nn
 
-from objectfolder.arrays import write_npz
+from objectfolder.base.arrays import write_npz
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.contacts import contact_split, sample_contacts
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.models.encoders import register_encoder
@@ -18,7 +19,6 @@ from objectfolder.benchmarks.tasks import localize_training
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.localize import TASK, LocalizeConfig
 from objectfolder.benchmarks.tasks.localize_training import localize
-from objectfolder.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 
 SIZES = InputSizes(8, (16, 8), (8, 6))

@@ -8,7 +8,8 @@ from PIL import Image
 from torch import nn
 from typer.testing import CliRunner
 
-from objectfolder.arrays import read_safetensors, write_safetensors
+from objectfolder.base.arrays import read_safetensors, write_safetensors
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, save_model
@@ -22,7 +23,6 @@ from objectfolder.benchmarks.tasks.photograph import (
     write_mesh,
 )
 from objectfolder.cli import app
-from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.reading.load import default_up, load_mesh
 
 VIEW = 32

@@ -8,7 +8,9 @@ from ruamel.yaml import YAML
 from tiny_tasks import Line
 from typer.testing import CliRunner
 
-from objectfolder.arrays import write_safetensors
+from objectfolder.base.arrays import write_safetensors
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json
 from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.actor import Actor
 from objectfolder.benchmarks.models.ppo import train_ppo
@@ -29,10 +31,8 @@ from objectfolder.benchmarks.tasks.reach_training import (
 from objectfolder.benchmarks.tasks.running import KnownObject, Run, run_benchmark
 from objectfolder.benchmarks.tasks.task import TaskParams
 from objectfolder.cli import app
-from objectfolder.envs.body import rigid_body
-from objectfolder.envs.reach import ReachEnv
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json
+from objectfolder.sim.body import rigid_body
+from objectfolder.sim.reach import ReachEnv
 from objectfolder.workspace.layout import Benchmarks
 
 TINY = ReachConfig(

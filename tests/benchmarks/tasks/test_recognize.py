@@ -7,6 +7,7 @@ import torch
 from encoding import encoding
 from torch import nn
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.splits import Split, per_object, per_sample
 from objectfolder.benchmarks.models import encoders
 from objectfolder.benchmarks.models.classifier import Classifier, join_classifiers
@@ -16,7 +17,6 @@ from objectfolder.benchmarks.tasks import recognize_training
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognize import TASK
 from objectfolder.benchmarks.tasks.recognize_training import COMBINATIONS, classify_materials, recognize
-from objectfolder.errors import ObjectFolderError
 
 SIZES = InputSizes(image=8, spectrogram=(16, 8), touch=(8, 8))
 PARAMS = SimpleNamespace(

@@ -11,6 +11,8 @@ from PIL import Image
 from solids import box, sphere
 from torch import nn
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.seeding import seeded
 from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
 from objectfolder.benchmarks.models import encoders
@@ -40,12 +42,10 @@ from objectfolder.benchmarks.tasks.shape_training import (
     read_variant,
     validation_rows,
 )
-from objectfolder.errors import ObjectFolderError
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.seeding import seeded
 
 SOLIDS = {
     "ball": sphere(0.45, 3),

@@ -8,6 +8,8 @@ import torch
 from encoding import encoding
 from torch import nn
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
 from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.settings import InputSizes
@@ -25,8 +27,6 @@ from objectfolder.benchmarks.tasks.reconstruct_training import reconstruct
 from objectfolder.benchmarks.tasks.retrieve import TASK, check_objects
 from objectfolder.benchmarks.tasks.retrieve_training import retrieve
 from objectfolder.benchmarks.tasks.task import Objects
-from objectfolder.errors import ObjectFolderError
-from objectfolder.seeding import numpy_generator
 
 DIRECTIONS = {"V->A", "A->V", "V->T", "T->V", "A->T", "T->A"}
 SIZES = InputSizes(8, (16, 8), (8, 6))

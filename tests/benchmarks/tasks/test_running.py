@@ -12,6 +12,9 @@ import torch
 from encoding import encoding
 from threadpoolctl import threadpool_info
 
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json
+from objectfolder.base.locks import exclusive, remove_unused
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets import splits
 from objectfolder.benchmarks.models import encoders
@@ -19,9 +22,6 @@ from objectfolder.benchmarks.tasks import localize, retrieve, running
 from objectfolder.benchmarks.tasks.retrieve import RetrieveConfig
 from objectfolder.benchmarks.tasks.running import KnownObject, Run
 from objectfolder.benchmarks.tasks.task import TaskParams
-from objectfolder.errors import ObjectFolderError
-from objectfolder.io import read_json
-from objectfolder.locks import exclusive, remove_unused
 from objectfolder.workspace.layout import Benchmarks
 
 SETTINGS = RetrieveConfig(

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.build import build
 from objectfolder.engine.dvc.lockfile import COPIES
-from objectfolder.errors import ObjectFolderError
 
 from ..conftest import everything
 

@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from solids import TURN, box, flipped, join, pretzel, sphere
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.closing.solids import to_manifold
 from objectfolder.mesh.closing.surface import BRIDGED_GAP, close_surface
 from objectfolder.mesh.closing.weld import clean
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.ply import read_surface, write_surface
-from objectfolder.mesh.procedural import generate
 from objectfolder.mesh.reading.load import default_up, load_mesh
 from objectfolder.mesh.topology import is_closed, signed_volume
+from objectfolder.shapes import generate
 
 OBJECTS = Path(__file__).parents[4] / "shared" / "objects"
 QUICK = ("gso_salad_plate", "polyhaven_wooden_table", "ycb_bowl", "ycb_skillet_lid")

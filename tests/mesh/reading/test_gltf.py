@@ -8,7 +8,7 @@ from gltf_scene import Scene, checker, colors_at, square
 from solids import box
 from trimesh.transformations import quaternion_matrix
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.textured import PLAIN, TexturedMesh, appearance_report

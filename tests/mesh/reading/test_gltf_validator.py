@@ -10,11 +10,11 @@ import pytest
 from gltf_scene import Scene, checker, square
 from solids import box
 
-from objectfolder.envs import gltf, visual
-from objectfolder.envs.hulls import convex_hulls
-from objectfolder.mesh.procedural import GENERATORS, generate
 from objectfolder.mesh.reading.load import FORMATS, default_up, load_mesh
 from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.shapes import GENERATORS, generate
+from objectfolder.sim import gltf, visual
+from objectfolder.sim.hulls import convex_hulls
 
 ROOT = Path(__file__).parents[3]
 VALIDATOR = ROOT / "build" / ".npm" / "node_modules" / "gltf-validator"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from solids import box
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import AS_STORED, FORMATS, default_up, load_mesh, references
 from objectfolder.mesh.textured import TexturedMesh

@@ -7,7 +7,7 @@ from gltf_scene import checker, colors_at
 from PIL import Image
 from polygons import AREA, VOLUME, area, u_plate
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh, references

@@ -6,7 +6,7 @@ from gltf_scene import checker
 from PIL import Image
 from polygons import AREA, area, u_plate
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.load import load_mesh, references
 from objectfolder.mesh.textured import PLAIN

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.reading import gltf
 from objectfolder.mesh.reading.load import load_mesh, references
 from objectfolder.mesh.reading.mtl import textures

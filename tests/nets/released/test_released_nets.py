@@ -5,14 +5,8 @@ import pytest
 import released_files as released
 import torch
 
-from objectfolder.nets.released.gains import ReleasedGains
-from objectfolder.nets.released.kilo import ReleasedKilo
-from objectfolder.nets.released.network import Frame
-from objectfolder.nets.released.spectrogram import ReleasedSpectrogram
-from objectfolder.nets.released.touch import DEPTH_SIZE, ReleasedDepth, ReleasedImage
-from objectfolder.nets.released.vision import ReleasedNerf
-from objectfolder.released.checkpoint import read_released
-from objectfolder.released.nets import (
+from objectfolder.hub.importer.checkpoint import read_released
+from objectfolder.hub.importer.nets import (
     configured_net,
     depth_net,
     gains_net,
@@ -20,9 +14,15 @@ from objectfolder.released.nets import (
     nerf_net,
     spectrogram_net,
 )
+from objectfolder.nets.released_network import Frame
+from objectfolder.sound.released_gains import ReleasedGains
+from objectfolder.sound.released_spectrogram import ReleasedSpectrogram
 from objectfolder.touch.profiles import load_profile
+from objectfolder.touch.released_net import DEPTH_SIZE, ReleasedDepth, ReleasedImage
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white
+from objectfolder.vision.released_kilo import ReleasedKilo
+from objectfolder.vision.released_net import ReleasedNerf
 
 FRAME = Frame((0.01, -0.02, 0.03), 0.2)  # the object is 0.2 long in released coordinates
 BOUNDS = np.array([[-0.09, -0.12, -0.07], [0.11, 0.08, 0.13]])
@@ -104,7 +104,7 @@ def test_sounds_of_1_0_are_the_released_spectrograms(saved):
 @pytest.mark.parametrize("width", [16, 256])
 def test_gains_of_2_0_give_the_released_sound(saved, width):
     """As displacement: gain * exp(-|c| t) sin(2 pi f t), with modes below the Nyquist frequency only."""
-    from objectfolder.audio.synthesis import gains, sinusoid_bank
+    from objectfolder.sound.synthesis import gains, sinusoid_bank
 
     values = released.released_2(3, width)
     audio = values["AudioNet"]

@@ -9,13 +9,13 @@ import torch
 from scipy.sparse import csr_array
 
 from objectfolder import ObjectFile
-from objectfolder.checks import real_array
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.checks import real_array
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.nets.hashgrid import WeightedRows
-from objectfolder.nets.vision_surface import SurfaceNet
-from objectfolder.objectfile.gradients.touch import SoftGel
+from objectfolder.touch.gradient import SoftGel
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.radiosity import Bounced
+from objectfolder.vision.surface_net import SurfaceNet
 
 CAMERA, LIGHT = [[2.0, 1.0, 1.2]], [[0.5, 0.5, 0.7]]
 FORCE = [[0.0, 0.0, 1.0]]

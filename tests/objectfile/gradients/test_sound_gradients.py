@@ -10,7 +10,7 @@ import torch
 from central_differences import disagreement
 
 from objectfolder import ObjectFile
-from objectfolder.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError
 
 HEARD = {"duration": 0.05}
 

@@ -9,9 +9,9 @@ from central_differences import disagreement
 from scipy.ndimage import binary_erosion
 
 from objectfolder import ObjectFile
-from objectfolder.errors import ObjectFolderError
-from objectfolder.metrics import psnr
-from objectfolder.objectfile.gradients.touch import Touch
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.metrics import psnr
+from objectfolder.touch.gradient import Touch
 from objectfolder.touch.profiles import load_profile
 
 RIGID, SOFT = load_profile("tacto_digit"), load_profile("digit")

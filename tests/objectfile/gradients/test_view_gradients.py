@@ -7,8 +7,8 @@ from central_differences import disagreement
 from scipy.ndimage import binary_erosion
 
 from objectfolder import ObjectFile
-from objectfolder.errors import ObjectFolderError
-from objectfolder.metrics import psnr
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.metrics import psnr
 from objectfolder.vision.cameras import Intrinsics, look_at
 
 CAMERA = torch.tensor([[2.0, 1.0, 1.2]], dtype=torch.float64)

@@ -1,0 +1,1 @@
+"""Errors, files, checks, materials and random generators that all rooms use."""

@@ -1,0 +1,1 @@
+"""What is downloaded, imported or published: an annex."""

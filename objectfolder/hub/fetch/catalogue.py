@@ -1,0 +1,157 @@
+"""Catalogues of published objects and the sources of their meshes."""
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+from urllib.parse import quote, urlsplit
+
+from pydantic import Field, ValidationError, field_validator
+
+from objectfolder.base.checks import is_web_address
+from objectfolder.base.errors import ObjectFolderError, quoted
+from objectfolder.base.materials import material
+from objectfolder.base.yamlfile import read_yaml
+from objectfolder.workspace import params
+
+
+class MeshSource(params.Record):
+    """A collection of meshes; ``{model}`` in a URL stands for the object's id there."""
+
+    title: str
+    page: str  #: web page
+    url: str
+    kind: Literal["archive", "polyhaven"]  #: zip or tar of one object; file list of the Poly Haven API
+    resolution: str = "1k"  #: of the textures, if the source offers several
+    mesh: str  #: end of the path of the mesh
+    up: Literal["y", "z"]
+    licence: str
+    attribution: str
+
+
+class Entry(params.Record):
+    """One published object."""
+
+    id: int  #: number in the publication
+    name: str
+    material: str
+    scale: float = Field(gt=0, le=100)  #: longest side, metres
+    source: str
+    model: str = ""  #: id at the source, if not the name
+    note: str = ""
+
+    @field_validator("material")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        return material(value).name
+
+    @property
+    def source_model(self) -> str:
+        """Id at the source."""
+        return self.model or self.name
+
+
+class Catalogue(params.Record):
+    """Sources and objects by key."""
+
+    sources: dict[str, MeshSource]
+    objects: dict[str, Entry]
+
+    def source(self, key: str) -> MeshSource:
+        """Return the source of an object."""
+        return self.sources[self.objects[key].source]
+
+    def url(self, key: str) -> str:
+        """Return the URL of an object."""
+        return object_url(self.source(key).url, self.objects[key].source_model)
+
+    def archive_name(self, key: str) -> str:
+        """Return the file name in an object's URL."""
+        return PurePosixPath(urlsplit(self.url(key)).path).name or key
+
+    def page(self, key: str) -> str:
+        """Return the URL of an object's web page."""
+        return object_url(self.source(key).page, self.objects[key].source_model)
+
+
+def object_url(template: str, model: str) -> str:
+    """Insert an object's id at its source into a template."""
+    return template.replace("{model}", quote(model, safe=""))
+
+
+def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
+    """Read a catalogue.
+
+    ``path``: YAML with ``sources`` and ``objects``; ``urls``: ``SOURCE=TEMPLATE``: URL templates to use
+    instead of those in the catalogue. Raises ObjectFolderError if it is missing or invalid, an object has an
+    unknown source, or a template is not a URL.
+    """
+    if not path.is_file():
+        raise ObjectFolderError(
+            f"{path} does not exist; expected a catalogue of published objects, such as "
+            "catalogs/objectfolder1.yaml"
+        )
+    try:
+        catalogue = Catalogue.model_validate(read_yaml(path))
+    except ValidationError as error:
+        problems = (f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        raise ObjectFolderError(
+            f"{path} is not a catalogue of published objects: {'; '.join(problems)}"
+        ) from error
+    for key, entry in catalogue.objects.items():
+        params.check_key(key, f"{path}: objects")
+        if entry.source not in catalogue.sources:
+            raise ObjectFolderError(
+                f"{path}: objects.{key}.source is {quoted(entry.source)}, "
+                f"expected one of {', '.join(catalogue.sources)}"
+            )
+    return catalogue.model_copy(update={"sources": _with_urls(catalogue.sources, urls)})
+
+
+def _with_urls(sources: Mapping[str, MeshSource], urls: Sequence[str]) -> dict[str, MeshSource]:
+    changed: dict[str, Any] = {}
+    for option in urls:
+        name, equals, template = option.partition("=")
+        if not equals or name not in sources:
+            raise ObjectFolderError(
+                f"--url {option} is not SOURCE=TEMPLATE with SOURCE one of {', '.join(sources)}"
+            )
+        changed[name] = sources[name].model_copy(update={"url": template})
+    for name, source in (result := {**sources, **changed}).items():
+        if "{model}" not in source.url or not is_web_address(object_url(source.url, "model")):
+            raise ObjectFolderError(
+                f"URL of source {name} is {quoted(source.url)}, expected http:// or https:// and {{model}} "
+                "in place of the object's id; for files on this computer use --from DIR"
+            )
+        if not is_web_address(object_url(source.page, "model")):
+            raise ObjectFolderError(
+                f"page of source {name} is {quoted(source.page)}, expected an address with http:// or https://"
+            )
+    return result
+
+
+def comparable_name(name: str) -> str:
+    """Return a name in lower case without punctuation, for comparison."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+def select_objects(catalogue: Catalogue, wanted: Sequence[str]) -> list[str]:
+    """Find objects by key, published name or id at the source; case and punctuation are ignored.
+
+    Returns their keys, each once, in the given order. Raises ObjectFolderError, which lists similar names, if
+    there is no such object.
+    """
+    known = {
+        comparable_name(name): key
+        for key, entry in catalogue.objects.items()
+        for name in (key, entry.name, entry.source_model)
+    }
+    for name in wanted:
+        if comparable_name(name) not in known:
+            near = [key for form, key in known.items() if comparable_name(name) in form]
+            near += [known[form] for form in difflib.get_close_matches(comparable_name(name), known, 5)]
+            shown = ", ".join(list(dict.fromkeys(near))[:8])
+            hint = f"similar: {shown}; " if near and comparable_name(name) else ""
+            raise ObjectFolderError(f"no object {name!r} in the catalogue; {hint}--list shows all of them")
+    return list(dict.fromkeys(known[comparable_name(name)] for name in wanted))

@@ -1,0 +1,69 @@
+"""How far the report of a modal analysis, ``modal.json``, can be trusted; imports no numerical library."""
+
+import math
+from typing import Any
+
+from objectfolder.base.errors import ObjectFolderError
+
+CUT_CELLS = "hex20 cut cells"  #: name of the element
+MAX_RESIDUAL = 1e-8
+MAX_RIGID = 1e-3  #: frequency of rigid modes, over the lowest elastic one
+MAX_UNWARNED_ERROR, MAX_ERROR = 0.1, 0.3  #: uncertainty of frequencies that needs no warning; that is refused
+
+
+def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object") -> str | None:
+    """Describe an estimated error of the lowest frequencies above `MAX_UNWARNED_ERROR`; None below.
+
+    Cut cells whose error cannot be estimated, since half of their grid falls apart, count as above
+    `MAX_ERROR`. Other elements have no estimates. The report is the content of ``modal.json``. Raises
+    ObjectFolderError, with the object's name, if the error exceeds `MAX_ERROR`, or is not known, and is not
+    allowed.
+    """
+    error, grid = report["frequency_uncertainty"], f"{report['resolution']}^3"
+    if error is None:
+        if report["element"] != CUT_CELLS or not report["modes"]:
+            return None
+        error = math.inf
+        text = f"{name}: frequencies may be wrong; walls are too thin for the {grid} grid to say how much"
+    else:
+        errors = report["discretisation_error"]
+        worst = max(range(len(errors)), key=errors.__getitem__)
+        text = (
+            f"{name}: frequencies may be {error:.0%} wrong, mode {worst + 1} most: walls or joints are thin "
+            f"for the {grid} grid"
+        )
+    if error <= MAX_UNWARNED_ERROR:
+        return None
+    if error > MAX_ERROR and not allow:
+        raise ObjectFolderError(
+            f"{text}; thicken them, raise modal.fine.max_degrees_of_freedom in params.yaml, or accept the "
+            "error there: `modal.allow_uncertain: true` (docs/modal.md#accuracy)"
+        )
+    return text
+
+
+def solver_checks(report: dict[str, Any]) -> dict[str, bool]:
+    """Check that residuals are small and that rigid modes have zero frequency."""
+    return {
+        "residuals_ok": report["residual_max"] < MAX_RESIDUAL,
+        "rigid_modes_ok": max(report["rigid_hz"]) < rigid_limit(report),
+    }
+
+
+def solver_warning(report: dict[str, Any], name: str) -> str | None:
+    """Return what is to be said of a solve whose checks fail."""
+    if report["residuals_ok"] and report["rigid_modes_ok"]:
+        return None
+    return (
+        f"{name}: the solver is less exact than usual (residual {report['residual_max']:.1e}, expected under "
+        f"{MAX_RESIDUAL:g}; rigid modes up to {max(report['rigid_hz']):.2g} Hz, expected under "
+        f"{rigid_limit(report):.2g}); very thin parts make it so"
+    )
+
+
+def rigid_limit(report: dict[str, Any]) -> float:
+    """Return the frequency below which rigid modes count as zero, Hz: rounding grows with the elastic ones.
+
+    Where no mode was kept, all are above the limit of the solve.
+    """
+    return MAX_RIGID * float([*report["lowest_hz"], report["max_frequency_hz"]][0])

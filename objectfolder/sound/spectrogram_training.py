@@ -1,0 +1,78 @@
+"""Training of AudioNet ``spectrogram``."""
+
+import numpy as np
+import torch
+
+from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
+from objectfolder.sound.gains_training import ModeSamples
+from objectfolder.sound.net_settings import SpectrogramConfig
+from objectfolder.sound.spectrogram import spectrogram
+from objectfolder.sound.spectrogram_net import SpectrogramNet
+from objectfolder.sound.synthesis import sinusoid_bank
+
+RANGE_POINTS = 256  # training points that define the range of values
+VAL_SAMPLES = 1 << 14
+_PART = 1 << 12  # bins whose activations are kept for a gradient
+
+
+def train_spectrogram(
+    samples: ModeSamples, config: SpectrogramConfig, session: Session
+) -> tuple[SpectrogramNet, list[CurvePoint]]:
+    """Fit a `SpectrogramNet` to mode shapes at surface points.
+
+    Losses of the curve are squared errors relative to silence.
+
+    The loss is the paper's mean squared error over all bins, of spectrograms that are scaled to [0, 1] for
+    each axis. Most bins are nearly silent, so a share of a batch (``loud``; none in the paper) may be
+    importance-sampled by loudness and weighted by inverse probability: the same mean with less noise.
+    """
+    device, generator = session.device, session.generator
+    damped_frequency, damping = samples.damped_frequency, samples.damping
+    bank = sinusoid_bank(torch.from_numpy(damped_frequency), torch.from_numpy(damping))
+    spectra = torch.view_as_real(spectrogram(bank)).flatten(1, 2)  # (M, bins, 2)
+    shape = torch.from_numpy(np.asarray(samples.shapes, np.float32))
+    rows = torch.from_numpy(samples.train)
+    some = rows[torch.randperm(len(rows), generator=generator)[:RANGE_POINTS]]
+    low, high = torch.zeros(2, 3)
+    for gains in shape[some].split(8):
+        values = gains.transpose(0, 1) @ spectra.flatten(1)
+        low, high = torch.minimum(low, values.amin((1, 2))), torch.maximum(high, values.amax((1, 2)))
+    mute = high == low  # no mode below the Nyquist frequency moves along the axis
+    with session.initialisation():
+        net = SpectrogramNet(
+            *(torch.from_numpy(damped_frequency), torch.stack([low, high + mute], 1)),
+            *(config.width, config.depth, config.point_octaves, config.bin_octaves),
+        )
+    if mute.all():
+        return net.eval(), []
+    power = torch.einsum("am,mbc->ab", shape[some].square().mean(0), spectra.square()) / 2
+    power = (power / (high + mute - low)[:, None] ** 2).mean(0)  # of silence, scaled
+    loudness = power.sqrt()
+    chance = ((1 - config.loud) / len(power) + config.loud * loudness / loudness.sum()).double()
+    weight = (1 / (len(power) * chance)).float() / power.mean()
+    x = torch.from_numpy(np.asarray(samples.points, np.float32))
+    x, shape, spectra, weight = (tensor.to(device) for tensor in (x, shape, spectra, weight))
+
+    def draw(choice: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        drawn = choice[torch.randint(len(choice), (count,), generator=generator)]
+        # Inverse transform sampling: `multinomial` is slow and limited to 2^24 categories.
+        place = torch.rand(count, generator=generator, dtype=torch.float64)
+        bins = torch.searchsorted(cumulative, place * cumulative[-1]).clamp(max=len(chance) - 1)
+        return drawn.to(device), bins.to(device)
+
+    def loss(index: torch.Tensor, bins: torch.Tensor) -> torch.Tensor:
+        truth = torch.einsum("nam,mnc->nac", shape[index], spectra[:, bins])
+        error = net(x[index], bins) - net.scaled(truth)
+        return (error.square().mean((1, 2)) * weight[bins]).mean()
+
+    cumulative = chance.cumsum(0)
+    held_out = draw(torch.from_numpy(samples.val), VAL_SAMPLES)
+    part = choose_part_size(_PART, config.batch, device)
+    curve = fit_papers_net(
+        net,
+        lambda: sum_in_parts(loss, part, *draw(rows, config.batch)),
+        lambda: loss(*held_out).item(),
+        config,
+        session,
+    )
+    return net, curve

@@ -1,0 +1,126 @@
+"""Header of an Object File: its version, and validation against the JSON Schema.
+
+docs/objectfile.md describes the header; objectfile.schema.json, next to this module, defines it.
+"""
+
+import json
+import re
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+from objectfolder.base.errors import ObjectFolderError, quoted, shortened
+
+if TYPE_CHECKING:
+    from jsonschema import Draft202012Validator
+
+FORMAT = (1, 5)  #: major, minor; a reader accepts every file of its major version
+MODALITIES = ("vision", "audio", "touch")
+PARTS = ("geometry", *MODALITIES)
+RADIATION = "radiation"  #: part that only sound at a listener needs
+#: Names in a header, and what they consist of: the patterns of the schema in words.
+NAMES = {
+    "key": "a letter, then letters, digits or underscores, all lower case, at most 100",
+    "material": "a name such as steel or unknown: letters and digits of ASCII, between them also spaces and "
+    "any of . _ + -, at most 100 characters",
+}
+
+
+def format_name() -> str:
+    """Return the format version that this package writes, as stored in files."""
+    return ".".join(map(str, FORMAT))
+
+
+@cache
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema of the header."""
+    return json.loads(resources.files(__package__).joinpath("objectfile.schema.json").read_text())
+
+
+def known_kinds(part: str) -> tuple[str, ...]:
+    """Return the kinds of a part (geometry, vision, audio, touch, radiation) that the schema describes."""
+    return tuple(_rules(part))
+
+
+def known_net(part: str, described: dict[str, Any]) -> dict[str, Any]:
+    """Return the configuration of a part's network, without unknown fields of newer versions."""
+    known = _rules(part)[described["kind"]]["properties"]["net"]["properties"]
+    return {name: value for name, value in described["net"].items() if name in known}
+
+
+def checked_header(header: Any, path: object) -> dict[str, Any]:
+    """Validate a header.
+
+    Returns dict: Copy of the header, converted to JSON types.
+
+    Raises ObjectFolderError if it is not the header of an Object File, is of another major version, or
+    violates the schema. An unknown kind is rejected here, unless the file has a newer version: then it is
+    rejected when its part is queried.
+
+    Parameters
+    ----------
+    header : anything
+        Header as decoded from JSON, or to be encoded.
+    path : path
+        Path of the file, for error messages.
+    """
+    try:
+        header = json.loads(json.dumps(header, allow_nan=False))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ObjectFolderError(f"{path}: its header is not JSON: {error}") from error
+    if not isinstance(header, dict) or "format" not in header:
+        if isinstance(header, dict) and "schema" in header:
+            raise ObjectFolderError(
+                f"{path} is an Object File from before format 1.0; rebuild it with `objectfolder build`"
+            )
+        raise ObjectFolderError(f"{path} is not an Object File: its header lacks format")
+    if not re.fullmatch(r"[0-9]{1,4}\.[0-9]{1,4}", str(header["format"])):
+        raise ObjectFolderError(
+            f"{path} has format {header['format']!r}, expected text like {format_name()!r}"
+        )
+    version = tuple(map(int, str(header["format"]).split(".")))
+    if version[0] != FORMAT[0]:
+        raise ObjectFolderError(
+            f"{path} has format {header['format']}, this version reads {FORMAT[0]}.x; "
+            + ("update objectfolder" if version > FORMAT else "rebuild it with `objectfolder build`")
+        )
+    for name in NAMES:
+        if isinstance(header.get(name), str):
+            checked_name(name, header[name], f"{path}: {name}")
+    problem = min(_validator().iter_errors(header), key=lambda e: (len(e.path), str(e.path)), default=None)
+    if problem is not None:
+        place = ".".join(map(str, problem.path)) or "its header"
+        raise ObjectFolderError(
+            f"{path}: {place}: {shortened(problem.message, 300)}; see objectfile.schema.json for what is "
+            "expected"
+        )
+    for part in (*PARTS, RADIATION):
+        kinds = known_kinds(part)
+        if version <= FORMAT and part in header and header[part]["kind"] not in kinds:
+            expected = " or ".join(map(repr, kinds))
+            raise ObjectFolderError(f"{path}: {part} of kind {header[part]['kind']!r}, expected {expected}")
+    return header
+
+
+def checked_name(name: str, value: str, place: str) -> str:
+    """Return one of the `NAMES` in a header.
+
+    Raises ObjectFolderError if it is not as the schema's pattern says; ``place`` begins the message.
+    """
+    if not re.fullmatch(schema()["properties"][name]["pattern"], value):
+        raise ObjectFolderError(f"{place} is {quoted(value)}, expected {NAMES[name]}")
+    return value
+
+
+@cache
+def _rules(part: str) -> dict[str, Any]:
+    """Return the schemas of a part's kinds."""
+    rules = schema()["properties"][part]["allOf"]
+    return {rule["if"]["properties"]["kind"]["const"]: rule["then"] for rule in rules}
+
+
+@cache
+def _validator() -> "Draft202012Validator":
+    from jsonschema import Draft202012Validator
+
+    return Draft202012Validator(schema())

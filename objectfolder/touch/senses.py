@@ -1,0 +1,157 @@
+"""Touch nets by kind, as an Object File asks them."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from typing_extensions import override  # the standard one is there since Python 3.12
+
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.stored.reading import StoredNet, report_damage
+from objectfolder.stored.surface import UNMOVED
+from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.query import ContactPoses, FixedContact, TouchSense
+from objectfolder.touch.simulate import Touches
+
+if TYPE_CHECKING:
+    from objectfolder.touch.geometric_net import GeometricTouch
+    from objectfolder.touch.released_net import ReleasedDepth
+
+
+def touch_sense(stored: StoredNet) -> TouchSense:
+    """Load a touch net. The code of a kind is imported when a file holds it."""
+    if stored.kind == "geometric":
+        return GeometricSense(stored)
+    if stored.kind == "image":
+        from objectfolder.touch.image_net import ImageTouch
+
+        return ImageSense(stored.load(ImageTouch), stored)
+    from objectfolder.stored.released import released_net
+
+    net = stored.load(released_net(stored.kind))
+    return ImageSense(net, stored) if stored.kind == "released_image" else DepthMapSense(net, stored)
+
+
+class GeometricSense(TouchSense):
+    """Touch by simulating the sensor on the stored surface."""
+
+    def __init__(self, stored: StoredNet):
+        from objectfolder.touch.geometric_net import GeometricTouch
+
+        self.key, self._surface = stored.key, stored.surface
+        surface, scale = stored.surface.read(), stored.surface.scale
+        with report_damage(stored.key, "touch net"):
+            self.net: GeometricTouch = GeometricTouch.from_tensors(
+                surface, scale, stored.tensors, stored.config, stored.device
+            )
+
+    @override
+    def touches(self, contacts: ContactPoses, profile: SensorProfile | None) -> Iterator[Touches]:
+        net = self.net if profile is None else self.net.with_sensor(profile)
+        points = self.snap(contacts, net)
+        return net.touches(points, contacts.lean(net.normals(points)), contacts.angle, contacts.depth)
+
+    def snap(self, contacts: ContactPoses, net: "GeometricTouch") -> np.ndarray:
+        """Return the points of contacts on the surface (N, 3), object frame, metres.
+
+        Raises ObjectFolderError if a point is off the surface, or a depth is not one of the net's sensor.
+        """
+        depth, limit = contacts.depth, net.profile.max_indentation
+        wrong = np.flatnonzero((depth < 0) | (depth > limit))
+        if len(wrong):
+            raise ObjectFolderError(
+                f"depth: row {wrong[0]} is {depth[wrong[0]]:g} m; the sensor {net.profile.name!r} takes "
+                f"0 to {limit:g} m"
+            )
+        return self._surface.snap(contacts.points, contacts.tolerance, UNMOVED)
+
+    @override
+    def press_range(self, profile: SensorProfile) -> tuple[float, float]:
+        return profile.press_depth
+
+    @override
+    def draw_gel(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+        net = self.net if profile == self.net.profile else self.net.with_sensor(profile)
+        return net.shown(displacement)
+
+    @override
+    def background(self, profile: SensorProfile) -> np.ndarray:
+        return self.net.background.cpu().numpy().copy()
+
+
+class ImageNet(Protocol):
+    """Net from a point to a tactile image."""
+
+    def images(self, points: np.ndarray) -> np.ndarray:
+        """Tactile images (N, H, W, 3), uint8, at (N, 3) points of the unit frame."""
+
+
+class ImageSense(TouchSense):
+    """Touch by a net that stores the images of one press."""
+
+    def __init__(self, net: ImageNet, stored: StoredNet):
+        fixed = FixedContact.of(stored.config)
+        assert fixed is not None
+        self.net, self._fixed = net, fixed
+        self.key, self._surface = stored.key, stored.surface
+
+    @override
+    def images(self, contacts: ContactPoses, profile: SensorProfile | None) -> np.ndarray:
+        if profile is not None:
+            raise self._images_only()
+        self._fixed.require(contacts)
+        points = self._surface.snap(contacts.points, contacts.tolerance)
+        return self.net.images(self._surface.to_unit(points))
+
+    @override
+    def touches(self, contacts: ContactPoses, profile: SensorProfile | None) -> Iterator[Touches]:
+        raise self._images_only()
+
+    @override
+    def press_range(self, profile: SensorProfile) -> tuple[float, float]:
+        return self._fixed.depth, self._fixed.depth
+
+    @override
+    def draw_gel(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+        raise self._images_only()
+
+    def _images_only(self) -> ObjectFolderError:
+        return ObjectFolderError(
+            f"{self.key}: its touch net stores images of one sensor, no shapes or forces; "
+            "train_touch.net: geometric answers with them, and for other sensors"
+        )
+
+
+class DepthMapSense(TouchSense):
+    """Touch by pressing a sensor's gel into the depth maps that a released net stores."""
+
+    def __init__(self, net: "ReleasedDepth", stored: StoredNet):
+        self.net, self.key, self._surface = net, stored.key, stored.surface
+
+    @override
+    def touches(self, contacts: ContactPoses, profile: SensorProfile | None) -> Iterator[Touches]:
+        turned = np.flatnonzero(contacts.angle)
+        if len(turned):
+            raise ObjectFolderError(
+                f"angle: row {turned[0]} is {contacts.angle[turned[0]]:g}; a released touch net knows tilt, "
+                "no rotation"
+            )
+        return self.net.touches(*self._arguments(contacts), profile)
+
+    @override
+    def press_range(self, profile: SensorProfile) -> tuple[float, float]:
+        return self.net.press_range(profile)
+
+    @override
+    def draw_gel(self, displacement: np.ndarray, profile: SensorProfile) -> np.ndarray:
+        return self.net.draw_gel(displacement, profile)
+
+    @override
+    def depth_maps(self, contacts: ContactPoses) -> np.ndarray:
+        return self.net.depth_maps(*self._arguments(contacts))
+
+    def _arguments(self, contacts: ContactPoses) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Points in the unit frame, depths, tilts and azimuths."""
+        self.net.require(contacts.depth, contacts.tilt)
+        points = self._surface.to_unit(self._surface.snap(contacts.points, contacts.tolerance))
+        return points, contacts.depth, contacts.tilt, contacts.azimuth

@@ -1,0 +1,21 @@
+import pytest
+from own_workspace import workspace  # noqa: F401
+from publisher import Publisher
+
+from objectfolder.hub.fetch import download
+
+
+@pytest.fixture
+def publisher(monkeypatch):
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    server = Publisher()
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def no_waits(monkeypatch):
+    """The waits between attempts, which are recorded instead."""
+    waits = []
+    monkeypatch.setattr(download.time, "sleep", waits.append)
+    return waits

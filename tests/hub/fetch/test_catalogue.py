@@ -1,0 +1,214 @@
+"""The catalogue of the paper's objects, and finding objects in it by name."""
+
+import csv
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hostile import WORDS
+
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.materials import material_names
+from objectfolder.base.text import visible
+from objectfolder.base.yamlfile import read_yaml
+from objectfolder.hub.fetch.catalogue import read_catalogue, select_objects
+from objectfolder.hub.fetch.run import source_text
+from objectfolder.hub.release.notices import read_notice
+from objectfolder.workspace import params
+
+ROOT = Path(__file__).parents[2]
+PATH = ROOT / "catalogs/objectfolder1.yaml"
+TABLE = ROOT.parent / "shared/reference/objectfolder1_objects.csv"
+SIZE_SLIPS = {"ycb_mug": "0.082", "ycb_medium_clamp": "0.115", "ycb_nine_hole_peg_test": "1.2"}
+
+
+@pytest.fixture(scope="module")
+def catalogue():
+    return read_catalogue(PATH)
+
+
+def test_the_objects_are_the_hundred_of_the_paper(catalogue):
+    entries = catalogue.objects.values()
+    assert [entry.id for entry in entries] == list(range(1, 101))
+    assert len({entry.name for entry in entries}) == 100
+    # Counted in the published table.
+    assert Counter(entry.material for entry in entries) == {
+        "ceramic": 19,
+        "glass": 2,
+        "wood": 21,
+        "plastic": 11,
+        "iron": 6,
+        "polycarbonate": 24,
+        "steel": 17,
+    }
+    assert Counter(entry.source for entry in entries) == {"polyhaven": 20, "ycb": 28, "gso": 52}
+
+
+def test_every_entry_can_be_added(catalogue):
+    for key, entry in catalogue.objects.items():
+        assert params.check_key(key).startswith(f"{entry.source}_")
+        assert entry.material in material_names()
+        assert 0.01 < entry.scale < 2.5
+
+
+def test_keys_do_not_clash_with_those_of_other_catalogues(catalogue):
+    for other in (ROOT / "catalogs").glob("*.yaml"):
+        if other != PATH:
+            assert not set(catalogue.objects) & set(params.read(other)["objects"])
+
+
+def test_names_materials_and_sizes_are_the_published_ones_but_for_noted_slips(catalogue):
+    if not TABLE.exists():
+        pytest.skip("the published table is not here")
+    with TABLE.open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 100
+    for (key, entry), row in zip(catalogue.objects.items(), rows):
+        assert (entry.id, entry.name, entry.material) == (
+            int(row["id"]),
+            row["name"],
+            row["material"].lower(),
+        )
+        assert ("3dmodelhaven" in row["source"]) == (entry.source == "polyhaven")
+        assert ("GoogleResearch" in row["source"]) == (entry.source == "gso")
+        if key in SIZE_SLIPS:
+            assert float(SIZE_SLIPS[key]) == float(row["scale_m"])
+        else:
+            assert entry.scale == float(row["scale_m"])
+
+
+def test_a_note_says_the_published_size_and_ours(catalogue):
+    noted = {key: entry for key, entry in catalogue.objects.items() if entry.note}
+    assert set(noted) == set(SIZE_SLIPS)
+    for key, entry in noted.items():
+        assert f"published {SIZE_SLIPS[key]} " in entry.note
+        assert entry.note.endswith(f"{entry.scale:g}")
+
+
+def test_addresses_have_the_ids(catalogue):
+    assert catalogue.url("ycb_mug").endswith("/google/025_mug_google_16k.tgz")
+    assert catalogue.url("gso_bunny_racer").endswith("/GoogleResearch/models/BUNNY_RACER.zip")
+    assert catalogue.url("polyhaven_barrel_01") == "https://api.polyhaven.com/files/Barrel_01"
+    for key in catalogue.objects:
+        assert catalogue.url(key).startswith("https://")
+        assert "{" not in catalogue.url(key) + catalogue.page(key)
+
+
+def test_the_notice_names_licence_and_authors(catalogue):
+    text = source_text("ycb_mug", catalogue, catalogue.url("ycb_mug"))
+    for fact in (
+        "025_mug",
+        "CC BY 4.0",
+        "Calli et al.",
+        "Gao et al., CoRL 2021",
+        "published 0.082",
+        "renamed",
+    ):
+        assert fact in text
+    assert "CC0 1.0" in source_text("polyhaven_lantern", catalogue, "x")
+
+
+@pytest.mark.parametrize("text", WORDS)
+def test_no_word_begins_a_line_of_the_notice(catalogue, tmp_path, text):
+    """Such as a licence before that of the source."""
+    entry = catalogue.objects["ycb_mug"].model_copy(update={"name": text, "note": text, "model": "m"})
+    source = catalogue.sources["ycb"].model_copy(update={"title": text, "attribution": text})
+    held = {"objects": {"ycb_mug": entry}, "sources": {"ycb": source}}
+    notice = source_text("ycb_mug", catalogue.model_copy(update=held), f"the archive {text}")
+    (tmp_path / "SOURCE.txt").write_text(notice, encoding="utf-8")
+    assert notice.count("\n") == source_text("ycb_mug", catalogue, "x").count("\n")
+    assert all(line.isprintable() for line in notice.splitlines())
+    found = read_notice(tmp_path / "mesh.glb")
+    assert (found.licence, found.attribution) == (source.licence, visible(text).strip())
+
+
+@pytest.mark.parametrize(
+    ("field", "address"),
+    [
+        ("url", "https://me:secret@a.b/{model}"),
+        ("url", "ftp://a.b/{model}"),
+        ("url", "https:///{model}"),
+        ("page", "javascript:alert(1)"),
+        ("page", "https://a.b/\x1b[2J"),
+    ],
+)
+def test_addresses_of_a_catalogue_are_those_of_the_web(tmp_path, field, address):
+    values = read_yaml(PATH)
+    values["sources"]["ycb"][field] = address
+    path = tmp_path / "catalogue.yaml"
+    path.write_text(json.dumps(values), encoding="utf-8")
+    with pytest.raises(ObjectFolderError, match=r"of source ycb is .*, expected .*http://") as error:
+        read_catalogue(path)
+    assert str(error.value).isprintable()
+
+
+def test_objects_are_found_by_key_and_name_in_any_case(catalogue):
+    assert select_objects(catalogue, ["ycb_mug", "024_BOWL", "065-a cups", "bunny_racer", "025_mug"]) == [
+        "ycb_mug",
+        "ycb_bowl",
+        "ycb_cup_a",
+        "gso_bunny_racer",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("mug", "; similar: .*ycb_mug"),
+        ("ycb_mugg", "; similar: .*ycb_mug"),
+        ("Barrel_1", "; similar: .*polyhaven_barrel_01"),
+        ("racer", "; similar: .*gso_chicken"),
+        ("", "; --list shows"),
+        ("zzzzqqqq", "; --list shows"),
+    ],
+)
+def test_an_unknown_name_brings_near_ones_if_there_are(catalogue, name, said):
+    with pytest.raises(ObjectFolderError, match=rf"no object {name!r} in the catalogue{said}.*"):
+        select_objects(catalogue, ["ycb_bowl", name])
+
+
+def test_an_address_can_be_replaced(catalogue):
+    changed = read_catalogue(PATH, ["gso=http://mirror/{model}/it.zip"])
+    assert changed.url("gso_bunny_racer") == "http://mirror/BUNNY_RACER/it.zip"
+    assert changed.url("ycb_mug") == catalogue.url("ycb_mug")
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("nowhere=https://x/{model}", "SOURCE one of polyhaven, ycb, gso"),
+        ("https://x/{model}", "SOURCE one of"),
+        ("ycb=https://x/mug.tgz", "{model} in place of the object's id"),
+        ("ycb=file:///{model}", "use --from DIR"),
+    ],
+)
+def test_a_bad_address_is_refused(option, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        read_catalogue(PATH, [option])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("material: steel", "material: jelly", "objects.polyhaven_barrel_01.material: .*jelly"),
+        ("source: gso", "source: moon", "source is 'moon', expected one of polyhaven, ycb, gso"),
+        ("scale: 0.88", "scale: -1", "objects.polyhaven_barrel_01.scale"),
+        ("id: 2,", "colour: red,", "objects.polyhaven_barrel_01.(id|colour)"),
+        ("polyhaven_barrel_01:", "Barrel 1:", "'Barrel 1' is not a valid object key"),
+        ("objects:", "objects: [", "not valid YAML"),
+    ],
+)
+def test_a_bad_catalogue_is_refused_and_the_place_named(tmp_path, old, new, message):
+    path = tmp_path / "bad.yaml"
+    path.write_text(PATH.read_text().replace(old, new))
+    with pytest.raises(ObjectFolderError, match=message) as error:
+        read_catalogue(path)
+    assert str(path) in str(error.value)
+
+
+def test_a_catalogue_of_another_kind_is_refused():
+    with pytest.raises(ObjectFolderError, match=r"starter\.yaml is not a catalogue of published objects"):
+        read_catalogue(ROOT / "catalogs/starter.yaml")
+    with pytest.raises(ObjectFolderError, match=r"nothing\.yaml does not exist"):
+        read_catalogue(Path("nothing.yaml"))

@@ -1,0 +1,246 @@
+"""The index of a release: its rules, and the files that it names."""
+
+import csv
+import os
+import shutil
+import time
+from dataclasses import asdict
+
+import pytest
+
+from objectfolder import Dataset
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import file_digest
+from objectfolder.benchmarks.run import load_object_files
+from objectfolder.hub.release.entries import index_text
+from objectfolder.objectfile.dataset import COLUMNS, IndexEntry, read_index
+from objectfolder.objectfile.samples import sample_path
+
+MUG = {
+    **{"key": "mug", "path": "objects/mug.safetensors", "category": "kitchen", "material": "ceramic"},
+    **{"size": 0.112, "split": "train", "modes": 30, "lowest_hz": 1500.0, "vision_psnr": -3.5},
+    **{"gain_error": 1e-05, "touch_psnr": None, "bytes": 1000, "sha256": "0" * 64},
+    **{"licence": "CC0-1.0", "source": "=YCB, https://a.b"},
+}
+BELL = MUG | {"key": "bell", "path": "objects/bell.safetensors", "material": "steel"}
+
+
+def written(folder, *rows):
+    """An index of rows as they are; values of None are left empty."""
+    folder.mkdir(exist_ok=True)
+    with (folder / "objects.csv").open("w", newline="", encoding="utf-8", errors="surrogateescape") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(COLUMNS)
+        writer.writerows(row.values() if isinstance(row, dict) else row for row in rows)
+    return folder / "objects.csv"
+
+
+def test_what_is_written_is_read(tmp_path):
+    entries = tuple(IndexEntry(**row) for row in (MUG, BELL))
+    (tmp_path / "objects.csv").write_text(index_text(entries))
+    assert read_index(tmp_path / "objects.csv") == entries
+    assert [asdict(entry) for entry in entries] == [MUG, BELL]
+
+
+WHOLE, REAL = "expected a whole number from", "expected a number from"
+PATH = "expected one in the release, of at most 1000 characters and names of at most 255 bytes"
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "expected"),
+    [
+        (
+            "key",
+            ("", "Mug", "../mug", "1mug", "mug\n", "m" * 101, "múg", "=mug", "mug "),
+            "expected a letter, then",
+        ),
+        (
+            "material",
+            ("", "<b>", "steel\n", "=steel", "steel|", "s" * 101, "stéel"),
+            "expected a name such as",
+        ),
+        ("path", ("", "/etc/passwd", "../mug", "objects/../../mug", ".", "a/" * 501, "a" * 256), PATH),
+        (
+            "path",
+            ("objects/\x00", "objects/\x1b[2J", "objects/\u202e", "objects/\n"),
+            "without control characters",
+        ),
+        ("size", ("wide", "", "nan", "inf", "-0.1", "0", "1e7", "0x1", "1_0", "١", " 1", "9" * 400), REAL),
+        ("modes", ("3.0", "-1", "", "1_000", "٣", "1e3", "9" * 10), WHOLE),
+        ("bytes", ("0", "-5", "", "1.5", str(2**31)), WHOLE),
+        ("lowest_hz", ("0", "-1", "nan", "1e12", "inf"), REAL),
+        ("vision_psnr", ("inf", "4l.2", "1001", "9" * 400), REAL),
+        ("gain_error", ("-0.1", "nan"), REAL),
+        ("touch_psnr", ("=1+1", "1,5"), REAL),
+        ("split", ("", "Train", "all"), "expected train, val or test"),
+        ("sha256", ("", "0" * 63, "g" * 64, "A" * 64), "expected 64 hexadecimal digits"),
+        ("licence", ("", "l" * 1001, "a\x1b]0;b\x07"), "expected a text of 1 to 1000 characters"),
+        ("source", ("s" * 1001, "a\u2028b", "a\rb"), "expected a text of at most 1000 characters"),
+        ("category", ("c" * 101, "a\tb"), "expected a text of at most 100 characters"),
+    ],
+)
+def test_a_row_that_breaks_a_rule_is_named(tmp_path, column, values, expected):
+    for value in values:
+        index = written(tmp_path, MUG, BELL | {column: value})
+        with pytest.raises(ObjectFolderError) as error:
+            Dataset(tmp_path)
+        message = str(error.value)
+        assert message.startswith(f"{index}, object 2: {column} is ")
+        assert expected in message
+        assert message.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ((), "objects.csv holds no objects, expected at least one"),
+        ((MUG, BELL, MUG), "object 3: key is 'mug', expected another than that of object 1"),
+        (([*MUG.values()][:-2],), "object 1: lacks licence, source"),
+        (([*MUG.values(), "more"],), r"object 1: \['more'\] is beyond the last column"),
+        (
+            (MUG, MUG | {"key": "bell", "source": "s" * 200_000}),
+            "after object 1, is damaged: field larger than",
+        ),
+        ((MUG | {"source": "\udcff"},), "after object 0, is damaged: .* can't decode"),
+    ],
+)
+def test_a_damaged_index_is_refused(tmp_path, rows, message):
+    written(tmp_path, *rows)
+    with pytest.raises(ObjectFolderError, match=message):
+        Dataset(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "objects.csv lacks key, path, .* source, expected columns of these names"),
+        (",".join(COLUMNS).replace("source", "origin"), "objects.csv lacks source, expected columns"),
+        (",".join([*COLUMNS, "key"]), "objects.csv has the column key twice"),
+        (",".join(COLUMNS), "objects.csv holds no objects"),
+    ],
+)
+def test_the_first_line_names_the_columns(tmp_path, text, message):
+    (tmp_path / "objects.csv").write_text(text)
+    with pytest.raises(ObjectFolderError, match=message):
+        Dataset(tmp_path)
+
+
+def test_columns_of_newer_versions_are_left_alone(tmp_path):
+    index = written(tmp_path, MUG)
+    head, row = index.read_text().splitlines()
+    index.write_text(f"weight,{head}\n1 kg,{row}\n")
+    assert Dataset(tmp_path).keys == ("mug",)
+
+
+def test_a_folder_that_is_no_release_is_named(tmp_path):
+    with pytest.raises(ObjectFolderError, match="is not a release"):
+        Dataset(tmp_path)
+
+
+@pytest.fixture
+def release(tmp_path):
+    """A release of two objects."""
+    (tmp_path / "release/objects").mkdir(parents=True)
+    rows = []
+    for row in (MUG, BELL):
+        sample = sample_path(row["key"])
+        shutil.copy(sample, tmp_path / "release" / row["path"])
+        rows.append(row | {"sha256": file_digest(sample), "bytes": sample.stat().st_size})
+    written(tmp_path / "release", *rows)
+    return tmp_path / "release"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("bell,objects/bell", "gong,objects/bell", "object 2: key is 'gong', expected 'bell' as in"),
+        (",steel,", ",wood,", "object 2: material is 'wood', expected 'steel' as in"),
+        ("bell,objects/bell", "bell,objects/mug", "object 2: key is 'bell', expected 'mug' as in"),
+    ],
+)
+def test_a_file_of_another_object_is_refused(release, old, new, message):
+    index = release / "objects.csv"
+    assert old in index.read_text()
+    index.write_text(index.read_text().replace(old, new))
+    dataset = Dataset(release)
+    assert dataset[0].key == "mug"
+    for read in (lambda: dataset[1], lambda: dataset[1:][0], lambda: load_object_files([release])):
+        with pytest.raises(ObjectFolderError, match=message):
+            read()
+
+
+def link(release, place):
+    """Replace a part of a release by a link to where it is moved."""
+    target = release.parent / f"elsewhere{place.suffix}"
+    place.rename(target)
+    place.symlink_to(target)
+
+
+@pytest.mark.parametrize("place", ["objects/bell.safetensors", "objects", "objects.csv"])
+def test_links_out_of_a_release_are_refused(release, place):
+    dataset = Dataset(release)
+    link(release, release / place)
+    with pytest.raises(ObjectFolderError, match=r"leads to .*elsewhere.*, expected a file in the release"):
+        Dataset(release)
+    if place != "objects.csv":  # the link came after the index was read
+        with pytest.raises(ObjectFolderError, match=r"object 2: path 'objects/bell.*' leads to .*elsewhere"):
+            dataset["bell"]
+
+
+def test_links_in_a_circle_are_refused(release):
+    path = release / BELL["path"]
+    path.unlink()
+    path.symlink_to(path.name)
+    with pytest.raises(ObjectFolderError, match=r"bell\.safetensors is missing"):
+        Dataset(release)["bell"]
+
+
+def test_links_inside_a_release_and_to_it_are_followed(release):
+    (release / BELL["path"]).rename(release / "bell")
+    (release / BELL["path"]).symlink_to("../bell")
+    outer = release.with_name("outer")
+    outer.symlink_to(release)
+    assert Dataset(outer)["bell"].key == "bell"
+
+
+def test_a_snapshot_of_the_hub_consists_of_links(release):
+    """As `huggingface_hub.snapshot_download` leaves it."""
+    hub = release.with_name("models--a--b")
+    blobs, snapshot = hub / "blobs", hub / "snapshots" / "abc"
+    blobs.mkdir(parents=True)
+    for path in [path for path in release.rglob("*") if path.is_file()]:
+        held = snapshot / path.relative_to(release)
+        held.parent.mkdir(parents=True, exist_ok=True)
+        blob = blobs / file_digest(path)
+        path.rename(blob)
+        held.symlink_to(os.path.relpath(blob, held.parent))
+    assert [file.key for file in Dataset(snapshot)] == ["mug", "bell"]
+    secret = release.with_name("secret")
+    secret.write_text("")
+    (snapshot / BELL["path"]).unlink()
+    (snapshot / BELL["path"]).symlink_to(secret)
+    with pytest.raises(ObjectFolderError, match=r"object 2: path .* leads to .*secret"):
+        Dataset(snapshot)
+
+
+def test_sixty_thousand_rows_take_linear_time(tmp_path):
+    """Before, duplicates were counted for each key, and a key was looked up in all rows."""
+
+    def seconds(count):
+        rows = [MUG | {"key": f"k{n}", "path": f"objects/k{n}.safetensors"} for n in range(count)]
+        index = written(tmp_path, *rows)
+        begin = time.process_time()
+        dataset = Dataset(tmp_path)
+        assert all(dataset.entry(key).key == key and key in dataset for key in dataset.keys[::7])
+        assert dataset[[*dataset.keys[::7]]].index(f"k{(count - 1) // 7 * 7}") == (count - 1) // 7
+        taken = time.process_time() - begin
+        with index.open("a") as stream:
+            stream.write(index.read_text().splitlines()[-1] + "\n")
+        with pytest.raises(ObjectFolderError, match=rf"object {count + 1}: key is 'k{count - 1}'"):
+            Dataset(tmp_path)
+        return taken, time.process_time() - begin
+
+    few, many = seconds(6000), seconds(60_000)
+    assert many[0] < 30 * few[0]
+    assert many[1] < 30 * few[1]
+    assert many[1] < 120

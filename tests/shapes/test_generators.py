@@ -1,0 +1,177 @@
+"""What holds for the objects of every generator."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from assembled import check_charts, check_charts_apart, check_solid, check_texture, welded
+from procedural_cases import APPLIANCES, CASES, GENUS, SAMPLE, SMALL, STARTERS, VESSELS
+
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.mesh.textured import TexturedMesh
+from objectfolder.shapes import GENERATORS, generate
+
+NAMES = [
+    pytest.param(name, marks=pytest.mark.slow) if name in APPLIANCES and name not in SAMPLE else name
+    for name in CASES
+]
+
+
+@cache
+def made(name: str) -> TexturedMesh:
+    generator, parameters = CASES[name]
+    return GENERATORS[generator](**parameters, texture_size=SMALL)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_object_is_one_closed_solid_with_a_texture_of_its_own(name):
+    mesh = made(name)
+    check_solid(mesh)
+    check_charts(mesh)
+    check_charts_apart(mesh)
+    check_texture(mesh)
+    assert mesh.texture.shape == (SMALL, SMALL, 3)
+    assert len(np.unique(mesh.texture.reshape(-1, 3), axis=0)) > (500 if name in STARTERS else 30)
+    assert 1000 <= len(mesh.faces) <= (23_000 if name in VESSELS else 20_500)
+    if GENUS.get(name) is not None:
+        assert welded(mesh).euler_number == 2 - 2 * GENUS[name]
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in (*STARTERS, *VESSELS)])
+def test_vertices_are_even_enough_to_strike_anywhere(name):
+    """No edge is long against the object, flats included."""
+    mesh = made(name)
+    corners = mesh.vertices[mesh.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    size = np.ptp(mesh.bounds, axis=0).max()
+    assert edges.max() < 0.18 * size
+    assert np.quantile(edges, 0.98) < 0.09 * size
+
+
+@pytest.mark.parametrize("name", [*STARTERS, *VESSELS])
+def test_colours_agree_across_seams(name):
+    """Both sides of a chart's border show the same colour."""
+    mesh = made(name)
+    texel = np.clip(np.round(mesh.uv * SMALL - 0.5), 0, SMALL - 1).astype(int)
+    colour = mesh.texture[::-1][texel[:, 1], texel[:, 0]].astype(float)
+    _, group = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    group = group.ravel()
+    mean = np.stack([np.bincount(group, colour[:, k]) / np.bincount(group) for k in range(3)], 1)
+    twins = np.bincount(group)[group] > 1
+    if name == "mug":  # the handle meets the painted wall at a real edge of colour
+        twins &= (mesh.vertices[:, 0] < 0.9 * 0.041) | (np.abs(mesh.vertices[:, 1]) < 1e-9)
+    assert twins.sum() > 100
+    limit, share = (25, 0.95) if name in STARTERS else (30, 0.93)
+    assert np.mean(np.abs(colour - mean[group])[twins].max(1) < limit) > share
+
+
+TABLE = {"length": 1.5, "width": 0.8, "height": 0.74, "top": 0.03, "leg_size": 0.06, "apron": 0.08}
+TABLE |= {"overhang": 0.03, "bevel": 0.002}
+BLOCK = {"length": 0.1, "width": 0.08, "height": 0.04, "diameter": 0.016, "depth": 0.02, "rounding": 0.001}
+
+
+@pytest.mark.parametrize(
+    ("generator", "lengths", "options"),
+    [
+        ("table", TABLE, {}),
+        ("block", BLOCK, {}),
+        pytest.param("appliance", {"span": 0.1}, {"kind": "iron"}, marks=pytest.mark.slow),
+    ],
+)
+def test_object_of_twice_the_size_has_eight_times_the_volume(generator, lengths, options):
+    small, large = (
+        generate(generator, **{k: scale * v for k, v in lengths.items()}, **options, texture_size=SMALL)
+        for scale in (1, 2)
+    )
+    assert welded(large).volume == pytest.approx(8 * welded(small).volume, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("generator", "parameters", "words"),
+    [
+        ("anvil", {}, "unknown generator 'anvil'.*bell, block.*wrench"),
+        ("mug", {"colour": 3}, "unknown parameter 'colour'.*radius"),
+        ("mug", {"radius": 0.0}, r"radius=0\.0.*positive"),
+        ("mug", {"height": float("nan")}, "height=nan.*finite"),
+        ("mug", {"wall": 0.03}, "wall=0.03.*expected"),
+        ("mug", {"bottom": 0.09}, "bottom=0.09.*expected"),
+        ("mug", {"handle_reach": 0.3}, "handle_reach=0.3.*handle"),
+        ("mug", {"texture_size": 0}, "texture_size=0.*texels"),
+        ("mug", {"texture_size": 100.5}, "texture_size=100.5.*texels"),
+        ("die", {"edge": -0.05}, "edge=-0.05.*positive"),
+        ("die", {"edge": "big"}, "edge='big'.*positive"),
+        ("die", {"fillet": 0.02}, "fillet=0.02.*pips"),
+        ("bell", {"wall": 0.02}, "wall=0.02.*expected"),
+        ("bell", {"radius": 0.2}, "height=0.09.*expected"),
+        ("bowl", {"radius": 0.0}, r"bowl: radius=0\.0.*positive"),
+        ("bowl", {"wall": 0.03}, "bowl: wall=0.03.*expected"),
+        ("bowl", {"foot_radius": 0.07}, "bowl: foot_radius=0.07.*70 %"),
+        ("bowl", {"fullness": 1.0}, r"bowl: fullness=1\.0.*cone to cylinder"),
+        ("bowl", {"lobes": 2}, "bowl: lobes=2.*from 3 to 12"),
+        ("bowl", {"finish": "velvet"}, "unknown finish 'velvet'"),
+        ("bowl", {"texture_size": 3}, "bowl: texture_size=3.*texels"),
+        ("cup", {"rounding": 0.05}, "cup: rounding=0.05.*radius of the base"),
+        ("cup", {"stem": 0.09}, "cup: stem=0.09.*65 %"),
+        ("cup", {"stem": -1.0}, r"cup: stem=-1\.0.*positive"),
+        ("plate", {"rim": 0.045}, "plate: rim=0.045.*what the well leaves"),
+        ("plate", {"height": 0.001}, "plate: height=0.001.*above the well"),
+        ("bottle", {"neck_radius": 0.05}, "bottle: neck_radius=0.05.*90 %"),
+        ("bottle", {"height": 0.1}, "bottle: height=0.1.*neck, shoulder and a body"),
+        ("vase", {"neck": 0.3}, "vase: neck=0.3.*above the belly"),
+        ("vase", {"base_radius": float("nan")}, "vase: base_radius=nan.*finite"),
+        ("pan", {"handle_width": 0.2}, "pan: handle_width=0.2.*wall can hold"),
+        ("pan", {"handle_length": 2.0}, r"pan: handle_length=2\.0.*0.5 to 3 radii"),
+        ("teapot", {"lid_radius": 0.06}, "teapot: lid_radius=0.06.*35 %"),
+        ("teapot", {"height": 0.5}, "teapot: height=0.5.*1.3 to 3 radii"),
+        ("teapot", {"texture_size": 64}, "texture_size=64.*charts.*larger"),
+        ("table", {"length": 0.0}, r"table: length=0\.0.*positive"),
+        ("table", {"length": 9.0}, "table: length=9.0.*expected"),
+        ("table", {"leg_size": 0.3}, "leg_size=0.3.*expected"),
+        ("table", {"bevel": 0.03}, "bevel=0.03.*expected"),
+        ("table", {"apron": 0.6}, "apron=0.6.*expected"),
+        ("table", {"shape": "star"}, "shape='star'.*rectangle, oval"),
+        ("table", {"base": "one"}, "base='one'.*legs, pillar"),
+        ("table", {"finish": "gold"}, "unknown finish 'gold'"),
+        ("table", {"texture_size": 64}, "texture_size=64.*charts"),
+        ("stool", {"legs": 2}, "legs=2.*whole number from 3 to 6"),
+        ("stool", {"legs": 3.5}, "legs=3.5.*whole number"),
+        ("stool", {"splay": float("nan")}, "splay=nan.*expected"),
+        ("stool", {"rung_height": 0.44}, "rung_height=0.44.*clear of the seat"),
+        ("stool", {"color": "red"}, "color='red'.*hexadecimal"),
+        ("shelf", {"bays": 0}, "bays=0.*whole number from 1 to 8"),
+        ("shelf", {"bays": 8, "height": 0.5, "width": 0.5}, "height=0.5.*room for those bays"),
+        ("shelf", {"back": 0.001}, "back=0.001.*expected"),
+        ("shelf", {"front": "glass"}, "front='glass'.*open, doors, drawers"),
+        ("shelf", {"board_thickness": 0.1}, "board_thickness=0.1.*expected"),
+        ("wrench", {"length": -1}, "length=-1.*positive"),
+        ("wrench", {"length": 0.05}, "length=0.05.*expected"),
+        ("wrench", {"thickness": 0.03}, "thickness=0.03.*expected"),
+        ("wrench", {"ends": "hook"}, "ends='hook'.*combination, open, ring"),
+        ("hammer", {"head": "axe"}, "head='axe'.*claw, club, mallet"),
+        ("hammer", {"head_length": 0.4}, "head_length=0.4.*expected"),
+        ("hammer", {"handle_width": 0.1}, "handle_width=0.1.*expected"),
+        ("spoon", {"wall": 0.01}, "wall=0.01.*expected"),
+        ("spoon", {"depth": 0.05}, "depth=0.05.*expected"),
+        ("spoon", {"hook": 0.002}, "hook=0.002.*expected"),
+        ("spoon", {"rise": -0.1}, "rise=-0.1.*expected"),
+        ("block", {"rows": 0}, "rows=0.*whole number"),
+        ("block", {"diameter": 0.04}, "diameter=0.04.*pitch"),
+        ("block", {"depth": 0.0499}, "depth=0.0499.*floor"),
+        ("block", {"rounding": 0.01}, "rounding=0.01.*expected"),
+        ("block", {"relief": "slots"}, "relief='slots'.*plain, holes, studs"),
+        ("airplane", {"wing": 0.02}, "wing=0.02.*40 % of the body"),
+        ("toy", {"kind": "robot"}, "kind='robot'.*car, truck, duck, rings"),
+        ("toy", {"plump": 3}, "plump=3.*expected"),
+        ("toy", {"count": 20}, "count=20.*whole number"),
+        ("toy", {"texture_size": 64}, "texture_size=64.*charts"),
+        ("electronics", {"kind": "lantern"}, "kind='lantern'.*television, radio, clock"),
+        ("electronics", {"span": 0}, "span=0.*positive"),
+        ("electronics", {"plump": 2}, "plump=2.*expected"),
+        ("appliance", {"kind": "oven"}, "kind='oven'.*toaster, lantern, iron, dryer"),
+        ("appliance", {"plump": 0.5}, "plump=0.5.*expected"),
+        ("appliance", {"texture_size": 63}, "texture_size=63.*expected"),
+    ],
+)
+def test_impossible_requests_are_refused(generator, parameters, words):
+    with pytest.raises(ObjectFolderError, match=words):
+        generate(generator, **parameters)

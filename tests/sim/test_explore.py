@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+
+from objectfolder.base.errors import ObjectFolderError
+from objectfolder.sim.explore import AZIMUTHS, COST, HEIGHTS, ExploreEnv, Explorer, explore
+
+PLACES = AZIMUTHS * HEIGHTS
+MIDDLE = AZIMUTHS * (HEIGHTS // 2)  # of the places, from azimuth 0
+
+
+@pytest.fixture(scope="module")
+def env(brick):
+    """A brick of 100 x 60 x 30 mm and a die."""
+    return ExploreEnv([brick, "die"])
+
+
+def test_a_policy_of_stable_baselines_takes_larger_images(brick):
+    env = ExploreEnv([brick], reduction=3)
+    assert env.observation_space["touch"].shape == (53, 40, 3)
+    policy = PPO("MultiInputPolicy", env, n_steps=8, batch_size=8, seed=0).learn(8).policy
+    action, _ = policy.predict(env.reset(seed=0)[0])
+    assert env.action_space.contains(action.item())
+
+
+def test_touches_meet_the_surface_where_the_ray_does(brick):
+    """Of a brick: at half its length in front, half its width from the side, turned with its yaw."""
+    env, places = ExploreEnv([brick]), np.array([0, 3, 6, 9])
+    for turn, expected in ((0, [0.05, 0.03, 0.05, 0.03]), (np.pi / 2, [0.03, 0.05, 0.03, 0.05])):
+        felt = env.feel(0, brick.scale, turn, places)
+        assert felt.touched.all()
+        assert felt.radius == pytest.approx(expected, abs=1e-3)
+    twice = env.feel(0, 2 * brick.scale, np.pi / 2, [0])
+    assert twice.radius == pytest.approx([0.06], abs=2e-3)
+    assert (felt.images[0] != env.reset(seed=0)[0]["touch"]).any()
+
+
+def test_above_a_low_object_nothing_is_felt(env, brick):
+    top = np.arange(PLACES - AZIMUTHS, PLACES)
+    felt = env.feel(0, brick.scale, 0.0, top)
+    assert not felt.touched.any()
+    assert not felt.radius.any()
+    assert (felt.images == env.reset(seed=0)[0]["touch"]).all()
+
+
+def test_the_place_is_that_of_the_contact_but_for_noise_and_depends_on_the_seed_only(env):
+    env.reset(seed=3)
+    felt, reward, ended, cut, info = env.step(3)
+    assert (reward, ended, cut) == (-COST, False, False)
+    found = env.feel(info["object"], info["scale"], info["yaw"], [3])
+    assert felt["touched"] == 1
+    assert felt["contact"][1] == pytest.approx(found.radius[0], abs=5e-3)
+    assert abs(felt["contact"][0]) < 5e-3
+    assert felt["touch"].tobytes() == found.images[0].tobytes()
+    assert env.observation_space.contains(felt)
+    env.reset(seed=3)
+    assert env.step(3)[0]["contact"].tobytes() == felt["contact"].tobytes()
+
+
+def test_the_right_name_is_rewarded_and_ends_the_episode(env):
+    for wrong, expected in ((0, 1.0), (1, 0.0)):
+        _, info = env.reset(seed=5)
+        _, reward, ended, cut, _ = env.step(PLACES + (info["object"] + wrong) % 2)
+        assert (reward, ended, cut) == (expected, True, False)
+    with pytest.raises(ObjectFolderError, match="was not reset"):
+        env.step(0)
+
+
+def test_the_last_touch_truncates_the_episode(brick):
+    env = ExploreEnv([brick], limit=2)
+    env.reset(seed=0)
+    assert [env.step(0)[3] for _ in range(2)] == [False, True]
+
+
+@pytest.fixture(scope="module")
+def explorer(env):
+    return Explorer(env, shapes=8, episodes=10)
+
+
+def test_a_belief_names_objects_from_few_touches(env, explorer):
+    played = [explore(env, explorer, 0.95, seed) for seed in range(12)]
+    assert np.mean([one["right"] for one in played]) > 0.8
+    assert np.mean([one["touches"] for one in played]) < 2.5
+    assert all(one["reward"] == pytest.approx(one["right"] - COST * one["touches"]) for one in played)
+
+
+def test_the_next_touch_is_where_objects_differ(env, explorer):
+    """Only the die is as high as the upper places, so a touch there tells all."""
+    explorer.restart()
+    assert explorer.chances == pytest.approx([0.5, 0.5])
+    place = explorer.next_place()
+    env.reset(seed=0)
+    explorer.learn(place, env.step(place)[0])
+    assert explorer.chances.max() > 0.9

@@ -1,0 +1,150 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from solids import STUFF, box, join, sphere
+
+from objectfolder.sound.fem import adaptive
+from objectfolder.sound.fem.accuracy import Discretisation
+from objectfolder.sound.fem.adaptive import adaptive_cut_cells, refine_grid
+from objectfolder.sound.fem.blocks import merge_full_blocks
+from objectfolder.sound.fem.cutcell import cut_cells
+from objectfolder.sound.fem.settings import FineGrids
+from objectfolder.sound.fem.voxel import voxels
+
+FINE = FineGrids(resolutions=(12, 16), subdivisions=4, max_degrees_of_freedom=10**6, max_error=0.02)
+SHEET = box((1, 1, 0.03))  # 0.24 cells of eight
+THICK = box((1, 1, 0.06))
+
+
+@pytest.fixture(autouse=True)
+def no_grid_is_small_and_none_too_coarse(monkeypatch):
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 0)
+    monkeypatch.setattr(adaptive, "_MAX_COARSENESS", np.inf)
+
+
+def fine(size, max_error):
+    return replace(FINE, max_degrees_of_freedom=size, max_error=max_error)
+
+
+def frame():
+    """Two boards on a third, with inner edges."""
+    return join(
+        box((1, 0.5, 0.1), (0, 0, 0.45)),
+        box((0.1, 0.5, 0.8), (-0.4, 0, 0.0)),
+        box((0.1, 0.5, 0.8), (0.4, 0, 0.0)),
+    )
+
+
+def refine(surface, fine=FINE, resolution=8):
+    return refine_grid(cut_cells(*surface, resolution, 4), surface, fine, STUFF, 1.0).solid
+
+
+def estimating(monkeypatch, errors):
+    """Let the estimate depend on the resolution; returns the resolutions asked about."""
+    asked = []
+    monkeypatch.setattr(Discretisation, "lowest_frequencies", lambda *_: np.ones(1))
+    monkeypatch.setattr(
+        Discretisation,
+        "errors",
+        lambda candidate, _: asked.append(candidate.solid.resolution) or [errors[candidate.solid.resolution]],
+    )
+    return asked
+
+
+def no_solve(*_):
+    raise AssertionError("modes were sought")
+
+
+def test_resolution_is_the_first_that_is_small_enough():
+    solid = sphere(0.5, 3)
+    sizes = [merge_full_blocks(cut_cells(*solid, r, 4)).degrees_of_freedom for r in (8, 6, 4)]
+    assert sizes[0] > sizes[1] > sizes[2]
+    for limit, resolution in ((sizes[0], 8), (sizes[0] - 1, 6), (sizes[2], 4), (1, 4)):
+        assert adaptive_cut_cells(*solid, [8, 6, 4], 4, limit).resolution == resolution
+
+
+@pytest.mark.parametrize("solid", [sphere(0.5, 3), box((1, 1, 1)), SHEET, frame()])
+@pytest.mark.parametrize("resolution", [8, 13])
+def test_a_grid_has_never_fewer_unknowns_than_the_bound(solid, resolution):
+    cells = merge_full_blocks(cut_cells(*solid, resolution, 4))
+    bound = adaptive._least_unknowns(*solid)(resolution)
+    assert 0.25 * cells.degrees_of_freedom < bound <= cells.degrees_of_freedom
+
+
+def test_a_grid_that_is_surely_too_large_is_not_cut(monkeypatch):
+    cut = []
+    monkeypatch.setattr(adaptive, "cut_cells", lambda *args: cut.append(args[2]) or cut_cells(*args))
+    assert adaptive_cut_cells(*SHEET, [32, 8], 4, 5000).resolution == 8
+    assert cut == [8]
+
+
+def test_large_errors_are_refined_and_small_ones_are_not():
+    cells = cut_cells(*THICK, 8, 4)
+    candidate = Discretisation(cells, STUFF, 1.0)
+    error = max(candidate.errors(candidate.lowest_frequencies()))
+    assert refine(THICK, fine(10**6, error * 0.99)).resolution == 12
+    assert refine(THICK, fine(10**6, error * 1.01)).resolution == 8
+
+
+def test_a_step_leads_to_the_coarsest_grid_that_should_suffice(monkeypatch):
+    asked = estimating(monkeypatch, {8: 0.02 * 1.5**1.5 * 0.99, 12: 0.01})
+    assert refine(THICK).resolution == 12
+    assert asked == [8, 12]
+    asked = estimating(monkeypatch, {8: 0.02 * 1.5**1.5 * 1.01})
+    assert refine(THICK).resolution == 16
+    assert asked == [8]  # nothing is finer than 16
+
+
+def test_small_grids_are_refined_until_a_third_of_the_error_is_accepted(monkeypatch):
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 1)
+    asked = estimating(monkeypatch, {8: 0.01, 12: 0.006})
+    assert refine(THICK).resolution == 12
+    assert asked == [8, 12]
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 1e-4)
+    estimating(monkeypatch, {8: 0.01})
+    assert refine(THICK).resolution == 8
+
+
+def test_without_an_estimate_the_next_grid_is_tried(monkeypatch):
+    asked = []
+    monkeypatch.setattr(Discretisation, "lowest_frequencies", lambda *_: np.ones(1))
+    monkeypatch.setattr(
+        Discretisation,
+        "errors",
+        lambda candidate, _: asked.append(candidate.solid.resolution) or ([0.01] if len(asked) > 1 else None),
+    )
+    assert refine(THICK).resolution == 12
+    assert asked == [8, 12]
+
+
+def test_steps_are_repeated_until_the_error_is_accepted(monkeypatch):
+    estimating(monkeypatch, {8: 0.021, 12: 0.021})
+    assert refine(THICK).resolution == 16
+
+
+@pytest.mark.slow
+def test_refining_brings_the_frequencies_nearer():
+    solid = frame()
+    finer, coarse = refine(solid, fine(10**6, 1e-9)), cut_cells(*solid, 8, 4)
+    assert finer.resolution == 16
+    found = [
+        Discretisation(c, STUFF, 1.0).lowest_frequencies() for c in (coarse, finer, cut_cells(*solid, 32, 4))
+    ]
+    errors = [np.abs(f / found[2] - 1).max() for f in found[:2]]
+    assert errors[1] < 0.5 * errors[0]
+
+
+@pytest.mark.parametrize("wall", [0.03, 0.06])
+def test_the_budget_of_unknowns_is_used_and_kept(wall):
+    solid = box((1, 1, wall))
+    size = merge_full_blocks(cut_cells(*solid, 16, 4)).degrees_of_freedom
+    assert refine(solid, fine(size, 1e-9)).resolution == 16
+    assert refine(solid, fine(size - 1, 1e-9)).resolution == 12
+
+
+def test_nothing_finer_is_tried_where_there_is_none(monkeypatch):
+    monkeypatch.setattr(Discretisation, "lowest_frequencies", no_solve)
+    assert refine(SHEET, resolution=16).resolution == 16
+    other = voxels(*box((1, 1, 0.3)), 8, incompatible=False)
+    assert refine_grid(other, THICK, FINE, STUFF, 1.0).solid is other

@@ -1,0 +1,196 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from solids import box
+
+from objectfolder.base.materials import material
+from objectfolder.sound.fem.cutcell import cut_cells
+from objectfolder.sound.fem.modal import modal_analysis, solved_band
+from objectfolder.sound.fem.reuse import Request, problem_digest, rescaled, solution_record
+from objectfolder.sound.fem.similarity import similarity
+
+SOLID = box((1, 0.55, 0.3))
+GLASS = material("glass")
+#: Glass with the stiffness, density and damping of iron.
+IRON = dataclasses.replace(material("iron"), poisson_ratio=GLASS.poisson_ratio)
+WOOD = dataclasses.replace(material("wood"), poisson_ratio=GLASS.poisson_ratio)
+BASE = Request(GLASS, 0.2, 20000.0, 100)
+
+
+@pytest.fixture(scope="module")
+def solve():
+    cells, done = cut_cells(*SOLID, 6, 4), {}
+
+    def modes(request):
+        if request not in done:
+            done[request] = modal_analysis(cells, SOLID[0], *vars(request).values())
+        return done[request]
+
+    return modes
+
+
+def stored(solve, request, task="task"):
+    """What the stage keeps of a solve."""
+    data = solve(request)
+    band = solved_band(data, request.material, request.max_frequency, request.max_modes)
+    return {
+        **data.arrays(),
+        "band_hz": np.array(band),
+        "solution": np.array(solution_record(task, request, data)),
+    }
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"scale": 0.15},
+        {"scale": 0.07},
+        {"material": dataclasses.replace(GLASS, alpha=60.0, beta=2e-6)},
+        {"material": IRON, "scale": 0.19},
+        {"material": WOOD, "scale": 0.15},
+        {"max_frequency": 9000.0},
+        {"max_modes": 5},
+        {"scale": 0.15, "max_modes": 5},
+        {"max_frequency": 300.0},
+    ],
+)
+def test_it_is_what_a_solve_finds(solve, changes):
+    wanted = dataclasses.replace(BASE, **changes)
+    data, fresh = rescaled(stored(solve, BASE), "task", wanted), solve(wanted)
+    assert data is not None
+    for name, value in fresh.arrays().items():
+        if name != "residuals":
+            found = getattr(data, name)
+            assert found.dtype == value.dtype
+            np.testing.assert_allclose(found, value, rtol=1e-6, atol=1e-6 * np.abs(value).max(initial=0))
+    assert data.report.keys() == fresh.report.keys()
+    for name, value in fresh.report.items():
+        loose = {"rel": 1e-6, "abs": 0.01} if name != "rigid_hz" else {"abs": 0.1}
+        exact = value is None or isinstance(value, str)
+        assert data.report[name] == (value if exact else pytest.approx(value, **loose)), name
+    assert data.report["residual_max"] < 1e-8
+    bounds = wanted.material, wanted.max_frequency, wanted.max_modes
+    assert solved_band(data, *bounds) == pytest.approx(solved_band(fresh, *bounds))
+
+
+def test_the_lowest_modes_of_a_truncated_solve_serve_again(solve):
+    few = dataclasses.replace(BASE, max_modes=6)
+    wanted = dataclasses.replace(few, scale=0.19)
+    data, fresh = rescaled(stored(solve, few), "task", wanted), solve(wanted)
+    np.testing.assert_allclose(data.eigenvalues, fresh.eigenvalues, rtol=1e-6)
+    assert data.report["truncated"] is fresh.report["truncated"] is True
+    assert data.report["count_below_max_frequency"] is None  # it was not counted
+    assert solved_band(data, GLASS, 20000.0, 6) == pytest.approx(solved_band(fresh, GLASS, 20000.0, 6))
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({}, "the stage runs again to solve again"),
+        ({"scale": 0.21}, "modes come into the band"),
+        ({"material": WOOD, "scale": 0.2}, "a softer object has more modes"),
+        ({"max_frequency": 20001.0}, "more modes are wanted"),
+    ],
+)
+def test_it_takes_a_solve(solve, changes, why):
+    assert rescaled(stored(solve, BASE), "task", dataclasses.replace(BASE, **changes)) is None, why
+    few = dataclasses.replace(BASE, max_modes=6)
+    more = dataclasses.replace(few, max_modes=7)
+    assert rescaled(stored(solve, few), "task", more) is None
+
+
+def test_another_solid_or_solver_takes_a_solve(solve):
+    wanted = dataclasses.replace(BASE, scale=0.1)
+    assert rescaled(stored(solve, BASE), "task", wanted) is not None
+    assert rescaled(stored(solve, BASE), "another", wanted) is None
+
+
+def test_a_solve_by_a_version_whose_materials_have_other_fields_takes_a_solve(solve):
+    """`problem_digest` covers their names."""
+    old = stored(solve, BASE)
+    record = json.loads(str(old["solution"]))
+    record["request"]["material"]["roughness"] = 0.5
+    old["solution"] = np.array(json.dumps(record))
+    assert rescaled(old, "another", dataclasses.replace(BASE, scale=0.1)) is None
+
+
+@pytest.mark.slow
+def test_modes_that_were_dropped_take_a_solve(solve):
+    large = Request(GLASS, 200.0, 60.0, 100)  # its first modes are below 20 Hz
+    assert rescaled(stored(solve, large), "task", dataclasses.replace(large, scale=20.0)) is None
+    dull = dataclasses.replace(BASE, material=dataclasses.replace(GLASS, beta=2e-5))
+    assert 0 < len(solve(dull).damping) < len(solve(BASE).damping)
+    assert rescaled(stored(solve, dull), "task", dataclasses.replace(dull, material=GLASS)) is None
+
+
+def test_modes_that_become_overdamped_are_dropped(solve):
+    dull = dataclasses.replace(BASE, material=dataclasses.replace(GLASS, beta=2e-5))
+    data, fresh = rescaled(stored(solve, BASE), "task", dull), solve(dull)
+    np.testing.assert_allclose(data.damped_frequency, fresh.damped_frequency, rtol=1e-6)
+    assert data.report["count_below_max_frequency"] == fresh.report["count_below_max_frequency"]
+    assert np.isfinite(data.damped_frequency).all()
+
+
+def test_the_band_ends_where_modes_are_overdamped(solve):
+    stuff = dataclasses.replace(GLASS, beta=2e-5)
+    dull = dataclasses.replace(BASE, material=stuff)
+    low, high = solved_band(solve(dull), stuff, 20000.0, 100)
+    natural = np.sqrt(solve(BASE).eigenvalues) / (2 * np.pi)
+    assert low == 20
+    assert high == pytest.approx(2 / 2e-5 / (2 * np.pi), rel=1e-4)
+    assert ((natural > low) & (natural < high)).sum() == len(solve(dull).damping)
+    # Damped by its mass alone, the low ones are.
+    heavy = dataclasses.replace(GLASS, alpha=1e5, beta=0.0)
+    low, high = solved_band(solve(dataclasses.replace(BASE, material=heavy)), heavy, 20000.0, 100)
+    assert (low, high) == (pytest.approx(1e5 / 4 / np.pi), 20000)
+    gone = dataclasses.replace(GLASS, alpha=1e5, beta=1e-3)
+    low, high = solved_band(solve(dataclasses.replace(BASE, material=gone)), gone, 20000.0, 100)
+    assert low == high
+
+
+@pytest.mark.slow
+def test_the_band_of_an_object_that_is_not_heard(solve):
+    small = dataclasses.replace(BASE, scale=0.01)
+    assert len(solve(small).damping) == 0  # all above 20 kHz
+    assert solved_band(solve(small), GLASS, 20000.0, 100) == [0, 20000]
+    again = rescaled(stored(solve, BASE), "task", small)
+    assert again.shapes.shape == (8, 3, 0)
+    assert again.report["lowest_hz"] == []
+    # All modes that were kept are below hearing: nothing is known.
+    large = Request(GLASS, 200.0, 60.0, 1)
+    assert solve(large).report["modes"] == 0
+    low, high = solved_band(solve(large), GLASS, 60.0, 1)
+    assert low == high
+    # With a loss factor only those are missing, however large alpha and beta.
+    slack = dataclasses.replace(GLASS, alpha=1e5, beta=2e-5, loss_factor=((1000.0, 0.01),))
+    deep = solve(Request(slack, 200.0, 60.0, 1000))
+    assert 0 < deep.report["modes"] < deep.report["count_below_max_frequency"]
+    assert solved_band(deep, slack, 60.0, 1000) == [20, 60]
+
+
+def test_similarity_is_that_of_the_wave_equation():
+    assert similarity((GLASS, 0.2), (GLASS, 0.2)) == (1, 1)
+    eigenvalue, shape = similarity((GLASS, 0.2), (IRON, 0.4))
+    assert eigenvalue == pytest.approx(2.1e11 / 6.2e10 * 2600 / 8000 / 4)
+    assert shape == pytest.approx((8000 / 2600 * 8) ** -0.5)
+
+
+def test_a_problem_is_all_that_scaling_leaves(tmp_path):
+    points = np.arange(6.0).reshape(2, 3)
+    solid, code = tmp_path / "solid.npz", tmp_path / "modal.sha256"
+    solid.write_text("solid")
+    code.write_text("sources")
+    files, hexahedra = (solid, code), {"element": "hex20"}
+    first = problem_digest(files, "code", points, 0.2, hexahedra)
+    assert first == problem_digest(files, "code", points.copy(), 0.2, hexahedra)
+    others = [
+        problem_digest((solid,), "code", points, 0.2, hexahedra),
+        problem_digest(files, "code", points + 1e-9, 0.2, hexahedra),
+        problem_digest(files, "code", points, 0.21, hexahedra),
+        problem_digest(files, "code", points, 0.2, {"element": "tet10"}),
+    ]
+    code.write_text("other sources, of meshes, too")
+    others.append(problem_digest(files, "code", points, 0.2, hexahedra))
+    assert len({first, *others}) == 6
