@@ -1,1 +1,0 @@
-"""Errors, files, checks, materials and random generators that all rooms use."""

@@ -12,7 +12,7 @@ from urllib.parse import urlparse
 from urllib.request import url2pathname
 
 _NAME = "objectfolder"
-_HOME = Path(__file__).resolve().parents[1]  # directory that contains the package
+_HOME = Path(__file__).resolve().parents[2]  # directory that contains the package
 
 
 def installed_version() -> str:

@@ -1,1 +1,0 @@
-"""What is downloaded, imported or published: an annex."""

@@ -108,7 +108,7 @@ def _file_of_material(key: str, root: str | Path) -> str | None:
     entry = _objects(path, path.stat().st_mtime_ns if path.is_file() else None).get(key)
     described = entry.get("material") if isinstance(entry, dict) else None
     name = described.get("base") if isinstance(described, dict) else described
-    file = str(name) if is_yaml_name(name) else f"{PACKAGE}/{MATERIALS}/{str(name).lower()}.yaml"
+    file = str(name) if is_yaml_name(name) else f"{PACKAGE}/base/{MATERIALS}/{str(name).lower()}.yaml"
     return file if located(file, root).is_file() else None
 
 

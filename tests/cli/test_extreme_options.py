@@ -39,9 +39,7 @@ def asked(brick_path, tmp_path):
 
 def test_more_pixels_than_memory(asked):
     message = asked("query", "vision", "FILE", "VIEWS", "OUT", "--resolution", "1000000")
-    assert (
-        "1 images of 1000000 x 1000000 pixels: needs 108,000,000,000,000 bytes, this machine has" in message
-    )
+    assert "1 images of 1000000 x 1000000 pixels: needs 64,000,000,000,000 bytes, this machine has" in message
     assert "ask for a lower resolution" in message
 
 

@@ -133,7 +133,7 @@ text = f"normalize {VERSION} {SHAPE} ({read_values(params, 'normalize', key)}, {
 write(f"build/{key}/surface.txt", text, VERSION)
 """,
     "observe": """
-from objectfolder.base.materials import MATERIALS
+from objectfolder.materials import MATERIALS
 from stages import key, params, read, read_values, write
 surface = read(f"build/{key}/surface.txt")
 profile = read(f"objectfolder/touch/profiles/{params['sensor']}.yaml")

@@ -32,7 +32,7 @@ from objectfolder.workspace.params import ROBOT_STAGES
 pytestmark = pytest.mark.xdist_group("pipeline")
 LANES = ("normalize", "voxelize", "modal", "radiation", "render_views", "render_touch")
 NETS = ("train_vision", "train_audio", "train_touch", "pack", "evaluate")
-OBSERVED = {"observe@bell", "observe@cube"}
+OBSERVED = {f"{stage}@{key}" for stage in ("observe", "close_ups") for key in ("bell", "cube")}
 
 
 def test_everything_is_built_and_a_second_build_runs_nothing(built):
@@ -409,7 +409,7 @@ def test_benchmarks_are_stages_over_all_objects(built):
         built.run("-m", "stages.recognize", "seen")
         assert {path: path.read_bytes() for path in before} == before
         shown = built.cli("status", "--check", "recognize").stdout
-        assert all(address in shown for address in ("recognize@seen", *OBSERVED))
+        assert all(address in shown for address in ("recognize@seen", "observe@bell", "observe@cube"))
         assert "nothing to remove" in built.cli("prune", "--dry-run").stdout
 
 

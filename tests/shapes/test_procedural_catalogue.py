@@ -18,7 +18,7 @@ from objectfolder.sound.fem.voxelize import voxelize
 from objectfolder.workspace import objects as catalog
 from objectfolder.workspace import params
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 VALUES, SLIGHT = params.read(CATALOGUE), params.read(THIN)
 FIRST = {entry["generator"]: key for key, entry in reversed(VALUES["procedural"].items())}
 SEPARATE = {"panel_wardrobe"}  # of several pieces, which the repair unites

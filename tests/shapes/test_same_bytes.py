@@ -12,7 +12,7 @@ from procedural_cases import CASES, digests
 
 from objectfolder.shapes import GENERATORS
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 
 
 def test_every_generator_has_a_case():

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.benchmarks.tasks.reach import controller, run_episodes
+from objectfolder.benchmarks.tasks.reach_training import controller, run_episodes
 from objectfolder.sim.reach import (
     GOAL_HIGH,
     GOAL_LOW,

@@ -190,7 +190,7 @@ def test_another_version_is_refused_until_an_upgrade(made, monkeypatch):
     old = [line for line in lines if not line.endswith("  objectfolder/base/errors.py\n")]
     old = ["0" * 64 + line[64:] if line.endswith("/fem/modal.py\n") else line for line in old]
     (made / RECORD).write_text("".join([*old, "1" * 64 + "  objectfolder/gone.py\n"]))
-    expected = ["objectfolder/base/errors.py", "objectfolder/sound/fem/modal.py", "objectfolder/gone.py"]
+    expected = ["objectfolder/base/errors.py", "objectfolder/gone.py", "objectfolder/sound/fem/modal.py"]
     assert changed_files(made) == expected
     with pytest.raises(ObjectFolderError, match=r"another version.*3 files differ .*objectfolder upgrade"):
         check_installed(made)

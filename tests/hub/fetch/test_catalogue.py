@@ -17,7 +17,7 @@ from objectfolder.hub.fetch.run import source_text
 from objectfolder.hub.release.notices import read_notice
 from objectfolder.workspace import params
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PATH = ROOT / "catalogs/objectfolder1.yaml"
 TABLE = ROOT.parent / "shared/reference/objectfolder1_objects.csv"
 SIZE_SLIPS = {"ycb_mug": "0.082", "ycb_medium_clamp": "0.115", "ycb_nine_hole_peg_test": "1.2"}

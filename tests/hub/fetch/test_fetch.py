@@ -25,7 +25,7 @@ from objectfolder.workspace import params
 from objectfolder.workspace.check import check_all
 
 CATALOGUE = Path("catalogs/objectfolder1.yaml")
-OBJECTS = Path(__file__).parents[3] / "shared" / "objects"
+OBJECTS = Path(__file__).parents[4] / "shared" / "objects"
 MUG, RACER = "/025_mug_google_16k.tgz", "/BUNNY_RACER.zip"
 
 

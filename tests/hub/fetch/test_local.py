@@ -13,7 +13,7 @@ OTHERS = ("024_bowl", "Barrel_02", "notes.txt", ".hidden", "025_mug.png", "gso_m
 
 @pytest.fixture(scope="module")
 def catalogue():
-    return read_catalogue(Path(__file__).parents[2] / "catalogs/objectfolder1.yaml")
+    return read_catalogue(Path(__file__).parents[3] / "catalogs/objectfolder1.yaml")
 
 
 def fill(directory, names):

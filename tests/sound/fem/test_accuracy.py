@@ -14,7 +14,7 @@ from objectfolder.sound.fem.eigen import solve_modes
 from perf import modal_accuracy as perf
 
 BAR = Material("bar", 1000.0, 1e9, 0.0, 0.0, 0.0)
-OBJECTS = Path(__file__).parents[3] / "shared" / "objects"
+OBJECTS = Path(__file__).parents[4] / "shared" / "objects"
 
 
 def test_free_plate_thinner_than_a_cell():
