@@ -6,17 +6,40 @@ Each command and its options follow from the declaration of its task (`objectfol
 from collections.abc import Callable, Iterator
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperGroup
+from typer.main import get_group
 
-from objectfolder.benchmarks.reporting.tables import Table
-from objectfolder.benchmarks.tasks.task import Task, Variant, find_task
 from objectfolder.cli.console import print_line, print_wide, track_progress
 from objectfolder.cli.files import SAMPLE, files_or_folders
-from objectfolder.workspace.params import BENCHMARKS
+
+if TYPE_CHECKING:
+    from objectfolder.benchmarks.reporting.tables import Table
+    from objectfolder.benchmarks.tasks.task import Task, Variant
+
+
+class _Tasks(TyperGroup):
+    """Commands of tasks, whose declarations are read when they are asked for: other commands need none."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        self._load()
+        return super().list_commands(ctx)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        self._load()
+        return super().get_command(ctx, cmd_name)
+
+    def _load(self) -> None:
+        if not self.commands:
+            app = typer.Typer(rich_markup_mode="markdown")
+            add_commands(app)
+            self.commands = get_group(app).commands
+
 
 bench_app = typer.Typer(
+    cls=_Tasks,
     no_args_is_help=True,
     rich_markup_mode="markdown",
     help="Run the paper's benchmark tasks on Object Files; some are a robot's.\n\n"
@@ -95,12 +118,15 @@ JOBS = Annotated[
 
 def add_commands(app: typer.Typer) -> None:
     """Add the command of each task, also by its former names."""
+    from objectfolder.benchmarks.tasks.task import find_task
+    from objectfolder.workspace.params import BENCHMARKS
+
     for task in map(find_task, BENCHMARKS):
         for name in (task.name.replace("_", "-"), *task.former):
             app.command(name, help=task.help, hidden=name in task.former)(make_command(task))
 
 
-def make_command(task: Task) -> Callable[..., None]:
+def make_command(task: "Task") -> Callable[..., None]:
     """Return the function of a task's command, with the parameters that concern the task."""
 
     def command(**given: Any) -> None:
@@ -118,7 +144,7 @@ def make_command(task: Task) -> Callable[..., None]:
     return command
 
 
-def options(task: Task) -> Iterator[tuple[str, Any]]:
+def options(task: "Task") -> Iterator[tuple[str, Any]]:
     """Yield the options that concern a task: fields of `objectfolder.benchmarks.run.BenchmarkOptions`."""
     yield from (("files", FILES), ("preset", PRESET), ("out", OUT), ("seeds", SEEDS))
     if task.splits:
@@ -133,14 +159,14 @@ def options(task: Task) -> Iterator[tuple[str, Any]]:
         yield "device", DEVICE
 
 
-def _variant_parameter(variant: Variant) -> Parameter:
+def _variant_parameter(variant: "Variant") -> Parameter:
     default = variant.values[0]
     kind: Any = bool if isinstance(default, bool) else Literal[variant.values]
     hint = Annotated[kind, typer.Option(f"--{variant.option}", help=variant.help)]
     return Parameter(variant.option, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
-def run_task(task: Task, given: dict[str, Any]) -> None:
+def run_task(task: "Task", given: dict[str, Any]) -> None:
     """Run a task, and print its tables and where its results are."""
     from objectfolder.benchmarks import run  # imports torch
 
@@ -161,7 +187,7 @@ def _describe_files(task: str, part: str, folder: Any) -> str:
     return f"{folder.result(task, part)}  curves: {folder.curve(task, part)}{shown}"
 
 
-def print_scores(table: Table) -> None:
+def print_scores(table: "Table") -> None:
     """Print a table of scores and its note."""
     from rich.table import Table as Grid
 
@@ -172,6 +198,3 @@ def print_scores(table: Table) -> None:
         grid.add_row(*row)
     print_wide(grid)
     print_line(table.note)
-
-
-add_commands(bench_app)

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 from rich.table import Table
 
@@ -43,6 +42,8 @@ def sound(
     density and Poisson's ratio stay as they are. The next build rescales the modes; it does not solve them
     again.
     """
+    import numpy as np
+
     from objectfolder.base.arrays import read_npz
     from objectfolder.base.checks import one_of
     from objectfolder.base.io import check_output, read_json

@@ -7,14 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar, cast
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.benchmarks.reporting.tables import Table
 from objectfolder.workspace.params import BENCHMARKS, PARAMS_FILE, read, settings, shared
+
+if TYPE_CHECKING:
+    import numpy as np
 
 Config = TypeVar("Config")
 Scores = dict[str, Any]  #: contents of a result file
@@ -38,7 +39,7 @@ class Objects:
     """Objects of a split, known before they are sampled."""
 
     keys: Sequence[str]  #: in label order
-    labels: np.ndarray  #: (rows,) int64, the object of each row
+    labels: "np.ndarray"  #: (rows,) int64, the object of each row
     materials: Sequence[str] = ()  #: of the objects, as far as a task asks for them
 
 
