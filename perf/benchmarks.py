@@ -19,8 +19,8 @@ from rich.table import Table
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import atomic, read_json
+from objectfolder.benchmarks.run import list_tasks
 from objectfolder.benchmarks.tasks import retrieve
-from objectfolder.benchmarks.tasks.task import list_tasks
 from objectfolder.workspace.layout import Benchmarks
 
 #: Least accuracy; those of several modalities are the paper's.

@@ -26,8 +26,8 @@ from objectfolder.benchmarks.reporting.tables import Table
 from objectfolder.benchmarks.tasks.running import machine
 from objectfolder.benchmarks.tasks.task import Task, find_task
 from objectfolder.workspace.layout import Benchmarks
-from objectfolder.workspace.params import BENCHMARKS
 from objectfolder.workspace.presets import read_preset
+from objectfolder.workspace.stages import BENCHMARKS
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"

@@ -10,7 +10,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from objectfolder.workspace.params import SECTIONS
+from objectfolder.workspace.stages import SECTIONS
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -85,7 +85,7 @@ class Missing:
             raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 
 sys.meta_path.insert(0, Missing())
-from objectfolder.workspace.params import SECTIONS, section_config
+from objectfolder.workspace.stages import SECTIONS, section_config
 print(len([section_config(name) for name in SECTIONS]))
 """
 

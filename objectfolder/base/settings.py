@@ -4,9 +4,23 @@ A section of ``params.yaml`` is a frozen dataclass beside the code that uses it.
 `objectfolder.workspace.params` reads the file and checks them.
 """
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Literal, TypeVar
 
 from annotated_types import Ge, Gt, Interval, MultipleOf
+
+Config = TypeVar("Config", bound=type)
+
+
+def section(name: str) -> Callable[[Config], Config]:
+    """Name the section of ``params.yaml`` that a dataclass is."""
+
+    def mark(config: Config) -> Config:
+        config.section = name  # type: ignore[attr-defined]
+        return config
+
+    return mark
+
 
 Count = Annotated[int, Ge(1)]
 Even = Annotated[int, Ge(2), MultipleOf(2)]

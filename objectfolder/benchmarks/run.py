@@ -27,7 +27,7 @@ from objectfolder.benchmarks.datasets.splits import label_order, named_split
 from objectfolder.benchmarks.models.encoders import check_encoder, read_weights
 from objectfolder.benchmarks.tasks.job import Report
 from objectfolder.benchmarks.tasks.running import KnownObject, Run, machine, run_benchmark, training_device
-from objectfolder.benchmarks.tasks.task import Objects, Scores, Task, TaskParams
+from objectfolder.benchmarks.tasks.task import Objects, Scores, Task, TaskParams, find_task
 from objectfolder.engine.process import in_processes
 from objectfolder.engine.resources import cores
 from objectfolder.objectfile.dataset import INDEX, Dataset
@@ -36,6 +36,7 @@ from objectfolder.workspace import params as workspace
 from objectfolder.workspace.installed import pipeline_folder
 from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.presets import read_preset
+from objectfolder.workspace.stages import BENCHMARKS
 
 #: Wraps an iteration in a progress bar, given its description and length.
 Tracker = Callable[[Iterable[Any], str, int], Iterable[Any]]
@@ -479,3 +480,13 @@ def _collect_grasps(
         collect_grasps(file, body, wanted, seed, folder.grasps(file.key), truth)
         seconds = time.perf_counter() - start
     report(f"{file.key}: {wanted.grasps} grasps in {seconds:.0f} s, {wanted.grasps / seconds:.1f} per second")
+
+
+def list_tasks() -> dict[str, Task]:
+    """Return all tasks by name, also those that are variants of others."""
+    tasks: dict[str, Task] = {}
+    for task in map(find_task, BENCHMARKS):
+        tasks[task.name] = task
+        if task.variant is not None:
+            tasks[task.variant.task.name] = task.variant.task
+    return tasks

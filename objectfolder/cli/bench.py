@@ -23,19 +23,20 @@ if TYPE_CHECKING:
 class _Tasks(TyperGroup):
     """Commands of tasks, whose declarations are read when they are asked for: other commands need none."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        self._load()
-        return super().list_commands(ctx)
+    _commands: Any
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        self._load()
-        return super().get_command(ctx, cmd_name)
-
-    def _load(self) -> None:
-        if not self.commands:
+    @property
+    def commands(self) -> Any:
+        """Commands by name."""
+        if not self._commands:
             app = typer.Typer(rich_markup_mode="markdown")
             add_commands(app)
-            self.commands = get_group(app).commands
+            self._commands = get_group(app).commands
+        return self._commands
+
+    @commands.setter
+    def commands(self, given: Any) -> None:
+        self._commands = given
 
 
 bench_app = typer.Typer(
@@ -119,7 +120,7 @@ JOBS = Annotated[
 def add_commands(app: typer.Typer) -> None:
     """Add the command of each task, also by its former names."""
     from objectfolder.benchmarks.tasks.task import find_task
-    from objectfolder.workspace.params import BENCHMARKS
+    from objectfolder.workspace.stages import BENCHMARKS
 
     for task in map(find_task, BENCHMARKS):
         for name in (task.name.replace("_", "-"), *task.former):

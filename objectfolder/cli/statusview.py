@@ -10,7 +10,7 @@ from rich.text import Text
 from objectfolder.base.errors import plural
 from objectfolder.cli.console import print_wide
 from objectfolder.engine.status import Outlook, StageStatus, State
-from objectfolder.workspace.params import TASKS
+from objectfolder.workspace.stages import TASKS
 
 MARKS = {
     State.FRESH: (".", "dim"),

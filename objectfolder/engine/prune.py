@@ -13,7 +13,7 @@ from objectfolder.engine.dvc.repository import OpenRepository, open_repository, 
 from objectfolder.engine.dvc.runcache import hashes_in, outputs_of, read_entry, remove_saved_run, saved_runs
 from objectfolder.engine.records import LOGS
 from objectfolder.workspace.layout import MODALITIES, Benchmarks, Build
-from objectfolder.workspace.params import OBJECT_TASKS, TASKS
+from objectfolder.workspace.stages import OBJECT_TASKS, TASKS
 
 LOCK = "dvc.lock"
 BENCHMARKS = "benchmarks"

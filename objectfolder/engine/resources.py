@@ -2,68 +2,21 @@
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from objectfolder.workspace.params import BENCHMARKS
+from objectfolder.workspace.stages import STAGES, Needs
 
-HOUR = 3600.0
 #: Share of the available memory for stages; the rest is for the engine and the system.
 MEMORY_SHARE = 0.9
 _DEVICES = Path("/dev")
-#: Stages that query the net of another stage.
-_NET_OF = dict.fromkeys(("evaluate", "observe", "close_ups"), "train_vision")
 _TREES = Path("/sys/fs/cgroup")
 _OWN = Path("/proc/self/cgroup")  # lines such as 4:memory:/user and, of the second version, 0::/user
 
 
-@dataclass(frozen=True)
-class Needs:
-    """Resources of a running stage."""
-
-    #: Rough time on one core with preset quick; sets the priority of a stage and the estimate of remaining
-    #: time.
-    seconds: float = 1.0
-    cpus: int = 1  #: number of cores, which is also the thread limit of numerical libraries
-    gpus: float = 0.0  #: number of GPUs; a fraction is a share of one GPU
-    memory_mb: int = 500  #: peak resident memory, MB
-    #: Wall seconds after which the stage is considered hung and killed; None: never.
-    timeout: float | None = HOUR
-
-
-#: Keys: stage, or stage and its net or renderer (``train_vision/osf``). Memory is above the largest peaks in
-#: docs/measurements. One core each, because outputs must not depend on the number of threads. Timeouts are an
-#: order of magnitude above the longest run. The paper's nets train for days, and a CPU answers with its
-#: VisionNet for as long: these have none.
-NEEDS = {
-    "generate": Needs(2, memory_mb=500),
-    "normalize": Needs(1, memory_mb=2000),
-    "voxelize": Needs(7, memory_mb=2500),
-    "modal": Needs(45, memory_mb=8000, timeout=3 * HOUR),
-    "radiation": Needs(25, memory_mb=2200),
-    "render_views": Needs(50, memory_mb=1000, timeout=12 * HOUR),
-    "render_views/mitsuba-cuda": Needs(30, gpus=0.5, memory_mb=2000, timeout=3 * HOUR),
-    "render_touch": Needs(3, memory_mb=1000, timeout=3 * HOUR),
-    "train_vision": Needs(18, memory_mb=2000),
-    "train_vision/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
-    "train_audio": Needs(20, memory_mb=1500),
-    "train_audio/spectrogram": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
-    "train_touch": Needs(5, memory_mb=1500),
-    "train_touch/image": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
-    "pack": Needs(memory_mb=800),
-    "evaluate": Needs(9, memory_mb=2000, timeout=3 * HOUR),
-    "evaluate/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
-    "observe": Needs(5, memory_mb=1500, timeout=3 * HOUR),
-    "observe/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
-    "close_ups": Needs(5, memory_mb=1500, timeout=3 * HOUR),
-    "close_ups/osf": Needs(100000, gpus=1.0, memory_mb=8000, timeout=None),
-    **dict.fromkeys(BENCHMARKS, Needs(1200, gpus=1.0, memory_mb=4000, timeout=None)),
-    "decompose": Needs(15, memory_mb=1500),
-    "grasp_data": Needs(60, memory_mb=2000, timeout=None),
-    "grasp_stability": Needs(600, gpus=1.0, memory_mb=4000, timeout=None),
-    "grasp_policy": Needs(3000, memory_mb=2000, timeout=None),
-    "reach": Needs(300, memory_mb=2000, timeout=None),
+#: Keys: stage, or stage and its net or renderer (``train_vision/osf``).
+NEEDS = {name: stage.needs for name, stage in STAGES.items()} | {
+    f"{name}/{kind}": needs for name, stage in STAGES.items() for kind, needs in stage.of_kind.items()
 }
 
 
@@ -73,7 +26,7 @@ def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
     ``address``: stage address, such as ``train_vision@mug``.
     """
     stage = address.partition("@")[0]
-    section = params.get(_NET_OF.get(stage, stage))
+    section = params.get(STAGES[stage].kind_in or stage if stage in STAGES else stage)
     section = section if isinstance(section, Mapping) else {}
     choice = section.get("net", section.get("renderer"))
     return NEEDS.get(f"{stage}/{choice}", NEEDS.get(stage, Needs()))

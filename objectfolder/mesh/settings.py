@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
-from objectfolder.base.settings import Count
+from objectfolder.base.settings import Count, section
 
 
+@section("normalize")
 @dataclass(frozen=True, kw_only=True)
 class NormalizeConfig:
     """Section ``normalize`` of ``params.yaml``."""

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
-from objectfolder.base.settings import Count
+from objectfolder.base.settings import Count, section
 
 
+@section("evaluate")
 @dataclass(frozen=True, kw_only=True)
 class EvaluateConfig:
     """Section ``evaluate`` of ``params.yaml``."""

@@ -23,7 +23,7 @@ from objectfolder.sound.fem.certainty import uncertainty_warning
 from objectfolder.stored.header import PARTS
 from objectfolder.vision.evaluation import choose_views, compare_views
 from objectfolder.workspace.layout import Build
-from objectfolder.workspace.params import OBJECT_STAGES
+from objectfolder.workspace.stages import OBJECT_STAGES
 
 CAMERA = (1.9, -1.2, 1.1)
 CAMERAS = np.array([CAMERA, (-1.6, -1.6, 1.2), (0.6, 2.0, 1.5)])

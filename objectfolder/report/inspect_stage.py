@@ -15,7 +15,7 @@ from objectfolder.report.inspect_nets import inspect_evaluate, inspect_net, insp
 from objectfolder.report.inspect_sound import inspect_modal, inspect_radiation
 from objectfolder.report.inspection import Inspection
 from objectfolder.workspace.layout import Build
-from objectfolder.workspace.params import check_key
+from objectfolder.workspace.stages import check_key
 
 #: Inspection of each stage.
 STAGES: dict[str, Callable[[Build], Inspection]] = {

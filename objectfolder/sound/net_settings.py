@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval, MinLen
 
-from objectfolder.base.settings import Count, Octaves, Positive, Share
+from objectfolder.base.settings import Count, Octaves, Positive, Share, section
 from objectfolder.nets.settings import PapersNetConfig
 
 
@@ -34,6 +34,7 @@ class SpectrogramConfig(PapersNetConfig):
     loud: Share = 0.5  #: of a batch drawn by loudness, weighted to the same mean; the paper's is 0
 
 
+@section("train_audio")
 @dataclass(frozen=True, kw_only=True)
 class AudioConfig:
     """Kind of the audio net, with settings for both kinds."""

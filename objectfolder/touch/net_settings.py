@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from objectfolder.base.settings import Count, Octaves, Positive
+from objectfolder.base.settings import Count, Octaves, Positive, section
 from objectfolder.nets.settings import PapersNetConfig
 
 
@@ -14,6 +14,7 @@ class ImageConfig(PapersNetConfig):
     pixel_octaves: Octaves = 10
 
 
+@section("train_touch")
 @dataclass(frozen=True, kw_only=True)
 class TouchConfig:
     """Kind of the touch net, with settings for both kinds."""

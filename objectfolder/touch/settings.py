@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from objectfolder.base.settings import Count, NonNegative
+from objectfolder.base.settings import Count, NonNegative, section
 
 
+@section("render_touch")
 @dataclass(frozen=True, kw_only=True)
 class RenderTouchConfig:
     """Section ``render_touch`` of ``params.yaml``."""

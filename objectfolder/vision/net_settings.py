@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from objectfolder.base.settings import Count, Octaves, Positive
+from objectfolder.base.settings import Count, Octaves, Positive, section
 from objectfolder.nets.settings import PapersNetConfig
 
 
@@ -43,6 +43,7 @@ class OsfConfig(PapersNetConfig):
     batch: Count = 1024  #: rays
 
 
+@section("train_vision")
 @dataclass(frozen=True, kw_only=True)
 class VisionConfig(SurfaceConfig):
     """Kind of the vision net, with settings for both kinds."""

@@ -5,12 +5,13 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, MultipleOf
 
-from objectfolder.base.settings import Count, NonNegative
+from objectfolder.base.settings import Count, NonNegative, section
 
 RendererName = Literal["mitsuba", "mitsuba-llvm", "mitsuba-cuda", "cycles", "raster"]
 MIN_RESOLUTION = 11  #: pixels along a side of a whole view: the window of the SSIM that ``evaluate`` takes
 
 
+@section("render_views")
 @dataclass(frozen=True, kw_only=True)
 class RenderViewsConfig:
     """Section ``render_views`` of ``params.yaml``."""

@@ -14,12 +14,7 @@ from pydantic import create_model
 from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.base.materials import own_material
 from objectfolder.workspace.params import (
-    BENCHMARKS,
-    OBJECT_TASKS,
     PARAMS_FILE,
-    ROBOT_STAGES,
-    SECTIONS,
-    TASKS,
     ObjectEntry,
     ProceduralEntry,
     Record,
@@ -28,9 +23,16 @@ from objectfolder.workspace.params import (
     checked,
     object_entry,
     require_section,
-    section_config,
     settings,
     shared,
+)
+from objectfolder.workspace.stages import (
+    BENCHMARKS,
+    OBJECT_TASKS,
+    ROBOT_STAGES,
+    SECTIONS,
+    TASKS,
+    section_config,
 )
 
 _CHOICES: dict[str, Any] = dict.fromkeys((*OBJECT_TASKS, *ROBOT_STAGES), (list[str], ...))

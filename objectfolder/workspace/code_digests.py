@@ -105,15 +105,15 @@ def code_text(name: str, root: str | Path = ".") -> str | None:
 def _file_of_material(key: str, root: str | Path) -> str | None:
     """Return the file of the material that an object names; None if there is none."""
     path = Path(root, PARAMS_FILE)
-    entry = _objects(path, path.stat().st_mtime_ns if path.is_file() else None).get(key)
+    entry = _objects(path, path.read_bytes() if path.is_file() else b"").get(key)
     described = entry.get("material") if isinstance(entry, dict) else None
     name = described.get("base") if isinstance(described, dict) else described
     file = str(name) if is_yaml_name(name) else f"{PACKAGE}/base/{MATERIALS}/{str(name).lower()}.yaml"
     return file if located(file, root).is_file() else None
 
 
-@cache  # for all objects
-def _objects(path: Path, _changed: int | None) -> dict[str, Any]:
+@cache  # for all objects, while the file says the same
+def _objects(path: Path, _content: bytes) -> dict[str, Any]:
     objects: dict[str, Any] = read(path)["objects"]
     return objects
 

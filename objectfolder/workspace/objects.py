@@ -20,6 +20,7 @@ from objectfolder.workspace import params
 from objectfolder.workspace.check import check_object
 from objectfolder.workspace.document import edited
 from objectfolder.workspace.layout import MATERIALS
+from objectfolder.workspace.stages import check_key
 
 MIN_SCALE, MAX_SCALE = 0.001, 20  # metres; beyond, the unit is probably wrong
 
@@ -203,7 +204,7 @@ def check_new(key: str, values: dict[str, Any], root: Path = Path(), mesh: Path 
     ObjectFolderError
         If the key is not valid, or taken.
     """
-    params.check_key(key)
+    check_key(key)
     home = root / "data" / "objects" / key
     record = home.with_name(f"{key}.dvc")
     entries = [f"{group}.{key}" for group in ("objects", "procedural") if key in values[group]]

@@ -13,7 +13,6 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any, Generic, Literal, TypeVar
 
@@ -42,59 +41,6 @@ Model = TypeVar("Model", bound=BaseModel)
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 _log = logging.getLogger(__name__)
-
-#: Dataclass of each section. By name, so that a stage depends on the modules of its own section alone.
-SECTIONS = {
-    "normalize": "objectfolder.mesh.settings:NormalizeConfig",
-    "voxelize": "objectfolder.sound.fem.settings:VoxelizeConfig",
-    "modal": "objectfolder.sound.fem.settings:ModalConfig",
-    "radiation": "objectfolder.sound.radiation.settings:RadiationConfig",
-    "render_views": "objectfolder.vision.settings:RenderViewsConfig",
-    "render_touch": "objectfolder.touch.settings:RenderTouchConfig",
-    "train_vision": "objectfolder.vision.net_settings:VisionConfig",
-    "train_audio": "objectfolder.sound.net_settings:AudioConfig",
-    "train_touch": "objectfolder.touch.net_settings:TouchConfig",
-    "evaluate": "objectfolder.objectfile.settings:EvaluateConfig",
-    "observe": "objectfolder.benchmarks.datasets.settings:ObserveConfig",
-    "encode": "objectfolder.benchmarks.models.settings:EncodeConfig",
-    "recognize": "objectfolder.benchmarks.tasks.recognize:RecognizeConfig",
-    "retrieve": "objectfolder.benchmarks.tasks.retrieve:RetrieveConfig",
-    "reconstruct": "objectfolder.benchmarks.tasks.reconstruct:ReconstructConfig",
-    "localize": "objectfolder.benchmarks.tasks.localize:LocalizeConfig",
-    "vision_to_touch": "objectfolder.benchmarks.tasks.vision_to_touch:VisionToTouchConfig",
-    "decompose": "objectfolder.benchmarks.datasets.settings:DecomposeConfig",
-    "grasp_data": "objectfolder.benchmarks.datasets.settings:GraspDataConfig",
-    "grasp_stability": "objectfolder.benchmarks.tasks.grasp_stability:GraspStabilityConfig",
-    "grasp_policy": "objectfolder.benchmarks.models.settings:GraspPolicyConfig",
-    "reach": "objectfolder.benchmarks.models.settings:ReachConfig",
-}
-#: Benchmark tasks, each declared in the module of its name in `objectfolder.benchmarks.tasks`, and their
-#: splits; none for tasks on single objects.
-BENCHMARKS: dict[str, tuple[str, ...]] = {
-    "recognize": ("seen",),
-    "retrieve": ("seen", "unseen"),
-    "reconstruct": ("seen", "unseen"),
-    "vision_to_touch": ("seen", "unseen"),
-    "localize": (),
-    "grasp_stability": ("seen", "unseen"),
-    "grasp_policy": (),
-    "reach": (),
-}
-#: Stages of single objects that every build runs.
-OBJECT_STAGES = (
-    *("normalize", "voxelize", "modal", "radiation", "render_views", "render_touch"),
-    *("train_vision", "train_audio", "train_touch", "pack", "evaluate"),
-)
-#: Stages of single objects that run only for the tasks that need them, or if a target names them.
-ON_DEMAND = ("observe", "close_ups")
-#: Stages over all objects, or over those that are grasped, by split.
-TASKS = tuple(name for name, splits in BENCHMARKS.items() if splits)
-#: Benchmark stages of the objects that ``benchmarks`` in ``params.yaml`` names.
-OBJECT_TASKS = tuple(name for name, splits in BENCHMARKS.items() if not splits)
-#: Stages of robots with the objects that ``benchmarks`` in ``params.yaml`` names.
-ROBOT_STAGES = ("decompose", "grasp_data", "grasp_policy", "reach")
-#: Stages before those of the objects.
-FIRST_STAGES = ("hash_code", "generate")
 
 
 class Record(BaseModel):
@@ -184,7 +130,7 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
         if not isinstance(entries, dict):
             raise ObjectFolderError(f"{path}: {group} must be a mapping from keys to entries (or {{}})")
         for key in entries:
-            check_key(key, f"{path}: {group}")
+            check_slug(key, f"{path}: {group}")
     for change in name_as_today(values):
         if held == path:
             _warn(f"{path}: {change}")
@@ -230,16 +176,15 @@ def outside_workspace(path: Path) -> ObjectFolderError:
     )
 
 
-def check_key(key: Any, where: str = "object key") -> str:
-    """Return a valid object key.
+def check_slug(key: Any, where: str = "object key") -> str:
+    """Return a slug, as object keys are; see `objectfolder.workspace.stages.check_key`.
 
     Raises
     ------
     ObjectFolderError
         If it is not a slug, or too long. DVC drops integer keys silently and takes a dot for a path.
     """
-    stages = {*FIRST_STAGES, *OBJECT_STAGES, *ON_DEMAND, *BENCHMARKS, *ROBOT_STAGES}
-    if isinstance(key, str) and len(key) <= MAX_KEY and KEY.fullmatch(key) and key not in stages:
+    if isinstance(key, str) and len(key) <= MAX_KEY and KEY.fullmatch(key):
         return key
     reason = (
         "DVC drops integer keys silently"
@@ -248,8 +193,6 @@ def check_key(key: Any, where: str = "object key") -> str:
         if isinstance(key, str) and len(key) > MAX_KEY
         else "DVC reads a dot as a path into the parameters"
         if isinstance(key, str) and "." in key
-        else "it is the name of a stage"
-        if isinstance(key, str) and key in stages
         else "keys become file and stage names"
     )
     raise ObjectFolderError(
@@ -297,7 +240,7 @@ def stage_params(config: type[Config], key: str, path: str | Path = PARAMS_FILE)
         If the section or the object's entry is missing or wrong.
     """
     values = read(path)
-    entry = object_entry(check_key(key), values, path)
+    entry = object_entry(check_slug(key), values, path)
     common = shared(values, path)
     return StageParams(settings(config, values, path), entry, common.seed, common.sensor)
 
@@ -319,7 +262,7 @@ def settings(config: type[Config], values: dict[str, Any], path: str | Path = PA
     ObjectFolderError
         If the section is missing, or a field is missing, unknown or wrong.
     """
-    name = _sections()[f"{config.__module__}:{config.__qualname__}"]
+    name: str = config.section  # type: ignore[attr-defined]
     require_section(name, values, path)
     # As JSON, because strict checks of Python values refuse a mapping for a dataclass and a list for a tuple.
     # Dates, which YAML knows and JSON does not, become lists: no setting takes them.
@@ -375,18 +318,6 @@ def require_section(name: str, values: dict[str, Any], path: str | Path = PARAMS
     """Raise ObjectFolderError unless a stage's section is there."""
     if name not in values:
         raise ObjectFolderError(f"{path} lacks section {name!r}; run `objectfolder preset quick`")
-
-
-def section_config(name: str) -> type[Any]:
-    """Return the dataclass of a section."""
-    module, _, qualified = SECTIONS[name].partition(":")
-    config: type[Any] = getattr(import_module(module), qualified)
-    return config
-
-
-@cache
-def _sections() -> dict[str, str]:
-    return {qualified: name for name, qualified in SECTIONS.items()}
 
 
 def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dict[str, Any]]:

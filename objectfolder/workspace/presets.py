@@ -11,7 +11,8 @@ from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.base.yamlfile import inline_lists, read_yaml
 from objectfolder.workspace.check import check_all, check_own
 from objectfolder.workspace.document import edited
-from objectfolder.workspace.params import PARAMS_FILE, SECTIONS, Shared, differences, plain, section_config
+from objectfolder.workspace.params import PARAMS_FILE, Shared, differences, plain
+from objectfolder.workspace.stages import SECTIONS, section_config
 
 DEFAULT = "quick"
 

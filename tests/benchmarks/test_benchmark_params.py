@@ -10,7 +10,8 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.tasks.grasp_stability import GraspStabilityConfig
 from objectfolder.benchmarks.tasks.task import find_task
 from objectfolder.workspace.check import check_all
-from objectfolder.workspace.params import BENCHMARKS, check_key, read, section_config, settings
+from objectfolder.workspace.params import read, settings
+from objectfolder.workspace.stages import BENCHMARKS, check_key, section_config
 
 ROOT = Path(__file__).parents[2]
 ENCODE = {

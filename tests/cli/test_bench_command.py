@@ -23,8 +23,9 @@ from objectfolder.cli import app
 from objectfolder.cli.console import track_progress
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Benchmarks
-from objectfolder.workspace.params import BENCHMARKS, read
+from objectfolder.workspace.params import read
 from objectfolder.workspace.presets import read_preset
+from objectfolder.workspace.stages import BENCHMARKS
 
 ROOT = Path(__file__).parents[2]
 TINY = {

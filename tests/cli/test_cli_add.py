@@ -21,7 +21,7 @@ from objectfolder.mesh.normalize import Normalized
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import discover as discovery
 from objectfolder.workspace import objects as catalog
-from objectfolder.workspace import params
+from objectfolder.workspace import params, stages
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.discover import Candidate, Examination, discover, examination_table, slug
 from objectfolder.workspace.presets import apply_preset
@@ -256,7 +256,7 @@ def collection(tmp_path):
 )
 def test_names_become_keys(name, key):
     assert slug(name) == key
-    params.check_key(key)
+    stages.check_key(key)
 
 
 @pytest.mark.usefixtures("coarse")

@@ -14,7 +14,7 @@ from objectfolder.cli import app, main
 from objectfolder.cli.files import file_or_folder, object_file
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import sample_path
-from objectfolder.workspace.params import BENCHMARKS
+from objectfolder.workspace.stages import BENCHMARKS
 
 #: How commands show arguments that are Object Files.
 SHOWN = ("FILE", "FILE...", "[FILE]...", "[FILE...]")

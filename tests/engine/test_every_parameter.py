@@ -18,7 +18,7 @@ from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.summary import StageOutcome
 from objectfolder.workspace.code_digests import code_text
 from objectfolder.workspace.layout import MATERIALS, code_list
-from objectfolder.workspace.params import OBJECT_TASKS, TASKS
+from objectfolder.workspace.stages import OBJECT_TASKS, TASKS
 
 from . import tiny_project
 from .tiny_project import ROOT, changed, parameters, start
@@ -85,8 +85,8 @@ TEXTS |= {
     "objectfolder/benchmarks/data/objects.csv": "bell",
     f"{MATERIALS}/README.md": "own materials",
     **{
-        f"objectfolder/{MATERIALS}/{path.name}": path.read_text()
-        for path in (ROOT / "objectfolder" / MATERIALS).glob("*.yaml")
+        f"objectfolder/base/{MATERIALS}/{path.name}": path.read_text()
+        for path in (ROOT / "objectfolder/base" / MATERIALS).glob("*.yaml")
     },
     **{f"objectfolder/touch/profiles/{name}.yaml": name for name in tiny_project.PROFILES},
 }

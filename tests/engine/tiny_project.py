@@ -20,7 +20,7 @@ from dvc.repo import Repo
 from objectfolder.shapes import GENERATORS
 from objectfolder.workspace import params
 from objectfolder.workspace.code_digests import imported_files, source_digest
-from objectfolder.workspace.params import SECTIONS
+from objectfolder.workspace.stages import SECTIONS
 
 ROOT = Path(__file__).parents[2]
 #: The first is tracked with DVC; the second is generated.

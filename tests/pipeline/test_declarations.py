@@ -10,7 +10,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from objectfolder.benchmarks.tasks.task import find_task
-from objectfolder.workspace import params
+from objectfolder.workspace import params, stages
 from objectfolder.workspace.check import check_all
 from objectfolder.workspace.code_digests import imported_files
 from objectfolder.workspace.layout import Benchmarks, Build, code_list
@@ -19,7 +19,7 @@ from objectfolder.workspace.presets import default_sections, read_preset
 ROOT = Path(__file__).parents[2]
 STAGES = YAML(typ="safe").load((ROOT / "dvc.yaml").read_text())["stages"]
 HASH_CODE = STAGES.pop("hash_code")
-OF_OBJECTS = (*params.OBJECT_STAGES, *params.ON_DEMAND)
+OF_OBJECTS = (*stages.OBJECT_STAGES, *stages.ON_DEMAND)
 
 
 @cache
@@ -53,7 +53,7 @@ def parameters_read(stage):
 
     Scripts of objects use ``params.<name>`` and ``params.entry.<field>``; what a task reads, it declares.
     """
-    if stage in params.BENCHMARKS:
+    if stage in stages.BENCHMARKS:
         task = find_task(stage)
         read = {stage, "seed"} | ({"encode"} if task.trains_nets else set())
         if task.splits:
@@ -65,7 +65,7 @@ def parameters_read(stage):
     for node in ast.walk(tree):
         if not isinstance(node, ast.Call) or getattr(node.func, "id", "") != "stage_params":
             continue
-        section = {place.rpartition(":")[2]: name for name, place in params.SECTIONS.items()}
+        section = {place.rpartition(":")[2]: name for name, place in stages.SECTIONS.items()}
         read.add(section[node.args[0].id])
         if isinstance(parents[node], ast.Attribute):  # stage_params(...).settings
             assert parents[node].attr == "settings"
@@ -94,11 +94,11 @@ def test_declared_params_are_the_ones_the_stage_reads(stage):
 
 
 def test_stage_names_are_those_of_the_graph():
-    known = {*OF_OBJECTS, *params.BENCHMARKS, *params.ROBOT_STAGES}
-    assert {*known, *params.FIRST_STAGES} == {*STAGES, "hash_code"}
+    known = {*OF_OBJECTS, *stages.BENCHMARKS, *stages.ROBOT_STAGES}
+    assert {*known, *stages.FIRST_STAGES} == {*STAGES, "hash_code"}
 
 
-@pytest.mark.parametrize("name", params.BENCHMARKS)
+@pytest.mark.parametrize("name", stages.BENCHMARKS)
 def test_tasks_depend_on_what_they_declare(name):
     task, declared = find_task(name), STAGES[name]["do"]
     assert STAGES[name]["foreach"] == f"${{benchmarks.{name}}}"
@@ -119,7 +119,7 @@ def test_tasks_depend_on_what_they_declare(name):
         assert STAGES[stage]["do"]["outs"] == [folder(item).as_posix()]
 
 
-@pytest.mark.parametrize("stage", params.ROBOT_STAGES)
+@pytest.mark.parametrize("stage", stages.ROBOT_STAGES)
 def test_stages_of_robots_depend_on_the_hulls(stage):
     declared = STAGES[stage]["do"]
     assert STAGES[stage]["foreach"] == f"${{benchmarks.{stage}}}"
@@ -133,7 +133,7 @@ MAX_MODULES = {
     "normalize": 47,
     "voxelize": 49,
     "modal": 47,
-    "radiation": 34,
+    "radiation": 35,
     "render_views": 46,
     "render_touch": 38,
     "train_vision": 68,
@@ -155,7 +155,7 @@ MAX_MODULES = {
 def test_stages_import_few_modules():
     counts = {stage: len(modules(stage)) for stage in STAGES}
     print(*(f"{stage:16}{count:4}" for stage, count in counts.items()), sep="\n")
-    kinds = {name: "samples" if splits else "objects" for name, splits in params.BENCHMARKS.items()}
+    kinds = {name: "samples" if splits else "objects" for name, splits in stages.BENCHMARKS.items()}
     most = {stage: MAX_MODULES.get(stage) or MAX_MODULES[kinds[stage]] for stage in STAGES}
     assert {stage: n for stage, n in counts.items() if n > most[stage]} == {}
 
@@ -168,7 +168,7 @@ def test_stages_without_nets_start_without_torch():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-@pytest.mark.parametrize("stage", sorted({*OF_OBJECTS, "generate"} - {"pack", "evaluate", *params.ON_DEMAND}))
+@pytest.mark.parametrize("stage", sorted({*OF_OBJECTS, "generate"} - {"pack", "evaluate", *stages.ON_DEMAND}))
 def test_queries_may_change_without_rebuilding(stage):
     senses = {f"objectfolder/objectfile/{name}.py" for name in ("file", "parts", "vision", "audio", "touch")}
     assert not senses & modules(stage)
@@ -191,7 +191,7 @@ def test_lanes_do_not_depend_on_each_other():
 
 def test_command_takes_one_word_only():
     for name, stage in STAGES.items():
-        word = "item" if name in {*params.BENCHMARKS, *params.ROBOT_STAGES} else "key"
+        word = "item" if name in {*stages.BENCHMARKS, *stages.ROBOT_STAGES} else "key"
         assert stage["do"]["cmd"] == f"python -m stages.{name} ${{{word}}}"
 
 
@@ -208,7 +208,7 @@ def test_outputs_are_disjoint_and_inside_the_workspace():
 def test_presets_are_complete_and_valid(preset):
     values = params.read(ROOT / "params.yaml")
     sections, _ = read_preset(preset, ROOT)
-    assert set(sections) == {"sensor", *params.SECTIONS}
+    assert set(sections) == {"sensor", *stages.SECTIONS}
     check_all({**values, **sections})
 
 

@@ -27,7 +27,7 @@ from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.vision.cameras import Intrinsics
 from objectfolder.vision.view import draw
 from objectfolder.workspace.layout import Benchmarks, Build
-from objectfolder.workspace.params import ROBOT_STAGES
+from objectfolder.workspace.stages import ROBOT_STAGES
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 LANES = ("normalize", "voxelize", "modal", "radiation", "render_views", "render_touch")

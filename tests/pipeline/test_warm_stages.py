@@ -7,7 +7,7 @@ import pytest
 
 from objectfolder.engine.process import Children, Command, stage_environment
 from objectfolder.engine.warm import Starter
-from objectfolder.workspace.params import FIRST_STAGES, OBJECT_STAGES, ON_DEMAND
+from objectfolder.workspace.stages import FIRST_STAGES, OBJECT_STAGES, ON_DEMAND
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 

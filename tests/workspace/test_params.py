@@ -21,26 +21,28 @@ from objectfolder.shapes import GENERATORS
 from objectfolder.vision.settings import MIN_RESOLUTION
 from objectfolder.workspace.check import Selection, check_all, check_entries, check_object
 from objectfolder.workspace.params import (
-    BENCHMARKS,
-    FIRST_STAGES,
     HELD_PARAMS,
-    OBJECT_STAGES,
-    ON_DEMAND,
-    ROBOT_STAGES,
-    SECTIONS,
     UNSEEN_BY_DVC,
     ObjectEntry,
     Shared,
-    check_key,
     check_seen,
     object_entry,
     procedural_entry,
     read,
-    section_config,
     settings,
     stage_params,
 )
 from objectfolder.workspace.presets import default_sections, read_preset
+from objectfolder.workspace.stages import (
+    BENCHMARKS,
+    FIRST_STAGES,
+    OBJECT_STAGES,
+    ON_DEMAND,
+    ROBOT_STAGES,
+    SECTIONS,
+    check_key,
+    section_config,
+)
 
 REPOSITORY = Path(__file__).parents[2]
 MUG = {

@@ -5,9 +5,10 @@ from typing import Annotated
 
 from annotated_types import Ge, Interval, MultipleOf
 
-from objectfolder.base.settings import Count
+from objectfolder.base.settings import Count, section
 
 
+@section("observe")
 @dataclass(frozen=True, kw_only=True)
 class ObserveConfig:
     """Section ``observe``: random views, impacts and touches of each object."""
@@ -16,6 +17,7 @@ class ObserveConfig:
     resolution: Annotated[int, Ge(8)] = 64  #: side of the views, pixels
 
 
+@section("decompose")
 @dataclass(frozen=True, kw_only=True)
 class DecomposeConfig:
     """Section ``decompose``: the surface as convex hulls."""
@@ -23,6 +25,7 @@ class DecomposeConfig:
     hulls: Count = 8  #: greatest number of hulls of an object
 
 
+@section("grasp_data")
 @dataclass(frozen=True, kw_only=True)
 class GraspDataConfig:
     """Section ``grasp_data``: grasps to collect of each object."""

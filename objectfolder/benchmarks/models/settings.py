@@ -5,7 +5,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Interval, MultipleOf
 
-from objectfolder.base.settings import Batch, Count, Discount, NonNegative, Positive, Precision
+from objectfolder.base.settings import Batch, Count, Discount, NonNegative, Positive, Precision, section
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class InputSizes:
         return {"vision": (self.image, self.image), "audio": self.spectrogram, "touch": self.touch}[modality]
 
 
+@section("encode")
 @dataclass(frozen=True, kw_only=True)
 class EncodeConfig:
     """Section ``encode`` of ``params.yaml``."""
@@ -51,6 +52,7 @@ class TrainingConfig:
     patience: Count  #: epochs without a better validation score after which training stops
 
 
+@section("reach")
 @dataclass(frozen=True, kw_only=True)
 class ReachConfig:
     """Section ``reach`` of ``params.yaml``; names as in Schulman et al. 2017."""
@@ -69,6 +71,7 @@ class ReachConfig:
     log_deviation: float = 0.0  #: natural logarithm of the initial standard deviation of actions
 
 
+@section("grasp_policy")
 @dataclass(frozen=True, kw_only=True)
 class GraspPolicyConfig:
     """Section ``grasp_policy`` of ``params.yaml``: TRPO with the constants of supplementary I.4."""

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, MinLen
 
-from objectfolder.base.settings import Count, NonNegative, Positive
+from objectfolder.base.settings import Count, NonNegative, Positive, section
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import Table, describe_rows, format_figure, format_interval
 from objectfolder.benchmarks.tasks.task import Task
@@ -28,6 +28,7 @@ PREDICTED_FROM = {
 REPEATED = "repeat a camera picture of their object, and were dropped"
 
 
+@section("grasp_stability")
 @dataclass(frozen=True, kw_only=True)
 class GraspStabilityConfig(TrainingConfig):
     """Section ``grasp_stability`` of ``params.yaml``."""

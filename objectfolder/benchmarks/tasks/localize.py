@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, MultipleOf
 
-from objectfolder.base.settings import Count, NonNegative, Positive
+from objectfolder.base.settings import Count, NonNegative, Positive, section
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import Table, format_interval
 from objectfolder.benchmarks.tasks.task import Task
@@ -14,6 +14,7 @@ from objectfolder.benchmarks.tasks.task import Task
 SENSES = {"T": "touch", "A": "sound", "TA": "touch + sound"}  #: that contacts are localized by
 
 
+@section("localize")
 @dataclass(frozen=True, kw_only=True)
 class LocalizeConfig(TrainingConfig):
     """Section ``localize`` of ``params.yaml``."""

@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Ge, Interval
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.settings import Count, NonNegative, Positive
+from objectfolder.base.settings import Count, NonNegative, Positive, section
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
@@ -22,6 +22,7 @@ MATERIALS = {"V": 92.3, "A": 95.8, "T": 75.9, "VAT": 96.6}
 REPEATED_MATERIALS = "repeat an input of their material, and were dropped where nothing else is sensed"
 
 
+@section("recognize")
 @dataclass(frozen=True, kw_only=True)
 class RecognizeConfig(TrainingConfig):
     """Section ``recognize`` of ``params.yaml``."""

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Interval
 
-from objectfolder.base.settings import Count, NonNegative, Positive
+from objectfolder.base.settings import Count, NonNegative, Positive, section
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import (
     NEW_OBJECTS,
@@ -36,6 +36,7 @@ KNOWN_SHAPES = {
 REPEATED = "repeat an input of their object, and gave way to later ones where nothing else is sensed"
 
 
+@section("reconstruct")
 @dataclass(frozen=True, kw_only=True)
 class ReconstructConfig(TrainingConfig):
     """Section ``reconstruct`` of ``params.yaml``."""

@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Ge
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.settings import Count, NonNegative, Positive
+from objectfolder.base.settings import Count, NonNegative, Positive, section
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
@@ -31,6 +31,7 @@ SAME_SENSE = ("V->V", "A->A", "T->T")
 REPEATED = "repeat an input of their object, and were dropped if both inputs of a pair do"
 
 
+@section("retrieve")
 @dataclass(frozen=True, kw_only=True)
 class RetrieveConfig(TrainingConfig):
     """Section ``retrieve`` of ``params.yaml``."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models.settings import EncodeConfig
 from objectfolder.benchmarks.reporting.tables import Table
-from objectfolder.workspace.params import BENCHMARKS, PARAMS_FILE, read, settings, shared
+from objectfolder.workspace.params import PARAMS_FILE, read, settings, shared
 
 if TYPE_CHECKING:
     import numpy as np
@@ -123,16 +123,6 @@ class Task:
 
 
 def find_task(name: str) -> Task:
-    """Return the task of a name in `objectfolder.workspace.params.BENCHMARKS`."""
+    """Return the task of a name in `objectfolder.workspace.stages.BENCHMARKS`."""
     task: Task = import_module(f"objectfolder.benchmarks.tasks.{name}").TASK
     return task
-
-
-def list_tasks() -> dict[str, Task]:
-    """Return all tasks by name, also those that are variants of others."""
-    tasks: dict[str, Task] = {}
-    for task in map(find_task, BENCHMARKS):
-        tasks[task.name] = task
-        if task.variant is not None:
-            tasks[task.variant.task.name] = task.variant.task
-    return tasks

@@ -6,12 +6,13 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, MultipleOf
 
-from objectfolder.base.settings import Count, NonNegative, Positive
+from objectfolder.base.settings import Count, NonNegative, Positive, section
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, format_interval
 from objectfolder.benchmarks.tasks.task import Task
 
 
+@section("vision_to_touch")
 @dataclass(frozen=True, kw_only=True)
 class VisionToTouchConfig(TrainingConfig):
     """Section ``vision_to_touch`` of ``params.yaml``."""

@@ -14,6 +14,7 @@ from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.base.materials import material
 from objectfolder.base.yamlfile import read_yaml
 from objectfolder.workspace import params
+from objectfolder.workspace.stages import check_key
 
 
 class MeshSource(params.Record):
@@ -100,7 +101,7 @@ def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
             f"{path} is not a catalogue of published objects: {'; '.join(problems)}"
         ) from error
     for key, entry in catalogue.objects.items():
-        params.check_key(key, f"{path}: objects")
+        check_key(key, f"{path}: objects")
         if entry.source not in catalogue.sources:
             raise ObjectFolderError(
                 f"{path}: objects.{key}.source is {quoted(entry.source)}, "

@@ -143,7 +143,7 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
 def _check_names(options: ImportOptions) -> None:
     """Raise ObjectFolderError unless an Object File may hold key and material.
 
-    `objectfolder.workspace.params.check_key` needs the build extra, which an import does without.
+    `objectfolder.workspace.stages.check_key` needs the build extra, which an import does without.
     """
     if options.key is not None:
         checked_name("key", options.key, "key")

@@ -5,13 +5,14 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Interval, MinLen
 
-from objectfolder.base.settings import Count, Even, Positive
+from objectfolder.base.settings import Count, Even, Positive, section
 from objectfolder.mesh.settings import FINEST
 
 #: Kinds of finite elements.
 Element = Literal["cut_cell_hex20", "hex8", "hex8_incompatible", "tet10"]
 
 
+@section("voxelize")
 @dataclass(frozen=True, kw_only=True)
 class VoxelizeConfig:
     """Section ``voxelize`` of ``params.yaml``."""
@@ -45,6 +46,7 @@ class FineGrids:
     max_error: Positive = 0.02  #: accepted estimated relative error of the lowest frequencies
 
 
+@section("modal")
 @dataclass(frozen=True, kw_only=True)
 class ModalConfig:
     """Section ``modal`` of ``params.yaml``."""

@@ -5,7 +5,10 @@ from typing import Annotated
 
 from annotated_types import Ge
 
+from objectfolder.base.settings import section
 
+
+@section("radiation")
 @dataclass(frozen=True, kw_only=True)
 class RadiationConfig:
     """Section ``radiation`` of ``params.yaml``."""

@@ -1,7 +1,7 @@
 import pytest
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.benchmarks.tasks.task import list_tasks
+from objectfolder.benchmarks.run import list_tasks
 
 ROWS = {
     "rows": {"train": 16, "val": 2, "test": 2},

@@ -9,7 +9,7 @@ from ruamel.yaml import YAML
 
 from objectfolder.engine.dvc.graph import stage_graph
 from objectfolder.engine.dvc.repository import open_repository
-from objectfolder.workspace.params import OBJECT_STAGES
+from objectfolder.workspace.stages import OBJECT_STAGES
 
 ROOT = Path(__file__).parents[3]
 KEYS = ("mug", "die", "bell")

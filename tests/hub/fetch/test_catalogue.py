@@ -15,7 +15,7 @@ from objectfolder.base.yamlfile import read_yaml
 from objectfolder.hub.fetch.catalogue import read_catalogue, select_objects
 from objectfolder.hub.fetch.run import source_text
 from objectfolder.hub.release.notices import read_notice
-from objectfolder.workspace import params
+from objectfolder.workspace import params, stages
 
 ROOT = Path(__file__).parents[3]
 PATH = ROOT / "catalogs/objectfolder1.yaml"
@@ -47,7 +47,7 @@ def test_the_objects_are_the_hundred_of_the_paper(catalogue):
 
 def test_every_entry_can_be_added(catalogue):
     for key, entry in catalogue.objects.items():
-        assert params.check_key(key).startswith(f"{entry.source}_")
+        assert stages.check_key(key).startswith(f"{entry.source}_")
         assert entry.material in material_names()
         assert 0.01 < entry.scale < 2.5
 
