@@ -86,7 +86,8 @@ def verify(
             table.add_row(*map(Text, (one.key, one.stage, one.path, one.problem, one.remedy)))
         print_wide(table)
     bad = f"{len(report.findings)} bad" if report.findings else "all good"
-    console.print(f"{plural(report.files, 'file')}, {report.bytes / 1e6:.1f} MB read: {bad}", highlight=False)
+    read = f"{plural(report.files, 'file')}, {report.bytes_read / 1e6:.1f} MB read"
+    console.print(f"{read}: {bad}", highlight=False)
     raise typer.Exit(bool(report.findings))
 
 

@@ -37,7 +37,7 @@ class VerifyReport:
 
     findings: tuple[Defect, ...]
     files: int  #: number of distinct files read
-    bytes: int  #: their total size
+    bytes_read: int  #: their total size
     rebuilt: Summary | None = None  #: summary of the build that a repair started
 
 

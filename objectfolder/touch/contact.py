@@ -115,7 +115,7 @@ def sensor_frames(normals: Array, angles: Array) -> Array:
 def lean_normals(normals: Array, angles: Array, tilt: Array, azimuth: Array) -> Array:
     """Return the outward axes of sensors that lean from the contact normals; (N, 3).
 
-    Unit normals (N, 3) and angles (N,) are those of `sensor_frames`; the lean is by `tilt` (N,), in a
+    Unit normals (N, 3) and angles (N,) are those of `sensor_frames`; the lean is by ``tilt`` (N,), in a
     direction `azimuth` (N,) from image up towards image right; radians, arrays or tensors.
     """
     library, frames = array_library(normals), sensor_frames(normals, angles)

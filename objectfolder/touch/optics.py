@@ -108,7 +108,7 @@ class Optics:
         return np.asarray(torch.as_tensor(change).cpu())
 
     def surface(self, displacement: torch.Tensor) -> tuple[Vectors, Vectors, Array]:
-        """Return points, unit normals and tilt of a gel displaced by (N, H, W); see `shade`, `tilt`."""
+        """Return points, unit normals and tilt of a gel displaced by (N, H, W); see `shade`, ``tilt``."""
         moved = self._array(displacement)
         slopes = self._slopes(moved)
         return *self._geometry(self._maps, moved, *slopes), tilt(slopes, self._maps[2])

@@ -336,7 +336,7 @@ class TouchQueries(StoredObject):
             at most half a turn.
         friction : float or (N,) array, optional
             Coefficient of friction between object and gel. Default: that of the object's material
-            (`objectfolder.touch.friction`).
+            (`objectfolder.base.materials`).
         markers : bool or Markers
             Draw dots on the gel into the images: a default grid, or another.
 

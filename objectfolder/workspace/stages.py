@@ -45,7 +45,7 @@ class Stage:
     needs: Needs = Needs()
     of_kind: Mapping[str, Needs] = field(default_factory=dict)  #: needs by net or renderer, if others
     kind_in: str = ""  #: section with that net, if not its own
-    task: bool = False  #: whether it is a benchmark task: `objectfolder.benchmarks.tasks` declares it
+    task: bool = False  #: whether it is a benchmark task: ``objectfolder/benchmarks/tasks`` declares it
     splits: tuple[str, ...] = ()  #: that are listed; none: objects are
     hulls: bool = False  #: whether its objects must be listed under ``decompose``
 

@@ -65,7 +65,7 @@ def test_a_sound_workspace_is_read_once_and_not_changed(workspace):
     assert report.findings == ()
     # 4 outputs of each object (metrics are not in the lock's cache, but in that of the run cache), 3 lists.
     assert report.files == len(before[0]) + len(before[1])
-    assert report.bytes == sum(map(len, (*before[0].values(), *before[1].values())))
+    assert report.bytes_read == sum(map(len, (*before[0].values(), *before[1].values())))
     assert (outputs(workspace), objects(workspace)) == before
     assert verify(["solve@mug"], workspace.root).files == 5
 

@@ -1,4 +1,4 @@
-"""Train the nets of `objectfolder.benchmarks.tasks.reconstruction`.
+"""Train the nets of `objectfolder.benchmarks.tasks.reconstruct_training`.
 
 Either the encoders first learn to name objects, alone, and fusion and decoder are then trained on their
 features; or all is trained together, as in the paper. The first takes a fraction of the time: encoders do

@@ -1,4 +1,4 @@
-"""What a benchmark task declares, once: ``TASK`` in `objectfolder.benchmarks.tasks`, the module of its name.
+"""What a benchmark task declares, once: ``TASK`` in the module of its name in ``benchmarks/tasks``.
 
 Its stage, its command, its section and its table follow from that. Declarations are read without torch.
 """

@@ -30,7 +30,7 @@ def stage_graph(repository: OpenRepository, targets: Sequence[str] = ()) -> Stag
     ``repository``: targets are relative to its root. ``targets``: stage addresses (``modal@mug``), stage
     names (``modal``), object keys (``mug``) or paths of outputs, tried in that order; none means every stage
     of the workspace's ``dvc.yaml``. Neither none nor an object key includes stages in
-    `objectfolder.workspace.stages.ON_DEMAND`, unless others that are included depend on them. Raises
+    ``ON_DEMAND`` of `objectfolder.workspace.stages`, unless others that are included depend on them. Raises
     ObjectFolderError if there is no ``dvc.yaml``, or a target names nothing.
     """
     repo, root = repository.repo, repository.root

@@ -35,7 +35,9 @@ _QUANTILE = 0.9  # quantile of the probes' depths
 
 
 def by_octave(inputs: int, octaves: int) -> np.ndarray:
-    """Return the channels of the released encoding in the order of `objectfolder.nets.positional.encoded`.
+    """Return the channels of the released encoding in our order.
+
+    Ours is that of `objectfolder.nets.positional.append_octaves`.
 
     Released: all numbers, then for each octave all sines and all cosines. Ours: all numbers, then all sines,
     then all cosines, each ordered by number.
