@@ -16,8 +16,8 @@ def supporting_pressure(
     """Return the pressure on some pixels that moves them by given displacements, Pa; (H, W) float64.
 
     Conjugate gradients with the preconditioner of `objectfolder.touch.gel`, to an accuracy relative to the
-    greatest displacement. Displacement (H, W), metres, counts at the active pixels (H, W) bool only; the pitch
-    is metres between pixels. Raises ObjectFolderError if the iteration does not converge.
+    greatest displacement. Displacement (H, W), metres, counts at the active pixels (H, W) bool only; the
+    pitch is metres between pixels. Raises ObjectFolderError if the iteration does not converge.
     """
     residual = np.where(active, displacement, 0.0).astype(np.float64)
     pressure, limit = np.zeros_like(residual), accuracy * np.abs(residual).max(initial=0)
