@@ -11,7 +11,7 @@ from objectfolder.vision.color import on_white
 from objectfolder.vision.renderers.registry import make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.settings import RenderViewsConfig
-from objectfolder.vision.truth import draw_shots, render_shots
+from objectfolder.vision.truth import draw_frames, render_frames
 from objectfolder.workspace.layout import SPLITS, Build
 from objectfolder.workspace.params import stage_params
 from stages import progress, run
@@ -24,9 +24,9 @@ def main(key: str) -> None:
     renderer = make_renderer(settings.renderer, scene)
     for split in SPLITS:
         rng = numpy_generator(params.seed, key, "render_views", split)
-        views = render_shots(
+        views = render_frames(
             renderer,
-            draw_shots(scene.mesh.vertices, settings, split, rng),
+            draw_frames(scene.mesh.vertices, settings, split, rng),
             settings.train_samples if split == "train" else settings.test_samples,
             rng,
             progress(f"{key}: {split} images"),

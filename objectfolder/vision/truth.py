@@ -24,7 +24,7 @@ TILES_PER_LIGHT = 4  # a new light costs training as much as a few tiles
 
 
 @dataclass(frozen=True)
-class Shots:
+class Frames:
     """What images of one size and focal length show."""
 
     camera_to_world: np.ndarray  #: (N, 4, 4), unit frame
@@ -32,7 +32,7 @@ class Shots:
     intrinsics: list[Intrinsics]
 
     @classmethod
-    def views(cls, count: int, intrinsics: Intrinsics, rng: np.random.Generator) -> "Shots":
+    def views(cls, count: int, intrinsics: Intrinsics, rng: np.random.Generator) -> "Frames":
         """Draw whole views with cameras and lights uniform on their spheres (supplementary C)."""
         cameras = look_at(sphere_points(count, CAMERA_RADIUS, rng))
         return cls(cameras, sphere_points(count, LIGHT_RADIUS, rng), [intrinsics] * count)
@@ -40,7 +40,7 @@ class Shots:
     @classmethod
     def tiles(
         cls, count: int, side: int, points: np.ndarray, intrinsics: Intrinsics, rng: np.random.Generator
-    ) -> "Shots":
+    ) -> "Frames":
         """Draw square tiles of views, each of another camera; consecutive ones share a light.
 
         A tile lies anywhere in the rectangle of the view that the object, given by its vertices (P, 3), may
@@ -59,19 +59,19 @@ class Shots:
         return cls(cameras, lights.repeat(TILES_PER_LIGHT, 0)[:count], parts)
 
 
-def draw_shots(
+def draw_frames(
     vertices: np.ndarray, config: RenderViewsConfig, split: str, rng: np.random.Generator
-) -> Shots:
+) -> Frames:
     """Draw the images of a split: whole views, or tiles if the settings have some and it is not the test."""
     count, whole = getattr(config, split), Intrinsics.square(config.resolution)
     if config.tile and split != "test":
-        return Shots.tiles(count, config.tile, vertices, whole, rng)
-    return Shots.views(count, whole, rng)
+        return Frames.tiles(count, config.tile, vertices, whole, rng)
+    return Frames.views(count, whole, rng)
 
 
-def render_shots(
+def render_frames(
     renderer: Renderer,
-    shots: Shots,
+    frames: Frames,
     samples: int,
     rng: np.random.Generator,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
@@ -86,25 +86,25 @@ def render_shots(
     ``focal``; ``center`` (N, 2), column and row of the principal point in each image; ``renderer``, its
     version. With halves also ``noise`` (N, 2), see `estimate_noise`.
     """
-    count, one = len(shots.intrinsics), shots.intrinsics[0]
+    count, one = len(frames.intrinsics), frames.intrinsics[0]
     parts = 2 if halves else 1
     seeds = rng.integers(2**31, size=(parts, count))
     rgba = np.empty((count, one.height, one.width, 4), np.float16)
     noise = np.zeros((count, 2))
     for i in progress(range(count)):
-        shot = shots.camera_to_world[i], shots.light[i], shots.intrinsics[i]
+        view = frames.camera_to_world[i], frames.light[i], frames.intrinsics[i]
         images = [
-            renderer.render(*shot, samples // parts, int(seed)).clip(max=MAX_RADIANCE) for seed in seeds[:, i]
+            renderer.render(*view, samples // parts, int(seed)).clip(max=MAX_RADIANCE) for seed in seeds[:, i]
         ]
         rgba[i] = sum(images) / parts
         if halves:
             noise[i] = estimate_noise(*images)
     views = {
         "rgba": rgba,
-        "camera_to_world": shots.camera_to_world,
-        "light": shots.light,
+        "camera_to_world": frames.camera_to_world,
+        "light": frames.light,
         "focal": np.asarray(one.focal, np.float64),
-        "center": np.array([[part.cx, part.cy] for part in shots.intrinsics]),
+        "center": np.array([[part.cx, part.cy] for part in frames.intrinsics]),
         "renderer": np.asarray(renderer.version),
     }
     return views | {"noise": noise} if halves else views

@@ -35,10 +35,10 @@ def test_contacts_lie_on_the_surface_and_face_the_camera(brick, found):
 
 
 def test_pictures_show_the_object_and_what_is_felt(brick, found):
-    shots = list(pictures(brick, SHORT, found))
-    assert len(shots) == len(SHORT) == 4
-    assert {(shot.shape, str(shot.dtype)) for shot in shots} == {((64, 64, 3), "uint8")}
-    corner = np.array([shot[48:63, 55:62].mean() for shot in shots])
+    frames = list(pictures(brick, SHORT, found))
+    assert len(frames) == len(SHORT) == 4
+    assert {(shot.shape, str(shot.dtype)) for shot in frames} == {((64, 64, 3), "uint8")}
+    corner = np.array([shot[48:63, 55:62].mean() for shot in frames])
     assert corner[0] == 255  # before the first contact
     assert corner[-1] < 250
 

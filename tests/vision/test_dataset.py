@@ -12,7 +12,7 @@ from objectfolder.vision.color import on_white
 from objectfolder.vision.evaluation import evaluate_vision
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
-from objectfolder.vision.truth import TILES_PER_LIGHT, Shots, estimate_noise, render_shots
+from objectfolder.vision.truth import TILES_PER_LIGHT, Frames, estimate_noise, render_frames
 
 SMALL = Intrinsics.square(32)
 
@@ -50,7 +50,7 @@ class Perfect:
 
 def split(renderer, samples, halves=True, count=4):
     rng = np.random.default_rng(5)
-    return render_shots(renderer, Shots.views(count, SMALL, rng), samples, rng, halves=halves)
+    return render_frames(renderer, Frames.views(count, SMALL, rng), samples, rng, halves=halves)
 
 
 def test_halves_share_the_samples_and_no_seed():
@@ -122,12 +122,12 @@ def test_the_noise_of_path_traced_views_is_their_error_against_the_converged(tab
 
 def test_tiles_are_cut_from_whole_views(table):
     renderer, rng = MitsubaRenderer(table), np.random.default_rng(2)
-    shots = Shots.tiles(9, 12, table.mesh.vertices, SMALL, rng)
-    tiles = render_shots(renderer, shots, 64, rng)
+    frames = Frames.tiles(9, 12, table.mesh.vertices, SMALL, rng)
+    tiles = render_frames(renderer, frames, 64, rng)
     assert tiles["rgba"].shape == (9, 12, 12, 4)
     corners = np.round(16 - tiles["center"]).astype(int)
     assert len(np.unique(corners, axis=0)) > 4
-    for tile, pose, light, (column, row) in zip(tiles["rgba"], shots.camera_to_world, shots.light, corners):
+    for tile, pose, light, (column, row) in zip(tiles["rgba"], frames.camera_to_world, frames.light, corners):
         whole = np.pad(renderer.render(pose, light, SMALL, 64, 1), ((0, 12), (0, 12), (0, 0)))
         truth = whole[row : row + 12, column : column + 12]
         error = np.abs(tile - truth)
@@ -135,21 +135,21 @@ def test_tiles_are_cut_from_whole_views(table):
         assert error[truth[..., 3] == 1].mean() < 0.02
         assert error[..., 3].mean() < 0.01
     assert [(i.width, i.cx, i.cy) for i in image_intrinsics(tiles)] == [
-        (12, i.cx, i.cy) for i in shots.intrinsics
+        (12, i.cx, i.cy) for i in frames.intrinsics
     ]
 
 
 def test_every_tile_has_a_camera_and_every_few_a_light():
-    shots = Shots.tiles(10, 8, sphere(0.4, 2)[0], SMALL, np.random.default_rng(3))
-    assert len(np.unique(shots.camera_to_world[:, :3, 3].round(9), axis=0)) == 10
-    changes = np.flatnonzero(np.diff(shots.light, axis=0).any(1)) + 1
+    frames = Frames.tiles(10, 8, sphere(0.4, 2)[0], SMALL, np.random.default_rng(3))
+    assert len(np.unique(frames.camera_to_world[:, :3, 3].round(9), axis=0)) == 10
+    changes = np.flatnonzero(np.diff(frames.light, axis=0).any(1)) + 1
     assert changes.tolist() == list(range(TILES_PER_LIGHT, 10, TILES_PER_LIGHT))
 
 
 def test_a_tile_that_is_larger_than_the_object_begins_where_it_may_begin():
-    shots = Shots.tiles(9, 30, np.zeros((1, 3)), SMALL, np.random.default_rng(3))
+    frames = Frames.tiles(9, 30, np.zeros((1, 3)), SMALL, np.random.default_rng(3))
     # The point is at pixel 16 of 32, and its rectangle begins up to two pixels before it.
-    assert all(1 <= c <= 2 for part in shots.intrinsics for c in (part.cx, part.cy))
+    assert all(1 <= c <= 2 for part in frames.intrinsics for c in (part.cx, part.cy))
 
 
 def test_whole_views_say_their_principal_point():
@@ -157,10 +157,10 @@ def test_whole_views_say_their_principal_point():
 
 
 def test_cameras_are_on_the_sphere_of_radius_two_and_a_half_and_lights_on_that_of_one():
-    shots = Shots.views(100, SMALL, np.random.default_rng(0))
-    places, axes = shots.camera_to_world[:, :3, 3], shots.camera_to_world[:, :3, :3]
+    frames = Frames.views(100, SMALL, np.random.default_rng(0))
+    places, axes = frames.camera_to_world[:, :3, 3], frames.camera_to_world[:, :3, :3]
     np.testing.assert_allclose(np.linalg.norm(places, axis=1), 2.5)
-    np.testing.assert_allclose(np.linalg.norm(shots.light, axis=1), 1)
+    np.testing.assert_allclose(np.linalg.norm(frames.light, axis=1), 1)
     np.testing.assert_allclose(2.5 * axes[..., 2], places, atol=1e-9)  # they look at the origin
-    for drawn, radius in ((places, 2.5), (shots.light, 1)):  # all around: deviation of a mean 0.06
+    for drawn, radius in ((places, 2.5), (frames.light, 1)):  # all around: deviation of a mean 0.06
         assert (np.abs(drawn.mean(0)) < 0.2 * radius).all()

@@ -12,7 +12,7 @@ from objectfolder.vision.bsdf import principled
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
-from objectfolder.vision.truth import Shots, render_shots
+from objectfolder.vision.truth import Frames, render_frames
 from objectfolder.workspace.presets import read_preset
 
 REPOSITORY = Path(__file__).parents[2]
@@ -97,7 +97,7 @@ def test_a_split_is_the_same_bytes_twice():
     def split():
         renderer = MitsubaRenderer(Scene(painted(box((0.5, 0.4, 0.3)))))
         rng = np.random.default_rng(3)
-        return render_shots(renderer, Shots.views(3, Intrinsics.square(16), rng), 4, rng)
+        return render_frames(renderer, Frames.views(3, Intrinsics.square(16), rng), 4, rng)
 
     first, second = split(), split()
     assert (first["rgba"].dtype, first["rgba"].shape) == (np.float16, (3, 16, 16, 4))

@@ -23,7 +23,7 @@ from objectfolder.vision.renderers import blender_scene, cycles
 from objectfolder.vision.renderers.registry import NEEDS, RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.settings import RendererName
-from objectfolder.vision.truth import Shots, render_shots
+from objectfolder.vision.truth import Frames, render_frames
 
 ROOT = Path(__file__).parents[2]
 FRONT = look_at(np.array([2.5, 0, 0]))[0]
@@ -370,7 +370,7 @@ def test_a_blender_that_fails_is_quoted(blender, after):
 
 def test_the_record_of_a_split_names_its_renderer():
     rng = np.random.default_rng(0)
-    views = render_shots(make_renderer("mitsuba", Scene(square())), Shots.views(1, SMALL, rng), 1, rng)
+    views = render_frames(make_renderer("mitsuba", Scene(square())), Frames.views(1, SMALL, rng), 1, rng)
     assert str(views["renderer"]) == f"mitsuba {mitsuba.__version__} scalar_rgb"
 
 
@@ -382,7 +382,7 @@ def test_highlights_beyond_half_precision_are_cut_off():
             return np.full((2, 2, 4), 1e6, np.float32)
 
     rng = np.random.default_rng(0)
-    views = render_shots(Glaring(), Shots.views(1, Intrinsics.square(2), rng), 1, rng)
+    views = render_frames(Glaring(), Frames.views(1, Intrinsics.square(2), rng), 1, rng)
     assert np.isfinite(views["rgba"]).all()
 
 

@@ -38,7 +38,7 @@ _Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
 
 
-class Kept:
+class RowCache:
     """Tensors of rows that are the same in all epochs, each computed once.
 
     Parameters
@@ -95,7 +95,7 @@ class Job(Generic[_Params]):
     device: str | torch.device = "cpu"
     report: Report = lambda line: None
     #: By name, shared by jobs on parts of the split; see `once`.
-    kept: dict[str, Kept] = field(default_factory=dict, compare=False, repr=False)
+    row_caches: dict[str, RowCache] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def sizes(self) -> InputSizes:
@@ -226,13 +226,13 @@ class Job(Generic[_Params]):
         (n, ...) tensor
             On the CPU if it is kept.
         """
-        if name not in self.kept:
+        if name not in self.row_caches:
             whole = (len(self.observations.labels), *shape)
-            size, held = dtype.itemsize * np.prod(whole), sum(kept.bytes for kept in self.kept.values())
+            size, held = dtype.itemsize * np.prod(whole), sum(kept.bytes for kept in self.row_caches.values())
             if size > KEPT_BYTES // 2 or size + held > KEPT_BYTES:  # none leaves no room for the others
                 return make(rows)
-            self.kept[name] = Kept(whole, dtype)
-        return self.kept[name].of(rows, make)
+            self.row_caches[name] = RowCache(whole, dtype)
+        return self.row_caches[name].of(rows, make)
 
     @cached_property
     def ground(self) -> Ground:
