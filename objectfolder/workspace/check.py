@@ -32,6 +32,7 @@ from objectfolder.workspace.stages import (
     ROBOT_STAGES,
     SECTIONS,
     TASKS,
+    check_key,
     section_config,
 )
 
@@ -90,6 +91,9 @@ def check_own(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
             near = difflib.get_close_matches(str(name)[:60], known, 1)
             hint = f"do you mean {near[0]}?" if near else f"expected one of {', '.join(known)}"
             raise ObjectFolderError(f"{path}: {quoted(name)} is not a section; {hint}")
+    for group in ("objects", "procedural"):
+        for key in values[group]:
+            check_key(key, f"{path}: {group}")
     for key, entry in values["objects"].items():
         check_object(key, values, path)
         lacking = [name for name in ObjectEntry.model_fields if name not in entry]
