@@ -186,7 +186,7 @@ def test_lanes_do_not_depend_on_each_other():
 
     assert "vision" not in folders("modal", "train_audio", "render_touch")
     assert "touch" not in folders("modal", "render_views", "train_vision")
-    assert "fem" not in folders("render_views", "render_touch", "train_audio")
+    assert not [file for file in modules("render_views", "render_touch", "train_audio") if "/fem/" in file]
 
 
 def test_command_takes_one_word_only():

@@ -83,7 +83,7 @@ def test_an_installed_wheel_makes_builds_and_upgrades_a_workspace(wheel, tmp_pat
     assert "skipping" in run(python, "-m", "dvc", "repro", "modal@mug", cwd=root)
     run(tool, "info", "build/mug/ObjectFile.safetensors", cwd=root)
 
-    module = site / "objectfolder" / "fem" / "modal.py"
+    module = site / "objectfolder/sound/fem/modal.py"
     module.write_text(module.read_text() + "\n# of a newer version\n")
     refused = "1 file differs (objectfolder/sound/fem/modal.py); run `objectfolder upgrade`"
     for command in (("build",), ("status",)):
