@@ -84,7 +84,7 @@ def test_an_installed_wheel_makes_builds_and_upgrades_a_workspace(wheel, tmp_pat
     run(tool, "info", "build/mug/ObjectFile.safetensors", cwd=root)
 
     module = site / "objectfolder/sound/fem/modal.py"
-    module.write_text(module.read_text() + "\n# of a newer version\n")
+    module.write_text(module.read_text() + "\nNEWER = True\n")
     refused = "1 file differs (objectfolder/sound/fem/modal.py); run `objectfolder upgrade`"
     for command in (("build",), ("status",)):
         assert refused in run(tool, *command, cwd=root, ok=False)
