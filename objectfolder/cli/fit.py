@@ -96,9 +96,8 @@ def sound(
         )
     if fit.unexplained > ECHO:
         lines.append(
-            f"uncertain: {fit.unexplained:.1%} of the rings is no exponential decay, as with echoes, rattling "
-            "or a hand on the object: T60 may be several times wrong; record closer, without echo, the object "
-            "free to ring"
+            f"uncertain: {fit.unexplained:.1%} of the rings is no exponential decay, as with echoes, rattles "
+            "or a held object: T60 may be several times wrong; record closer, without echo, the object free"
         )
     for line in lines:
         print_line(line)
