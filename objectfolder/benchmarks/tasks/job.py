@@ -16,13 +16,7 @@ from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, withou
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder, registered
 from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flip_some, shift_each
 from objectfolder.benchmarks.models.settings import EncodeConfig, InputSizes, TrainingConfig
-from objectfolder.benchmarks.models.training import (
-    STATISTICS,
-    EpochPoint,
-    Objective,
-    TrainSettings,
-    train,
-)
+from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, Objective, TrainSettings, train
 from objectfolder.workspace.layout import SPLITS
 
 if TYPE_CHECKING:

@@ -138,6 +138,6 @@ def test_folder_of_another_object_is_refused(folders):
 def test_objects_that_were_sampled_differently_are_refused(brick, folders, tmp_path, count, side, what):
     file = ObjectFile(brick.header | {"key": "bell"}, dict(brick.tensors))
     sample_observations(file, count, side, 0, tmp_path)
-    message = rf"bell: {what} has shape \[{count}, {side}, {side}, 3\], that of mug"
+    message = rf"bell: {what} has shape \({count}, {side}, {side}, 3\), that of mug"
     with pytest.raises(ObjectFolderError, match=message):
         Observations({"bell": tmp_path, **folders})
