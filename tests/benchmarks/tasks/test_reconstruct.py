@@ -33,7 +33,7 @@ from objectfolder.benchmarks.tasks import job, reconstruct_training
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import namer_checkpoint
 from objectfolder.benchmarks.tasks.reconstruct import TASK
-from objectfolder.benchmarks.tasks.reconstruct_training import over_seeds, reconstruct
+from objectfolder.benchmarks.tasks.reconstruct_training import mean_scores, reconstruct
 from objectfolder.benchmarks.tasks.shape_training import (
     VARIANTS,
     ShapeTraining,
@@ -276,17 +276,17 @@ def test_what_no_epoch_changes_is_encoded_once(occupancy, tmp_path):
     assert ("encoded", len(rows)) in asked
 
 
-def test_scores_over_seeds_are_means_with_an_interval():
+def test_scores_mean_scores_are_means_with_an_interval():
     runs = [
         {"iou": iou, "chamfer_l1": chamfer, "per_object": {"ball": iou}}
         for iou, chamfer in ((0.4, 0.1), (0.6, None), (0.8, 0.2))
     ]
-    seen = over_seeds(runs)
+    seen = mean_scores(runs)
     assert seen["iou"] == seen["per_object"]["ball"] == pytest.approx(0.6)
     assert seen["chamfer_l1"] is None  # an empty mesh has none
     assert seen["seeds"] == [0.4, 0.6, 0.8]
     assert seen["interval_95"] == pytest.approx(4.303 * 0.2 / 3**0.5, rel=1e-3)  # Student's, two degrees
-    assert over_seeds(runs[:1])["interval_95"] is None
+    assert mean_scores(runs[:1])["interval_95"] is None
 
 
 def test_selection_is_the_first_rows_of_each_object():
