@@ -6,30 +6,19 @@ from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble, union
 from objectfolder.shapes.boards import board, timber
 from objectfolder.shapes.extrusion import polygon, prism
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 
 FRONTS = ("open", "doors", "drawers")
 GAP = 0.004  #: between doors or drawers, in sizes of the furniture; opens the bays
 SUNK = 0.5  #: overlap of a board's end with the board it meets, in thicknesses
 
 
+@generator("wood")
 def shelf(
-    width: float = 0.8,
-    depth: float = 0.3,
-    height: float = 1.2,
-    board_thickness: float = 0.022,
-    back: float = 0.010,
-    bays: int = 4,
-    front: str = "open",
-    plinth: float = 0.05,
-    bevel: float = 0.0015,
+    order: Order, width: Size = 0.8, depth: Size = 0.3, height: Size = 1.2, board_thickness: Size = 0.022,
+    back: float = 0.010, bays: int = 4, front: str = "open", plinth: float = 0.05, bevel: float = 0.0015,
     joined: bool = True,
-    finish: str = "wood",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+) -> TexturedMesh:  # fmt: skip
     """Build a bookcase, a cabinet or a chest of drawers, its front towards -y.
 
     One closed surface if joined; x from -width / 2 to width / 2, y of the case from -depth / 2 to depth /
@@ -55,21 +44,19 @@ def shelf(
     joined : bool
         Whether the boards are united; otherwise each is a closed piece of its own, and they overlap.
     """
-    check = Checks("shelf", texture_size)
-    check.positive(width=width, depth=depth, height=height, board_thickness=board_thickness)
-    check.choice(FRONTS, front=front)
-    check.count(1, 8, bays=bays)
+    order.choice(FRONTS, front=front)
+    order.count(1, 8, bays=bays)
     t = board_thickness
     largest = max(width, depth, height)
-    check.between(0.012 * largest, 0.12 * min(width, depth), "a board for that case", board_thickness=t)
-    check.not_negative(2 * t, "twice the boards' thickness", back=back)
-    check.not_negative(0.3 * height, "30 % of the height", plinth=plinth)
-    check.between(plinth + (bays + 1) * t + bays * 3 * t, np.inf, "room for those bays", height=height)
-    check.not_negative(0.1 * t, "a tenth of the boards' thickness", bevel=bevel)
+    order.between(0.012 * largest, 0.12 * min(width, depth), "a board for that case", board_thickness=t)
+    order.between(0, 2 * t, "twice the boards' thickness", back=back)
+    order.between(0, 0.3 * height, "30 % of the height", plinth=plinth)
+    order.between(plinth + (bays + 1) * t + bays * 3 * t, np.inf, "room for those bays", height=height)
+    order.between(0, 0.1 * t, "a tenth of the boards' thickness", bevel=bevel)
     if back > 0:
-        check.between(0.3 * t, 2 * t, "0.3 to 2 thicknesses of the boards", back=back)
+        order.between(0.3 * t, 2 * t, "0.3 to 2 thicknesses of the boards", back=back)
 
-    look = Look(finish, largest, color, accent, seed)
+    look = Look.of(order, largest)
     spacing = largest / {"open": 28, "doors": 24, "drawers": 17}[front]
     x, y = width / 2, depth / 2
     parts = [
@@ -89,7 +76,7 @@ def shelf(
     if front != "open":
         parts += _fronts(look, front, width, y, levels, t, spacing, bevel)
     solid = union(parts) if joined else [part.solid for part in parts]
-    return assemble(solid, parts, look, texture_size)
+    return assemble(solid, parts, look, order.texture_size)
 
 
 def shelf_levels(height: float, thickness: float, bays: int, plinth: float) -> np.ndarray:

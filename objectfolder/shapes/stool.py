@@ -7,28 +7,18 @@ from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.shapes.boards import timber
 from objectfolder.shapes.extrusion import polygon, prism
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.sweep import bar
 
 SIDES = 80  #: facets around the seat
 SUNK = 0.6  #: depth of a leg's end in the seat, in thicknesses of the seat
 
 
+@generator("wood")
 def stool(
-    diameter: float = 0.34,
-    height: float = 0.46,
-    seat: float = 0.036,
-    leg_diameter: float = 0.034,
-    legs: int = 4,
-    splay: float = 0.05,
-    rung_height: float = 0.16,
-    dish: float = 0.006,
-    finish: str = "wood",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+    order: Order, diameter: Size = 0.34, height: Size = 0.46, seat: Size = 0.036, leg_diameter: Size = 0.034,
+    legs: int = 4, splay: float = 0.05, rung_height: float = 0.16, dish: float = 0.006,
+) -> TexturedMesh:  # fmt: skip
     """Build a stool.
 
     One closed surface, standing on z = 0 about the z axis.
@@ -50,19 +40,17 @@ def stool(
     dish : float
         Depth of the hollow of the seat, m.
     """
-    check = Checks("stool", texture_size)
-    check.positive(diameter=diameter, height=height, seat=seat, leg_diameter=leg_diameter)
-    check.count(3, 6, legs=legs)
-    check.between(0.4 * diameter, 3 * diameter, "0.4 to 3 diameters of the seat", height=height)
-    check.between(0.05 * diameter, 0.2 * height, "a seat that bears", seat=seat)
-    check.between(0.05 * diameter, 0.15 * diameter, "5 % to 15 % of the seat", leg_diameter=leg_diameter)
-    check.not_negative(0.3 * height, "30 % of the height", splay=splay)
-    check.not_negative(0.7 * (height - seat), "clear of the seat", rung_height=rung_height)
+    order.count(3, 6, legs=legs)
+    order.between(0.4 * diameter, 3 * diameter, "0.4 to 3 diameters of the seat", height=height)
+    order.between(0.05 * diameter, 0.2 * height, "a seat that bears", seat=seat)
+    order.between(0.05 * diameter, 0.15 * diameter, "5 % to 15 % of the seat", leg_diameter=leg_diameter)
+    order.between(0, 0.3 * height, "30 % of the height", splay=splay)
+    order.between(0, 0.7 * (height - seat), "clear of the seat", rung_height=rung_height)
     if rung_height > 0:
-        check.between(leg_diameter, height, "clear of the floor", rung_height=rung_height)
-    check.not_negative(0.25 * seat, "a quarter of the seat", dish=dish)
+        order.between(leg_diameter, height, "clear of the floor", rung_height=rung_height)
+    order.between(0, 0.25 * seat, "a quarter of the seat", dish=dish)
 
-    look = Look(finish, max(diameter, height), color, accent, seed)
+    look = Look.of(order, max(diameter, height))
     spacing = look.size / 30
     under = height - seat
     plate = prism([polygon(SIDES, diameter / 2)], seat, diameter / 24, 0.3 * seat)
@@ -96,7 +84,7 @@ def stool(
             ends = middle(k, z), middle((k + 1) % legs, z)
             rung = bar(*ends, (0.55 * leg_diameter, 0.55 * leg_diameter), spacing, 20)
             parts.append(_place_bar(look, 11 + k, rung, ends, leg_diameter))
-    return assemble(union(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, order.texture_size)
 
 
 def _place_bar(

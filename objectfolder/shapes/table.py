@@ -6,7 +6,7 @@ from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble, union
 from objectfolder.shapes.boards import board, leg, timber
 from objectfolder.shapes.extrusion import polygon, prism, rectangle
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.sweep import bar
 
 SEAM = 0.002  #: width of the joints between the planks of the top, m
@@ -14,24 +14,12 @@ SUNK = 0.6  #: depth of a leg's end in the top, in thicknesses of the top
 SIDES = 96  #: facets around an oval top
 
 
+@generator("wood")
 def table(
-    length: float = 1.5,
-    width: float = 0.8,
-    height: float = 0.74,
-    top: float = 0.032,
-    leg_size: float = 0.065,
-    apron: float = 0.09,
-    overhang: float = 0.04,
-    taper: float = 0.7,
-    shape: str = "rectangle",
-    base: str = "legs",
-    bevel: float = 0.003,
-    finish: str = "wood",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+    order: Order, length: Size = 1.5, width: Size = 0.8, height: Size = 0.74, top: Size = 0.032,
+    leg_size: Size = 0.065, apron: float = 0.09, overhang: float = 0.04, taper: Size = 0.7,
+    shape: str = "rectangle", base: str = "legs", bevel: float = 0.003,
+) -> TexturedMesh:  # fmt: skip
     """Build a table.
 
     One closed surface; x and y about 0, z from 0 to ``height``.
@@ -57,20 +45,18 @@ def table(
     bevel : float
         Radius of rounded edges, m; 0 leaves them sharp.
     """
-    check = Checks("table", texture_size)
-    check.positive(length=length, width=width, height=height, top=top, leg_size=leg_size, taper=taper)
-    check.choice(("rectangle", "oval"), shape=shape)
-    check.choice(("legs", "pillar"), base=base)
-    check.between(width, 4 * width, "1 to 4 widths", length=length)
-    check.between(0.2 * width, 3 * width, "0.2 to 3 widths", height=height)
-    check.between(0.01 * length, 0.25 * height, "a top that bears itself", top=top)
-    check.between(0.02 * length, 0.15 * width, "2 % of the length to 15 % of the width", leg_size=leg_size)
-    check.between(0.4, 1.0, "sizes of a leg", taper=taper)
-    check.not_negative(0.15 * width, "so that the legs stay apart", overhang=overhang)
-    check.not_negative(0.5 * (height - top), "half the height under the top", apron=apron)
-    check.not_negative(0.2 * min(top, taper * leg_size), "a fifth of top and leg", bevel=bevel)
+    order.choice(("rectangle", "oval"), shape=shape)
+    order.choice(("legs", "pillar"), base=base)
+    order.between(width, 4 * width, "1 to 4 widths", length=length)
+    order.between(0.2 * width, 3 * width, "0.2 to 3 widths", height=height)
+    order.between(0.01 * length, 0.25 * height, "a top that bears itself", top=top)
+    order.between(0.02 * length, 0.15 * width, "2 % of the length to 15 % of the width", leg_size=leg_size)
+    order.between(0.4, 1.0, "sizes of a leg", taper=taper)
+    order.between(0, 0.15 * width, "so that the legs stay apart", overhang=overhang)
+    order.between(0, 0.5 * (height - top), "half the height under the top", apron=apron)
+    order.between(0, 0.2 * min(top, taper * leg_size), "a fifth of top and leg", bevel=bevel)
 
-    look = Look(finish, max(length, width, height), color, accent, seed)
+    look = Look.of(order, max(length, width, height))
     spacing = look.size / 40
     if shape == "rectangle":
         outline = rectangle(length, width, 4 * bevel)
@@ -87,7 +73,7 @@ def table(
     under = height - top
     if base == "pillar":
         parts += _pillar(look, min(length, width), under, top, leg_size, spacing, bevel)
-        return assemble(union(parts), parts, look, texture_size)
+        return assemble(union(parts), parts, look, order.texture_size)
 
     for k, quarter in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
         foot = [*(corner * quarter), 0.0]
@@ -102,7 +88,7 @@ def table(
                 first = [off[0] - end[0], off[1] - end[1], low]
                 second = [off[0] + end[0], off[1] + end[1], high]
                 parts.append(board(look, 21 + 2 * k + j, first, second, spacing, min(bevel, 0.1 * half)))
-    return assemble(union(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, order.texture_size)
 
 
 def _pillar(

@@ -11,7 +11,7 @@ from objectfolder.shapes.assembly import Look, PaintedPart, assemble, union
 from objectfolder.shapes.atlas import Paint
 from objectfolder.shapes.boards import board
 from objectfolder.shapes.extrusion import extrude_y, polygon, prism, round_corners, solid
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.texture import over, rgb, smoothstep, stroke
 
 KINDS = ("car", "truck", "duck", "rings")
@@ -21,16 +21,9 @@ COLOURS = {"car": ("d23b30", "2b2c30"), "truck": ("2f74b5", "2b2c30"), "duck": (
 CELLS = 60  #: grid cells along the duck for marching cubes
 
 
+@generator("plastic")
 def toy(
-    kind: str = "car",
-    span: float = 0.16,
-    plump: float = 1.0,
-    count: int = 5,
-    finish: str = "plastic",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
+    order: Order, kind: str = "car", span: Size = 0.16, plump: Size = 1.0, count: int = 5
 ) -> TexturedMesh:
     """Build a toy.
 
@@ -51,20 +44,18 @@ def toy(
     accent : str, optional
         Colour of the wheels or the bill; rings grade from the colour to it.
     """
-    check = Checks("toy", texture_size)
-    check.choice(KINDS, kind=kind)
-    check.positive(span=span, plump=plump)
-    check.between(0.75, 1.3, "usual widths", plump=plump)
-    check.count(3, 8, count=count)
+    order.choice(KINDS, kind=kind)
+    order.between(0.75, 1.3, "usual widths", plump=plump)
+    order.count(3, 8, count=count)
 
     if kind == "rings":
-        look = Look(finish, span, color, accent, seed)
+        look = Look.of(order, span)
         parts = _rings(look, span, plump, count)
     else:
         body, trim = COLOURS[kind]
-        look = Look(finish, span, color or body, accent or trim, seed)
+        look = Look.of(order, span, color=order.color or body, accent=order.accent or trim)
         parts = {"car": _car, "truck": _truck, "duck": _duck}[kind](look, span, plump)
-    return assemble(union(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, order.texture_size)
 
 
 def _wheels(

@@ -5,14 +5,10 @@ import pytest
 from assembled import crossings, welded
 
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.shapes.bottle import bottle
-from objectfolder.shapes.bowl import bowl
-from objectfolder.shapes.cup import cup
 from objectfolder.shapes.pan import pan
-from objectfolder.shapes.plate import plate
 from objectfolder.shapes.section import half_outline, wall_about
 from objectfolder.shapes.teapot import teapot
-from objectfolder.shapes.vase import vase
+from objectfolder.shapes.vessels import bottle, bowl, cup, plate, vase
 
 FAMILIES: dict[str, Callable[..., TexturedMesh]] = {
     f.__name__: f for f in (bowl, cup, plate, bottle, vase, pan, teapot)
