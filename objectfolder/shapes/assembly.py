@@ -135,13 +135,10 @@ def assemble(
         split[mine] = index + start
     gloss = finish(look.finish, look.size)
     return TexturedMesh(
-        vertices=vertices[np.concatenate([used for used, _, _ in pieces])],
-        faces=split,
-        uv=np.concatenate([atlas.uv(k, xy) for k, xy in enumerate(maps)]),
-        texture=atlas.bake(),
-        roughness=gloss.roughness,
-        metallic=gloss.metallic,
-    )
+        vertices=vertices[np.concatenate([used for used, _, _ in pieces])], faces=split,
+        uv=np.concatenate([atlas.uv(k, xy) for k, xy in enumerate(maps)]), texture=atlas.bake(),
+        roughness=gloss.roughness, metallic=gloss.metallic,
+    )  # fmt: skip
 
 
 def _owners(mesh: manifold3d.Mesh64, parts: Sequence[PaintedPart]) -> np.ndarray:

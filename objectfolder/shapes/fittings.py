@@ -50,13 +50,9 @@ class Kit:
         self.details += [self._paint(solid, color, **how) for solid in solids]
 
     def _paint(
-        self,
-        solid: manifold3d.Manifold,
-        color: str | None,
-        axis: Sequence[float] | None = (1.0, 0.0, 0.0),
-        piece: int = 0,
-        decor: Decor | None = None,
-    ) -> PaintedPart:
+        self, solid: manifold3d.Manifold, color: str | None, axis: Sequence[float] | None = (1.0, 0.0, 0.0),
+        piece: int = 0, decor: Decor | None = None,
+    ) -> PaintedPart:  # fmt: skip
         """Scale a solid to m, and dye it."""
         size = self.look.size
         plain = self.look.dye(color).paint(axis, piece)

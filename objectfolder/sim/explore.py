@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
@@ -19,6 +18,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim import calls
 from objectfolder.sim.drop import SIZES
 from objectfolder.sim.fingers import sensor_angles
+from objectfolder.sim.game import Game
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.simulate import press
@@ -45,7 +45,7 @@ class Probe:
     touched: np.ndarray  #: (N,) bool
 
 
-class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
+class ExploreEnv(Game):
     """Name an object by touch, registered as ``ObjectFolder/Explore-v0``.
 
     **Observation**, a dict: ``touch``, the tactile image, (40, 30, 3) uint8 of a DIGIT; ``contact``, its
@@ -79,16 +79,12 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
         If an argument is wrong, or on a step before a reset or with a wrong action.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it
+    _changing = ("_episode", "_touches")
 
     def __init__(
-        self,
-        objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
-        noise: float = 0.001,
-        limit: int = 30,
-        sensor: "str | SensorProfile" = "digit",
-        reduction: int = 4,
-    ):
+        self, objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
+        noise: float = 0.001, limit: int = 30, sensor: "str | SensorProfile" = "digit", reduction: int = 4,
+    ):  # fmt: skip
         self.files = calls.open_files(objects)
         self.noise, self.limit = finite_number("noise", noise), whole_number("limit", limit, 1)
         if self.noise < 0:
@@ -114,17 +110,10 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
                 "touched": spaces.Discrete(2),
             }
         )
-        self.action_space = spaces.Discrete(self.places + len(self.files))  # type: ignore[assignment]
-        self._episode: dict[str, Any] = {}
-        self._touches = 0
+        self.action_space = spaces.Discrete(self.places + len(self.files))
+        self._episode, self._touches = {}, 0
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Put an object on the table."""
-        calls.refuse_options(options)
-        super().reset(seed=seed)
-        rng = self.np_random
+    def _begin(self, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:
         kind = int(rng.integers(len(self.files)))
         scale = self.files[kind].scale * float(np.exp(rng.uniform(*np.log(SIZES))))
         self._episode = {"object": kind, "scale": scale, "yaw": float(rng.uniform(0, 2 * np.pi))}
@@ -193,10 +182,6 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
             "contact": np.zeros(3, np.float32),
             "touched": np.int64(0),
         }
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        state = {name: getattr(self, name) for name in ("_episode", "_touches", *calls.COPIED_ATTRIBUTES)}
-        return type(self), self._arguments, state
 
 
 class Explorer:
@@ -290,13 +275,9 @@ class Explorer:
         return self._log_likelihoods(answer[None], np.array([touched]), place, every, widths)[0]
 
     def _log_likelihoods(
-        self,
-        answers: np.ndarray,
-        touched: np.ndarray,
-        place: int,
-        rows: np.ndarray,
+        self, answers: np.ndarray, touched: np.ndarray, place: int, rows: np.ndarray,
         widths: tuple[float, float],
-    ) -> np.ndarray:
+    ) -> np.ndarray:  # fmt: skip
         """Return logarithms of likelihoods of answers (M,), for hypotheses of some rows (R,); (M, R)."""
         sizes = self._scales(widths)
         a, b = answers / sizes, self._answers[rows, place] / sizes

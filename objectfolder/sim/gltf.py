@@ -6,7 +6,6 @@ and sounds KHR_audio_rigid_bodies, draft of 16 August 2026 (khiner/MeshEditor 80
 
 import json
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from objectfolder.mesh.srgb import decode
 from objectfolder.mesh.textured import complete_document, y_up
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.body import RigidBody
-from objectfolder.sim.export import export_folder
+from objectfolder.sim.export import OwnHulls, export_folder
 from objectfolder.sim.hulls import MAX_HULLS
 from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image, visual_mesh
 from objectfolder.sound.gains_net import energy_weights
@@ -32,12 +31,7 @@ _COMPONENTS = {"<f4": 5126, "<u4": 5125}
 _TYPES = {1: "SCALAR", 3: "VEC3"}
 
 
-def write_glb(
-    file: ObjectFile,
-    out: str | Path,
-    max_hulls: int = MAX_HULLS,
-    hulls: Sequence[trimesh.Trimesh] | None = None,
-) -> Path:
+def write_glb(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hulls: OwnHulls = None) -> Path:
     """Write ``OUT/<key>/<key>.glb``, y up: textured surface, mass, convex hulls and vibration modes.
 
     A file without modes gets no sound. Modes are in descending order of their mean energy, so that the first
@@ -68,12 +62,10 @@ def _meshes(file: ObjectFile, body: RigidBody) -> bytes:
         metallicFactor=0.0,
     )
     drawn = trimesh.Trimesh(
-        y_up(look.vertices),
-        look.faces,
-        vertex_normals=y_up(np.asarray(look.vertex_normals)),
+        y_up(look.vertices), look.faces, vertex_normals=y_up(np.asarray(look.vertex_normals)),
         visual=trimesh.visual.TextureVisuals(uv=getattr(look.visual, "uv", None), material=surface),
         process=False,
-    )
+    )  # fmt: skip
     scene = trimesh.Scene()
     scene.add_geometry(drawn, geom_name="visual")
     for k, hull in enumerate(body.hulls):

@@ -50,12 +50,9 @@ class Physics:
         spec.option.cone = getattr(mujoco.mjtCone, f"mjCONE_{self.cone.upper()}")
         spec.option.impratio = self.impratio
         spec.worldbody.add_geom(
-            name="table",
-            type=mujoco.mjtGeom.mjGEOM_PLANE,
-            size=[1, 1, 0.1],
-            condim=4,
+            name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], condim=4,
             friction=[0.5, 0.005, 0.0001],
-        )
+        )  # fmt: skip
         return spec
 
 
@@ -213,17 +210,9 @@ class GraspScene:
         success = np.zeros(len(states), bool)
         success[held] = True
         slip = self._place_in_hand(states) - self._place_in_hand(closed.states)
-        return Outcomes(
-            objects=closed.objects,
-            hands=closed.hands,
-            width=closed.width,
-            touched=closed.touched,
-            contacts=closed.contacts,
-            forces=closed.forces,
-            rise=self._rise(states, closed),
-            slip=np.linalg.norm(slip, axis=1),
-            success=success,
-        )
+        same = ("objects", "hands", "width", "touched", "contacts", "forces")
+        moved = {"rise": self._rise(states, closed), "slip": np.linalg.norm(slip, axis=1)}
+        return Outcomes(**{name: getattr(closed, name) for name in same}, **moved, success=success)
 
     def grasp(self, objects: np.ndarray, hands: np.ndarray, forces: np.ndarray) -> Outcomes:
         """Close the jaws on objects, lift and hold them; parameters as of `close`.

@@ -96,14 +96,9 @@ class Hearing:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        objects: Objects,
-        listener: "str | Sequence[float] | np.ndarray",
-        sample_rate: float = 48000,
-        surroundings: str | Material = "wood",
-        seed: int = 0,
-    ):
+        self, model: mujoco.MjModel, objects: Objects, listener: "str | Sequence[float] | np.ndarray",
+        sample_rate: float = 48000, surroundings: str | Material = "wood", seed: int = 0,
+    ):  # fmt: skip
         require_compiled(model)
         self.sample_rate = checked_sample_rate(sample_rate)
         self._model, self._seed = model, whole_number("seed", seed)

@@ -49,12 +49,9 @@ def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[tri
         )
     shape = merge_meshes(outer)
     parts = coacd.run_coacd(
-        coacd.Mesh(shape.vertices, shape.faces),
-        threshold=_THRESHOLD,
-        max_convex_hull=max_hulls,
-        preprocess_mode="off",
-        **_SEARCH,
-    )
+        coacd.Mesh(shape.vertices, shape.faces), threshold=_THRESHOLD, max_convex_hull=max_hulls,
+        preprocess_mode="off", **_SEARCH,
+    )  # fmt: skip
     hulls = tuple(hull for points, _ in parts if (hull := _convex_hull(np.asarray(points), size)) is not None)
     for k, hull in enumerate(hulls):
         _check(hull, f"hull {k}", "check that the surface is closed")

@@ -7,7 +7,6 @@ Meta-World 3.1.1 (Yu et al. 2020, CoRL). There is no Sawyer arm: the hand floats
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import mujoco
 import numpy as np
 from gymnasium.spaces import Box
@@ -18,6 +17,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim import calls
 from objectfolder.sim.body import Hulls, RigidBody, add_body, as_rigid_body
 from objectfolder.sim.drawing import draw_model, view_frame, view_rays
+from objectfolder.sim.game import Game
 
 SUBSTEPS = 5  #: simulation steps per control step
 ACTION_SCALE = 0.01  #: motion of the hand's target in a control step by an action of 1, m
@@ -29,8 +29,6 @@ OPENING = 0.1  #: opening of the fingers that is observed as 1, m
 SIGMOID = np.sqrt(1 / 0.1 - 1)  #: makes the reward's long tail 0.1 at the margin
 #: Camera of `ReachEnv.render`: position and target, m; vertical field of view, degrees.
 EYE, TARGET, FOV = np.array([1.1, 0.05, 0.6]), np.array([0.0, 0.74, 0.12]), 26.0
-#: Attributes of an environment that change.
-_STATE_ATTRIBUTES = ("data", "goal", "_margin", "_steps", "_previous", *calls.COPIED_ATTRIBUTES)
 _REACH_HIGH = np.array([0.525, 1.025, 0.7])
 _REACH_LOW = np.array([-0.525, 0.348, -0.0525])
 _STATE_LOW = np.concatenate([_REACH_LOW, [-1], np.full(3, -2.0), np.full(11, -1.0)])
@@ -45,7 +43,7 @@ MAX_HEIGHT = 0.15  #: height of an object that fits under the open gripper at it
 MAX_RADIUS = MIN_DISTANCE - SUCCESS_RADIUS
 
 
-class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class ReachEnv(Game):
     """Meta-World's reach-v3 with any object, registered as ``ObjectFolder/Reach-v0``.
 
     **Observation**, 39 numbers: the current state (18), the previous state (18), the goal (3). A state is the
@@ -93,16 +91,13 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 80}  # noqa: RUF012 - as the base class has it
+    _changing = ("data", "goal", "_margin", "_steps", "_previous")
     mj_step = staticmethod(mujoco.mj_step)  #: makes the steps, so that `objectfolder.sim.senses` can listen
 
     def __init__(
-        self,
-        file: "ObjectFile | RigidBody | str | Path",
-        hulls: Hulls = None,
-        horizon: int = 500,
-        render_mode: str | None = None,
-        resolution: tuple[int, int] = (180, 240),
-    ):
+        self, file: "ObjectFile | RigidBody | str | Path", hulls: Hulls = None, horizon: int = 500,
+        render_mode: str | None = None, resolution: tuple[int, int] = (180, 240),
+    ):  # fmt: skip
         self.horizon = whole_number("horizon", horizon, 1)
         self.render_mode = calls.check_render_mode(render_mode)
         self.resolution = calls.check_resolution(resolution)
@@ -124,14 +119,9 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.goal = GOAL_LOW
         self._margin, self._steps, self._previous = 0.0, 0, np.zeros(18)  # no margin: not reset
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Reset the hand, and draw new places of the object and the goal."""
-        calls.refuse_options(options)
-        super().reset(seed=seed)
+    def _begin(self, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:
         mujoco.mj_resetData(self.model, self.data)
-        place, self.goal = draw_placement(self.np_random)
+        place, self.goal = draw_placement(rng)
         qpos = self.data.qpos
         qpos[self._hand] = self.data.mocap_pos[self._target] = HAND_START
         qpos[self._object : self._object + 3] = *place, self._height
@@ -162,9 +152,6 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the previous step's positions
         rays = view_rays(view_frame(EYE, TARGET), FOV, *self.resolution)
         return draw_model(self.model, self.data, EYE, rays, *self.resolution)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._arguments, {name: getattr(self, name) for name in _STATE_ATTRIBUTES}
 
     def _state(self) -> np.ndarray:
         qpos = self.data.qpos

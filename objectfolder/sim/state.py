@@ -55,13 +55,9 @@ class StateCheck:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        sense: str,
-        bodies: Iterable[int],
-        fixed: Iterable[str],
+        self, model: mujoco.MjModel, sense: str, bodies: Iterable[int], fixed: Iterable[str],
         adaptable: Iterable[str],
-    ):
+    ):  # fmt: skip
         self._model, self._sense, self._fixed = model, sense, (*fixed,)
         self._vertices = _sample_vertices(model, bodies)
         self._known = {name: self._bytes(model, name) for name in (*fixed, *adaptable)}

@@ -49,15 +49,10 @@ def taxel_mesh(
 
 
 def add_taxels(
-    spec: mujoco.MjSpec,
-    body: str,
-    profile: str | Path | SensorProfile,
-    rows: int = ROWS,
-    columns: int = COLUMNS,
-    pos: Sequence[float] = (0.0, 0.0, 0.0),
-    quat: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
-    name: str = "taxels",
-) -> None:
+    spec: mujoco.MjSpec, body: str, profile: str | Path | SensorProfile, rows: int = ROWS,
+    columns: int = COLUMNS, pos: Sequence[float] = (0.0, 0.0, 0.0),
+    quat: Sequence[float] = (1.0, 0.0, 0.0, 0.0), name: str = "taxels",
+) -> None:  # fmt: skip
     """Add taxels to a body of a model, with a sensor that reads them.
 
     The taxels collide with nothing: what touches them has to touch another geom of the body, such as a box or

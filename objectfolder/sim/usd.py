@@ -1,6 +1,5 @@
 """Export to OpenUSD: look and rigid body of an object, by the schemas UsdGeom, UsdShade and UsdPhysics."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,7 @@ import trimesh
 from objectfolder.mesh.srgb import decode
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.body import RigidBody, density
-from objectfolder.sim.export import export_folder
+from objectfolder.sim.export import OwnHulls, export_folder
 from objectfolder.sim.hulls import MAX_HULLS
 from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image, visual_mesh
 
@@ -20,12 +19,7 @@ if TYPE_CHECKING:
 TEXTURE = "visual.png"
 
 
-def write_usd(
-    file: ObjectFile,
-    out: str | Path,
-    max_hulls: int = MAX_HULLS,
-    hulls: Sequence[trimesh.Trimesh] | None = None,
-) -> Path:
+def write_usd(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hulls: OwnHulls = None) -> Path:
     """Write ``OUT/<key>/<key>.usda`` with its texture: metres, kilograms, z up.
 
     The default prim, named after the object, is a rigid body with mass, centre and principal moments of

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 from gymnasium.utils.env_checker import check_env
+from refused import refused
 from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.tasks.reach_training import controller, run_episodes
 from objectfolder.sim.reach import (
     GOAL_HIGH,
@@ -187,7 +187,7 @@ def test_too_large_an_object_is_refused(body, scale, axis):
     stretch = np.ones(3)
     stretch[axis] = scale
     hulls = tuple(trimesh.Trimesh(hull.vertices * stretch, hull.faces) for hull in body.hulls)
-    with pytest.raises(ObjectFolderError, match=r"brick is .* m tall .* smaller scale"):
+    with refused(r"brick is .* m tall .* smaller scale"):
         ReachEnv(replace(body, hulls=hulls))
 
 
@@ -205,13 +205,13 @@ def test_too_large_an_object_is_refused(body, scale, axis):
     ],
 )
 def test_wrong_arguments_are_named(body, arguments, message):
-    with pytest.raises(ObjectFolderError, match=message):
+    with refused(message):
         ReachEnv(body, **arguments)
 
 
 def test_an_older_mujoco_is_named(body, monkeypatch):
     monkeypatch.setattr("mujoco.__version__", "3.3.0")
-    with pytest.raises(ObjectFolderError, match=r"MuJoCo 3\.3\.0 is installed, expected 4"):
+    with refused(r"MuJoCo 3\.3\.0 is installed, expected 4"):
         ReachEnv(body)
 
 
@@ -219,9 +219,7 @@ def test_without_metaworld_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "metaworld", None)
     monkeypatch.delitem(sys.modules, "metaworld.envs.sawyer_reach_v3", raising=False)
     monkeypatch.delitem(sys.modules, "objectfolder.sim.metaworld", raising=False)
-    with pytest.raises(
-        ObjectFolderError, match=r"metaworld.* is not installed; this needs metaworld 3\.1\.1"
-    ):
+    with refused(r"metaworld.* is not installed; this needs metaworld 3\.1\.1"):
         import_module("objectfolder.sim.metaworld")
 
 
