@@ -27,8 +27,9 @@ def object_of(solid, material="wood", resolution=96) -> ObjectFile:
 
 
 def changed(file, **header) -> ObjectFile:
-    """The same Object File with another header."""
-    return ObjectFile(file.header | header, file.tensors)
+    """The same Object File with other fields in its header, without those of None."""
+    told = (file.header | header).items()
+    return ObjectFile({name: value for name, value in told if value is not None}, file.tensors)
 
 
 def cuboid(sides, centre, mass):
@@ -42,11 +43,8 @@ def together(*bodies):
     mass = sum(m for _, m, _ in bodies)
     centre = sum(m * c for c, m, _ in bodies) / mass
     away = [c - centre for c, _, _ in bodies]
-    return (
-        centre,
-        mass,
-        sum(i + m * (d @ d * np.eye(3) - np.outer(d, d)) for d, (_, m, i) in zip(away, bodies)),
-    )
+    about = (i + m * (d @ d * np.eye(3) - np.outer(d, d)) for d, (_, m, i) in zip(away, bodies))
+    return centre, mass, sum(about)
 
 
 def skew_body(name="thing") -> RigidBody:

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -27,17 +28,14 @@ def make(brick_path, brick, hulls):
         "grasp": lambda: GraspEnv(brick_path, "width", hulls),
         "reach": lambda: ReachEnv(brick_path, parts),
         "grasps": lambda: GraspVectorEnv(2, brick_path, "blind", hulls),
-        "drop": lambda **given: DropEnv(
-            **{"objects": [brick], "materials": ["plastic"], "seconds": 0.03} | given
-        ),
-        "tap": lambda **given: TapEnv(
-            **{"objects": [brick], "seconds": 0.03, "count": 3, "limit": 6} | given
-        ),
-        "explore": lambda **given: ExploreEnv(**{"objects": [brick]} | given),
+        "drop": partial(DropEnv, objects=[brick], materials=["plastic"], seconds=0.03),
+        "tap": partial(TapEnv, objects=[brick], seconds=0.03, count=3, limit=6),
+        "explore": partial(ExploreEnv, objects=[brick]),
     }
     return lambda name, **given: made[name](**given)
 
 
+PLACES = AZIMUTHS * HEIGHTS
 SINGLE, GAMES = ("grasp", "reach"), ("drop", "tap", "explore")
 EVERY = pytest.mark.parametrize("name", [*SINGLE, "grasps", *GAMES])
 WRONG = {
@@ -137,6 +135,35 @@ def test_a_copy_goes_on_as_the_original(make, name, how):
     assert content(fresh.reset(seed=3)[0]) == content(env.reset(seed=3)[0])
 
 
+@pytest.mark.parametrize(
+    ("name", "given", "answer", "worth"),
+    [
+        ("drop", {"materials": ["wood", "steel"]}, lambda told, off: [0, told["material"] ^ off], 0.5),
+        ("tap", {}, lambda told, off: 3 + (told["odd"] + off) % 3, 0.0),
+        ("explore", {"objects": ["mug", "die"]}, lambda told, off: PLACES + (told["object"] ^ off), 0.0),
+    ],
+)
+def test_the_right_answer_is_rewarded_and_ends_the_episode(make, name, given, answer, worth):
+    """Half a reward for the right object of the wrong material."""
+    env = make(name, **given)
+    for off, expected in ((0, 1.0), (1, worth)):
+        _, info = env.reset(seed=5)
+        _, reward, ended, cut, after = env.step(np.array(answer(info, off)))
+        assert (reward, ended, cut) == (expected, True, False)
+        assert repr(after) == repr(info)
+    with refused("was not reset"):
+        env.step(np.array(answer(info, 0)))
+
+
+@pytest.mark.parametrize("name", ["tap", "explore"])
+def test_the_last_try_truncates_the_episode(make, name):
+    env = make(name, limit=3)
+    env.reset(seed=0)
+    assert [env.step(k)[3] for k in range(3)] == [False, False, True]
+    with refused("was not reset"):
+        env.step(0)
+
+
 @pytest.mark.parametrize("name", GAMES)
 def test_environments_side_by_side_do_what_each_does_alone(make, name):
     many, alone = gymnasium.vector.SyncVectorEnv([lambda: make(name)] * 2), make(name)
@@ -154,9 +181,6 @@ def test_environments_side_by_side_do_what_each_does_alone(make, name):
 def test_the_checker_passes_with_a_game_made_by_name(brick, name):
     few = {"drop": {"seconds": 0.03}, "tap": {"seconds": 0.03}, "explore": {}}[name]
     check_env(gymnasium.make(f"ObjectFolder/{name.title()}-v0", objects=[brick], **few).unwrapped)
-
-
-PLACES = AZIMUTHS * HEIGHTS
 
 
 @pytest.mark.parametrize(

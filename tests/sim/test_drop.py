@@ -26,14 +26,6 @@ def test_a_fall_is_heard_from_its_first_contact_and_depends_on_the_seed_only(env
     assert env.reset(seed=4)[0].tobytes() != sound.tobytes()
 
 
-def test_rewards_are_half_for_the_object_and_half_for_the_material(env):
-    for wrong, expected in ((0, 1.0), (1, 0.5)):
-        _, info = env.reset(seed=5)
-        answer = np.array([info["object"], (info["material"] + wrong) % 2])
-        _, reward, ended, cut, after = env.step(answer)
-        assert (reward, ended, cut, after) == (expected, True, False, info)
-
-
 def test_hearing_begins_before_any_contact(env, monkeypatch):
     """Even where the object's spin turns another point down than the one that was lowest."""
     begun = []

@@ -126,7 +126,8 @@ def test_object_rests_in_pybullet(bullet, urdf, brick):
 
 def test_the_material_of_an_obj_has_no_reflections(mjcf):
     lines = mjcf.with_name("visual.mtl").read_text().splitlines()
-    assert [line for line in lines if line[0] == "K"] == ["Ka 1 1 1", "Kd 1 1 1", "Ks 0 0 0"]
+    expected = [" ".join([name, *[f"{value:.8f}"] * 3]) for name, value in (("Ka", 1), ("Kd", 1), ("Ks", 0))]
+    assert [line for line in lines if line[0] == "K"] == expected
 
 
 def test_texture_has_the_base_colours(brick, mjcf):
