@@ -17,13 +17,11 @@ from objectfolder.shapes.bell import bell
 from objectfolder.shapes.block import block
 from objectfolder.shapes.die import die
 from objectfolder.shapes.electronics import electronics
+from objectfolder.shapes.furniture import shelf, stool, table
 from objectfolder.shapes.hammer import hammer
 from objectfolder.shapes.mug import mug
 from objectfolder.shapes.pan import pan
-from objectfolder.shapes.shelf import shelf
 from objectfolder.shapes.spoon import spoon
-from objectfolder.shapes.stool import stool
-from objectfolder.shapes.table import table
 from objectfolder.shapes.teapot import teapot
 from objectfolder.shapes.toy import toy
 from objectfolder.shapes.vessels import bottle, bowl, cup, plate, vase

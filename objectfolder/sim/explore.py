@@ -134,11 +134,8 @@ class ExploreEnv(Game):
             azimuth, height = self._direction(np.array([chosen]))
             place = np.array([*(felt.radius[0] * azimuth[0, :2]), height[0]]) + error
             box: spaces.Box = self.observation_space["contact"]  # type: ignore[index]
-            observation = {
-                "touch": felt.images[0],
-                "contact": place.astype(np.float32).clip(box.low, box.high),
-                "touched": np.int64(1),
-            }
+            contact = place.astype(np.float32).clip(box.low, box.high)
+            observation = {"touch": felt.images[0], "contact": contact, "touched": np.int64(1)}
         self._touches += 1
         cut = self._touches >= self.limit
         if cut:
@@ -177,11 +174,8 @@ class ExploreEnv(Game):
 
     def _empty_observation(self) -> dict[str, Any]:
         background = self._optics.background.numpy().reshape(self._profile.height, self._profile.width, 3)
-        return {
-            "touch": background.astype(np.uint8),
-            "contact": np.zeros(3, np.float32),
-            "touched": np.int64(0),
-        }
+        nowhere = np.zeros(3, np.float32)
+        return {"touch": background.astype(np.uint8), "contact": nowhere, "touched": np.int64(0)}
 
 
 class Explorer:

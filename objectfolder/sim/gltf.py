@@ -55,11 +55,9 @@ def _meshes(file: ObjectFile, body: RigidBody) -> bytes:
     """Return a binary glTF with the visual mesh and the hulls."""
     look = visual_mesh(file)
     texture, grey = texture_image(look), float(decode(np.float64(GREY)))  # factors are linear
+    color = [grey] * 3 + [1.0] if texture is None else None
     surface = trimesh.visual.material.PBRMaterial(
-        baseColorFactor=[grey] * 3 + [1.0] if texture is None else None,
-        baseColorTexture=texture,
-        roughnessFactor=ROUGHNESS,
-        metallicFactor=0.0,
+        baseColorFactor=color, baseColorTexture=texture, roughnessFactor=ROUGHNESS, metallicFactor=0.0
     )
     drawn = trimesh.Trimesh(
         y_up(look.vertices), look.faces, vertex_normals=y_up(np.asarray(look.vertex_normals)),
@@ -118,19 +116,14 @@ def _modal_model(
     energy = np.square(shapes).mean((0, 1)) * energy_weights(damped, damping)
     order = np.argsort(-energy, kind="stable")
     displaced = shapes[..., order].transpose(2, 0, 1).reshape(-1, 3)  # mode by mode
-    arrays = {
-        "frequencies": damped[order] / (2 * np.pi),
-        "decayRates": damping[order],
-        "positions": y_up(points),
-        "shapes": y_up(displaced),
-    }
+    arrays = {"frequencies": damped[order] / (2 * np.pi), "decayRates": damping[order]}
+    arrays |= {"positions": y_up(points), "shapes": y_up(displaced)}
     model: dict[str, Any] = {
         name: add_accessor(document, buffer, values.astype(np.float32)) for name, values in arrays.items()
     }
     model["indices"] = add_accessor(document, buffer, faces.reshape(-1).astype(np.uint32))
-    found: dict[str, Any] = {
-        "modalModels": [{"name": file.key, **model, "massProperties": describe_motion(body)}]
-    }
+    whole = {"name": file.key, **model, "massProperties": describe_motion(body)}
+    found: dict[str, Any] = {"modalModels": [whole]}
     stored = file.header.get("material_properties")
     if stored:
         material = {"name": file.material, "density": stored["density"]}
@@ -138,7 +131,7 @@ def _modal_model(
         if not stored.get("loss_factor"):  # the draft knows no other law
             material |= {"alpha": stored["alpha"], "beta": stored["beta"]}
         found["acousticMaterials"] = [material]
-        found["modalModels"][0]["material"] = 0
+        whole["material"] = 0
     return found
 
 
@@ -197,11 +190,8 @@ def add_accessor(document: dict[str, Any], buffer: bytearray, values: np.ndarray
     document["bufferViews"].append({"buffer": 0, "byteOffset": len(buffer), "byteLength": values.nbytes})
     buffer.extend(values.tobytes())
     rows, kind = values.reshape(len(values), -1), _COMPONENTS[values.dtype.str]
-    accessor: dict[str, Any] = {
-        "bufferView": len(document["bufferViews"]) - 1,
-        "componentType": kind,
-        "count": len(values),
-    }
+    view = len(document["bufferViews"]) - 1
+    accessor: dict[str, Any] = {"bufferView": view, "componentType": kind, "count": len(values)}
     accessor |= {"type": _TYPES[rows.shape[1]], "min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
     document["accessors"].append(accessor)
     return len(document["accessors"]) - 1

@@ -39,11 +39,7 @@ REMEDY = (
     "expected finite numbers: set such mocap poses, controls and forces, or, if the simulation has diverged, "
     "use a shorter time step or softer contacts; then reset it"
 )
-_DIVERGED = (
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-)
+_DIVERGED = [getattr(mujoco.mjtWarning, f"mjWARN_BADQ{of}") for of in ("POS", "VEL", "ACC")]
 
 
 class StateCheck:

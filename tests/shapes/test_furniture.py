@@ -18,10 +18,8 @@ from objectfolder.shapes.extrusion import (
     round_corners,
     triangulate,
 )
-from objectfolder.shapes.shelf import shelf, shelf_levels
-from objectfolder.shapes.stool import stool
+from objectfolder.shapes.furniture import shelf, shelf_levels, stool, table
 from objectfolder.shapes.sweep import bar
-from objectfolder.shapes.table import table
 
 
 def test_a_board_of_another_seed_is_another_piece_of_wood():
