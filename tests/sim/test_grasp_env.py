@@ -29,18 +29,13 @@ def task(brick):
 
 
 def made(path, hulls, observation):
-    name = "ObjectFolder/Grasp-v0"
-    return gymnasium.make(
-        name, file=path, hulls=hulls, observation=observation, render_mode="rgb_array"
-    ).unwrapped
+    given = {"file": path, "hulls": hulls, "observation": observation, "render_mode": "rgb_array"}
+    return gymnasium.make("ObjectFolder/Grasp-v0", **given).unwrapped
 
 
-def test_gymnasiums_checker_passes(brick_path, hulls):
-    check_env(made(brick_path, hulls, "features"))
-
-
-def test_stable_baselines_checker_passes(brick_path, hulls):
-    check_env_for_sb3(made(brick_path, hulls, "width"))
+@pytest.mark.parametrize(("check", "observation"), [(check_env, "features"), (check_env_for_sb3, "width")])
+def test_the_checkers_pass(brick_path, hulls, check, observation):
+    check(made(brick_path, hulls, observation))
 
 
 @pytest.mark.parametrize("observation", ["images", "tactile", "blind"])
@@ -65,14 +60,10 @@ def test_made_by_name(brick_path, hulls):
 def test_same_seed_same_trajectory(task):
     def play(seed):
         env = GraspVectorEnv(3, task=task, observation="width")
-        seen = [env.reset(seed=seed)[0]]
-        rng = np.random.default_rng(5)
-        rewards = []
+        seen, rng = [env.reset(seed=seed)[0]], np.random.default_rng(5)
         for _ in range(2 * STEPS):
-            observed, reward, *_ = env.step(rng.uniform(-1, 1, (3, 4)))
-            seen.append(observed)
-            rewards.append(reward)
-        return np.stack(seen).tobytes(), np.stack(rewards).tobytes()
+            seen += env.step(rng.uniform(-1, 1, (3, 4)))[:2]
+        return [of.tobytes() for of in seen]
 
     once = play(3)
     assert play(3) == once
@@ -191,10 +182,8 @@ def test_vector_environments_show_each_episode(task):
 
 
 def test_a_vector_environment_that_draws_is_made_by_name(brick_path, hulls):
-    env = gymnasium.make_vec(
-        "ObjectFolder/Grasp-v0", 2, "vector_entry_point", file=brick_path, hulls=hulls, observation="blind",
-        render_mode="rgb_array",
-    )  # fmt: skip
+    given = {"file": brick_path, "hulls": hulls, "observation": "blind", "render_mode": "rgb_array"}
+    env = gymnasium.make_vec("ObjectFolder/Grasp-v0", 2, "vector_entry_point", **given)
     env.reset(seed=0)
     assert len(env.render()) == 2
 
@@ -285,10 +274,11 @@ def test_hulls_may_be_given_as_meshes_or_as_a_folder(brick, hulls):
 @pytest.mark.parametrize("observation", ["width", "images"])
 def test_what_ends_is_told_as_gymnasiums_own_vector_environments_do(task, brick_path, hulls, observation):
     ours = GraspVectorEnv(2, task=task, observation=observation)
-    theirs = gymnasium.vector.SyncVectorEnv(
+    makers, same = (
         [lambda: made(brick_path, hulls, observation)] * 2,
-        autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP,
+        gymnasium.vector.AutoresetMode.SAME_STEP,
     )
+    theirs = gymnasium.vector.SyncVectorEnv(makers, autoreset_mode=same)
     found = []
     for env in (ours, theirs):
         env.reset(seed=0)

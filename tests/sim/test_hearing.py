@@ -176,12 +176,9 @@ def test_a_listener_in_the_world_hears_the_bell_turn(bell, smooth):
 
 def test_an_exported_object_sounds_in_any_scene(brick, tmp_path):
     path = write_mjcf(brick, tmp_path, hulls=[brick.to_mesh().convex_hull])
-    scene_path = path.parent / "scene.xml"
-    scene_path.write_text(
-        f'<mujoco><include file="{path.name}"/><worldbody><geom type="plane" size="1 1 .1" pos="0 0 -0.06"/>'
-        "</worldbody></mujoco>"
-    )
-    model = mujoco.MjModel.from_xml_path(str(scene_path))
+    floor = '<worldbody><geom type="plane" size="1 1 .1" pos="0 0 -0.06"/></worldbody>'
+    (path.parent / "scene.xml").write_text(f'<mujoco><include file="{path.name}"/>{floor}</mujoco>')
+    model = mujoco.MjModel.from_xml_path(str(path.parent / "scene.xml"))
     hearing = Hearing(model, {brick.key: brick}, [0.3, 0.2, 0.4])
     assert abs(hearing.simulate(mujoco.MjData(model), 200)).max() > 1e-3
 
@@ -212,10 +209,7 @@ def test_a_file_without_radiation_is_heard_by_plane_waves(brick):
 @pytest.mark.parametrize("reference", [(0.02, 1.0), (0.02, 0.3), (0.02, 2.0), (-2500.0, -40.0)])
 def test_restitution_is_that_of_a_spring_and_a_damper_that_cannot_pull(reference):
     first, second = reference
-    if first > 0:
-        stiffness, damping = 1 / (first * second) ** 2, 2 / first
-    else:
-        stiffness, damping = -first, -second
+    stiffness, damping = (1 / (first * second) ** 2, 2 / first) if first > 0 else (-first, -second)
     x, v, dt = 0.0, 1.0, 1e-6
     while stiffness * x + damping * v > 0:
         v -= (stiffness * x + damping * v) * dt
@@ -243,12 +237,13 @@ def test_wrong_arguments_are_refused(brick, change, message):
 
 
 def test_scenes_that_cannot_be_heard_are_refused(brick, bell):
-    with refused(r"no body 'bell', but \['brick'\]"):
-        Hearing(scene([brick]), [bell], "ear")
-    with refused(r"time step of the scene is 0.02 s, expected at most 0.01"):
-        Hearing(scene([brick], step=0.02), [brick], "ear")
-    with refused(r"geom 'table'.*time constant of 0.002 s, expected at least"):
-        Hearing(scene([brick], solref=[0.002, 1]), [brick], "ear")
+    for options, file, message in (
+        ({}, bell, r"no body 'bell', but \['brick'\]"),
+        ({"step": 0.02}, brick, "time step of the scene is 0.02 s, expected at most 0.01"),
+        ({"solref": [0.002, 1]}, brick, "geom 'table'.*time constant of 0.002 s, expected at least"),
+    ):
+        with refused(message):
+            Hearing(scene([brick], **options), [file], "ear")
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(name="table", type=PLANE, size=[2, 2, 0.1])
     body = spec.worldbody.add_body()

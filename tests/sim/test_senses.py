@@ -159,13 +159,12 @@ def test_mujoco_is_as_before_unless_an_environment_without_a_step_of_its_own_ste
 
 
 def test_what_has_no_senses_is_refused(body, brick):
-    with refused("CartPoleEnv has no model and data of MuJoCo"):
-        Senses(gymnasium.make("CartPole-v1"), [brick], EAR)
-    with refused("neither a listener nor a pad"):
-        Senses(ReachEnv(body), {"object": brick})
-    with refused("pads is 3, expected the names of sites"):
-        Senses(ReachEnv(body), {"object": brick}, pads=3)
+    for env, name in ((gymnasium.make("CartPole-v1"), "CartPoleEnv"), (None, "NoneType")):
+        with refused(f"{name} has no model and data of MuJoCo"):
+            Senses(env, [brick], EAR)
     for change, message in (
+        ({"listener": None}, "neither a listener nor a pad"),
+        ({"pads": 3}, "pads is 3, expected the names of sites"),
         ({"seconds": 0}, "seconds is 0"),
         ({"seconds": 1e12}, r"seconds is 1e\+12: needs [\d,]+ bytes.*ask for fewer"),
         ({"sample_rate": 1e12}, r"Hearing: needs [\d,]+ bytes.*lower the sample rate, 1e\+12 Hz"),
@@ -173,9 +172,7 @@ def test_what_has_no_senses_is_refused(body, brick):
         ({"audio": None}, "None is no name of an entry, expected a text"),
     ):
         with refused(message):
-            Senses(ReachEnv(body), {"object": brick}, EAR, **change)
-    with refused("NoneType has no model and data of MuJoCo"):
-        Senses(None, {"object": brick}, EAR)
+            Senses(ReachEnv(body), {"object": brick}, **{"listener": EAR} | change)
 
 
 def test_one_pad_has_one_picture(brick):

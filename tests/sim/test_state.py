@@ -4,6 +4,8 @@ import ast
 import copy
 import inspect
 import re
+from contextlib import nullcontext
+from itertools import product
 
 import gymnasium
 import mujoco
@@ -92,21 +94,20 @@ def test_a_number_that_is_not_finite_is_refused_wherever_it_is(stepped, kind):
     for name in state.DATA:
         values = getattr(data, name)
         assert values.size, name
-        for row in (0, values.size - 1):
-            for wrong in (np.nan, np.inf, -np.inf, 1e16):
-                before, values.flat[row] = values.flat[row], wrong
-                with refused(rf"{name}\[\d+\] is .*{re.escape(format(wrong, 'g'))}"):
-                    ask(data)
-                values.flat[row] = before
+        for row, wrong in product((0, values.size - 1), (np.nan, np.inf, -np.inf, 1e16)):
+            before, values.flat[row] = values.flat[row], wrong
+            with refused(rf"{name}\[\d+\] is .*{re.escape(format(wrong, 'g'))}"):
+                ask(data)
+            values.flat[row] = before
     assert data.ncon > 1
-    for name in (*state.CONTACT, *state.CONTACT_PLACES):
-        for one in (data.contact[0], data.contact[data.ncon - 1]):
-            for wrong in (999,) if name in state.CONTACT_PLACES else (np.nan, np.inf):
-                before = np.array(getattr(one, name))
-                setattr(one, name, np.full_like(before, wrong) if before.ndim else wrong)
-                with refused(rf"contact \d .*{name}.*{wrong:g}.* at 0\.062 s"):
-                    ask(data)
-                setattr(one, name, before if before.ndim else before.item())
+    for name, row in product((*state.CONTACT, *state.CONTACT_PLACES), (0, data.ncon - 1)):
+        one = data.contact[row]
+        for wrong in (999,) if name in state.CONTACT_PLACES else (np.nan, np.inf):
+            before = np.array(getattr(one, name))
+            setattr(one, name, np.full_like(before, wrong) if before.ndim else wrong)
+            with refused(rf"contact \d .*{name}.*{wrong:g}.* at 0\.062 s"):
+                ask(data)
+            setattr(one, name, before if before.ndim else before.item())
     before, data.time = data.time, np.nan
     with refused("time is nan s"):
         ask(data)
@@ -121,10 +122,8 @@ def test_a_number_that_is_not_finite_is_refused_wherever_it_is(stepped, kind):
 
 
 @pytest.mark.parametrize("kind", SENSES)
-@pytest.mark.parametrize(
-    ("field", "owner"),
-    [("mocap_pos", "striker"), ("mocap_quat", "striker"), ("mocap_pos", "head"), ("mocap_quat", "head")],
-)
+@pytest.mark.parametrize("field", ["mocap_pos", "mocap_quat"])
+@pytest.mark.parametrize("owner", ["striker", "head"])
 def test_a_mocap_body_that_is_nowhere_is_named(stepped, kind, field, owner):
     """Or MuJoCo has noticed it in a contact, and has set the simulation back."""
     model, data, _, ask = stepped(kind)
@@ -152,19 +151,11 @@ def test_a_model_that_became_another_one_is_refused(stepped, kind):
                 if before.dtype.kind != "f":
                     continue
                 changed, wrong = np.full_like(before, np.nan), rf"{name}\[\d\] of the model is .*nan"
-            if np.ndim(before):
-                getattr(owner, short)[:] = changed
-            else:
-                setattr(owner, short, changed)
-            asked = data
-            if place is not model:
-                asked = mujoco.MjData(place)
+            setattr(owner, short, changed)
+            asked = data if place is model else mujoco.MjData(place)
             with refused(wrong):
                 ask(asked)
-            if np.ndim(before):
-                getattr(owner, short)[:] = before
-            else:
-                setattr(owner, short, before)
+            setattr(owner, short, before)
     ask(data)
 
 
@@ -185,12 +176,9 @@ def test_what_may_change_is_checked_as_at_first(stepped, field, factor, message)
     values = getattr(model, field)
     values *= factor
     for _ in range(2):
-        if message is None:
+        with nullcontext() if message is None else refused(message):
             ask(data)
             mujoco.mj_step(model, data)
-        else:
-            with refused(message):
-                ask(data)
 
 
 def test_gravity_may_change(stepped):
