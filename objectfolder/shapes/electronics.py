@@ -146,10 +146,8 @@ def _radio(kit: Kit, plump: float) -> None:
     cover = extrude_y([rectangle(0.62, 0.32, 0.06)], 0.03, SPACING, 0.01).translate((0, -front, middle))
     face = extrude_y([polygon(64, 0.12)], 0.04, SPACING).translate((dial[0], front - 0.018, dial[1]))
 
-    needle = extrude_y(
-        [np.array([[-0.013, -0.03], [0.013, -0.03], [0.009, 0.10], [-0.009, 0.10]])], 0.03, 0.02
-    )
-    needle = needle.rotate((0, 35, 0)).translate((dial[0], front + 0.005, dial[1]))
+    pointer = np.array([[-0.013, -0.03], [0.013, -0.03], [0.009, 0.10], [-0.009, 0.10]])
+    needle = extrude_y([pointer], 0.03, 0.02).rotate((0, 35, 0)).translate((dial[0], front + 0.005, dial[1]))
     hub = extrude_y([polygon(24, 0.028)], 0.05, SPACING, 0.01).translate((dial[0], front + 0.002, dial[1]))
     foot, corners = rounded_disc(0.045, 0.08, 0.01, 32), product((-1, 1), repeat=2)
     feet = [foot.translate((x * 0.36, y * 0.25 * deep, 0)) for x, y in corners]
@@ -166,9 +164,8 @@ def _radio(kit: Kit, plump: float) -> None:
         return over(paper, rgb("3a2414"), inked)
 
     dark = "4a2a17"
-    knobs = [
-        knob(0.056, 0.05, turn=turn).translate((x, front, 0.155)) for x, turn in ((0.15, -30.0), (0.34, 50.0))
-    ]
+    turns = ((0.15, -30.0), (0.34, 50.0))
+    knobs = [knob(0.056, 0.05, turn=turn).translate((x, front, 0.155)) for x, turn in turns]
     kit.body(kit.look.color, case)
     kit.body(dark, rim, piece=1)
     kit.body(dark, ring, piece=2)
@@ -195,9 +192,8 @@ def _clock(kit: Kit, plump: float) -> None:
         return plate.translate((0, face + 0.01 - top / 2, 0)).rotate((0, turn, 0)).translate((0, 0, middle))
 
     drum = extrude_y([polygon(80, radius)], deep, SPACING, 0.03, 4).translate((0, 0, middle))
-    lip = extrude_y([polygon(80, radius + 0.022)], 0.06, SPACING, 0.02, 4).translate(
-        (0, front + 0.025, middle)
-    )
+    lip = extrude_y([polygon(80, radius + 0.022)], 0.06, SPACING, 0.02, 4)
+    lip = lip.translate((0, front + 0.025, middle))
     back = extrude_y([polygon(64, 0.22)], 0.04, SPACING, 0.012).translate((0, -front, middle))
     recess = extrude_y([polygon(80, inner)], 0.10, SPACING).translate((0, face - 0.05, middle))
 
@@ -231,9 +227,8 @@ def _clock(kit: Kit, plump: float) -> None:
     def dial(points: np.ndarray, colour: np.ndarray) -> np.ndarray:
         x, z = points[:, 0], points[:, 2] - middle
         r, turn = np.hypot(x, z), np.degrees(np.arctan2(x, z))
-        paper = over(
-            colour, rgb(kit.look.accent or "f3ecdd"), 0.95 * smoothstep(inner + 0.001, inner - 0.004, r)
-        )
+        within = 0.95 * smoothstep(inner + 0.001, inner - 0.004, r)
+        paper = over(colour, rgb(kit.look.accent or "f3ecdd"), within)
         minutes = stroke((turn / 6 + 0.5) % 1.0 - 0.5, 0.08, 0.08) * stroke(r - 0.232, 0.006, 0.003)
         return over(paper, rgb(DARK), minutes * (np.abs(points[:, 1] - face) < 0.004))
 

@@ -160,9 +160,8 @@ def stool(
         return points - np.outer(depth * points[:, 2] / seat, [0, 0, 1])
 
     plate = plate.warp_batch(hollow).translate((0, 0, under))
-    parts = [
-        PaintedPart.of(plate, timber(look, 21, np.array([0, 0, height - seat / 2]), np.eye(3), diameter))
-    ]
+    cover = timber(look, 21, np.array([0, 0, height - seat / 2]), np.eye(3), diameter)
+    parts = [PaintedPart.of(plate, cover)]
 
     radius = diameter / 2 - 0.9 * leg_diameter  # of the circle of the legs' tops
 

@@ -43,9 +43,8 @@ def spoon(
     order.between(0.15 * bowl_width, 0.9 * bowl_width, "15 % to 90 % of the bowl's width", depth=depth)
     order.between(0.02 * bowl_width, 0.45 * depth, "2 % of the width to 45 % of the depth", wall=wall)
     order.between(1.5 * bowl_length, 8 * bowl_length, "1.5 to 8 lengths of the bowl", length=length)
-    order.between(
-        0.1 * bowl_width, 0.45 * bowl_width, "10 % to 45 % of the bowl's width", handle_width=handle_width
-    )
+    slim, wide = 0.1 * bowl_width, 0.45 * bowl_width
+    order.between(slim, wide, "10 % to 45 % of the bowl's width", handle_width=handle_width)
     order.between(0, 1.5 * length, "1.5 lengths", rise=rise)
     order.between(0, 0.12 * length, "12 % of the length", hook=hook)
     if hook > 0:

@@ -27,9 +27,8 @@ def tube(
     round_ = np.stack([np.cos(angle), np.sin(angle)], 1)
     # Radial at each angle, so that facets stay even at tight corners.
     section = round_ / (np.abs(round_) ** squareness).sum(1, keepdims=True) ** (1 / squareness)
-    offset = (half[:, None] * section)[..., None] * np.stack([np.broadcast_to(side, path.shape), normal], 1)[
-        :, None
-    ]
+    axes = np.stack([np.broadcast_to(side, path.shape), normal], 1)
+    offset = (half[:, None] * section)[..., None] * axes[:, None]
     vertices = (path[:, None] + offset.sum(2)).reshape(-1, 3)
     i, j = (k.ravel() for k in np.meshgrid(np.arange(rows - 1), np.arange(segments), indexing="ij"))
     a, b = i * segments + j, i * segments + (j + 1) % segments

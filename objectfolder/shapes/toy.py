@@ -81,9 +81,8 @@ def _lamps(
 ) -> list[PaintedPart]:
     lamp = prism([polygon(24, radius)], 3 * radius, spacing, 0.5 * radius).rotate((0, 90, 0))
     paint = look.dye(code).paint()
-    return [
-        PaintedPart.of(lamp.translate((x - 2.5 * radius, sign * 0.32 * width, z)), paint) for sign in (-1, 1)
-    ]
+    places = [(x - 2.5 * radius, sign * 0.32 * width, z) for sign in (-1, 1)]
+    return [PaintedPart.of(lamp.translate(place), paint) for place in places]
 
 
 def _paint_cabin(body: Paint, sides: np.ndarray, width: float, border: float, pillar: float | None) -> Paint:
@@ -224,9 +223,8 @@ def _duck(look: Look, span: float, plump: float) -> list[PaintedPart]:
     upper = ball.scale((0.15, 0.105 * plump, 0.042)).rotate((0, -8, 0)).translate((0.40, 0, 0.565))
     lower = ball.scale((0.115, 0.085 * plump, 0.036)).rotate((0, 10, 0)).translate((0.39, 0, 0.525))
     bill = look.dye(look.accent).paint((1, 0, 0), 1)
-    return [PaintedPart.of(made.scale([span] * 3), paint)] + [
-        PaintedPart.of(p.scale([span] * 3), bill) for p in (upper, lower)
-    ]
+    parts = (made, paint), (upper, bill), (lower, bill)
+    return [PaintedPart.of(part.scale([span] * 3), cover) for part, cover in parts]
 
 
 def _ellipsoid(at: np.ndarray, middle: tuple[float, ...], half: tuple[float, ...]) -> np.ndarray:

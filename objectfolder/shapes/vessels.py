@@ -162,9 +162,8 @@ def plate(
     section = wall_about(middle, wall)
     section += ring_under(middle, 0.96 * well_radius, max(wall, 0.06 * well_radius))
     section = soften(section, concave=0.8 * foot_height, convex=0.4 * foot_height)
-    warp = lobe_warp(
-        order, lobes, lobe_depth, lambda p: smoothstep(0.8 * well_radius, radius, np.hypot(p[:, 0], p[:, 1]))
-    )
+    well = 0.8 * well_radius
+    warp = lobe_warp(order, lobes, lobe_depth, lambda p: smoothstep(well, radius, np.hypot(*p[:, :2].T)))
     return build_vessel(order, section, 2 * radius, height, 0.5 * foot_height, warp)
 
 
@@ -267,7 +266,6 @@ def vase(
     section = wall_about(middle, wall) + ring_under(middle, flat, 0.15 * base_radius)
     section = soften(section, concave=0.8 * recess, convex=0.45 * recess)
 
-    warp = lobe_warp(
-        order, lobes, lobe_depth, lambda p: smoothstep(0.05 * height, 0.4 * height, p[:, 2]), twist / height
-    )
+    low, high = 0.05 * height, 0.4 * height
+    warp = lobe_warp(order, lobes, lobe_depth, lambda p: smoothstep(low, high, p[:, 2]), twist / height)
     return build_vessel(order, section, height, height, recess, warp)

@@ -49,9 +49,8 @@ def wrench(
 
     # Silhouette: two heads and a tapering bar, hollow corners rounded.
     half = 0.40 * flats, 0.34 * sizes[1]
-    bar = np.array(
-        [[middles[0], -half[0]], [middles[1], -half[1]], [middles[1], half[1]], [middles[0], half[0]]]
-    )
+    (left, right), (thick, slim) = middles, half
+    bar = np.array([[left, -thick], [right, -slim], [right, slim], [left, thick]])
     shape = manifold3d.CrossSection([bar])
     for x, radius in zip(middles, radii):
         shape += manifold3d.CrossSection([polygon(72, radius) + np.array([x, 0])])

@@ -46,11 +46,6 @@ class DropEnv(Game):
         Of sound.
     sample_rate : float
         Hz.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an argument is wrong, or on a step before a reset or with a wrong action.
     """
 
     _changing = ("_episode",)

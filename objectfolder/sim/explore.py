@@ -72,11 +72,6 @@ class ExploreEnv(Game):
     reduction : int
         Of the sensor's resolution, each way. With 3, images of a DIGIT have 53 x 40 pixels, enough for the
         CNN of stable-baselines3, which takes 36 x 36 or more.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an argument is wrong, or on a step before a reset or with a wrong action.
     """
 
     _changing = ("_episode", "_touches")
@@ -198,14 +193,12 @@ class Explorer:
 
     def __init__(self, env: ExploreEnv, seed: int = 0, shapes: int = SHAPES, episodes: int = 150):
         self._env, self._rng = env, np.random.default_rng(seed)
-        every, rng = np.arange(env.places), self._rng
-        felt = [
-            env.feel(kind, file.scale * float(np.exp(size)), float(yaw), every)
-            for kind, file in enumerate(env.files)
-            for size, yaw in zip(
-                rng.uniform(*_LOG_SIZES, size=shapes), rng.uniform(0, 2 * np.pi / AZIMUTHS, shapes)
-            )
-        ]
+        every, rng, sector = np.arange(env.places), self._rng, 2 * np.pi / AZIMUTHS
+        felt = []
+        for kind, file in enumerate(env.files):
+            drawn = zip(rng.uniform(*_LOG_SIZES, size=shapes), rng.uniform(0, sector, shapes))
+            poses = [(file.scale * float(np.exp(size)), float(yaw)) for size, yaw in drawn]
+            felt += [env.feel(kind, *pose, every) for pose in poses]
         touched = np.stack([one.touched for one in felt])
         seen = _blocks(np.concatenate([one.images[one.touched] for one in felt]))
         self._mean = seen.mean(0)
@@ -280,9 +273,8 @@ class Explorer:
         alike = touched[:, None] == self._touched[rows, place]
         # A contact that the table does not know counts as one far from all others.
         far = -0.5 * 9 * len(sizes)
-        log = np.where(
-            both, np.maximum(-0.5 * squares, far + np.log(MISMATCH)), np.where(touched, far, 0.0)[:, None]
-        )
+        known = np.maximum(-0.5 * squares, far + np.log(MISMATCH))
+        log = np.where(both, known, np.where(touched, far, 0.0)[:, None])
         return log + np.log(np.where(alike, 1 - MISMATCH, MISMATCH))
 
     def _fit_widths(self, episodes: int) -> tuple[float, float]:

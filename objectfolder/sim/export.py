@@ -76,9 +76,8 @@ def _write_meshes(folder: Path, file: ObjectFile, body: RigidBody) -> bool:
     """Write the hulls and visual.obj with its texture, if any; return whether there is a texture."""
     for k, hull in enumerate(body.hulls):
         write_text(folder / _hull_name(k), export_obj(hull, include_normals=False, header=None))
-    text, more = export_obj(
-        visual_mesh(file), include_normals=True, return_texture=True, mtl_name="visual.mtl", header=None
-    )
+    options = {"include_normals": True, "return_texture": True, "mtl_name": "visual.mtl", "header": None}
+    text, more = export_obj(visual_mesh(file), **options)
     write_text(folder / "visual.obj", text)
     for name, content in more.items():
         (folder / name).write_bytes(content)
@@ -105,10 +104,8 @@ def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
         look.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     visual = f"{body.key}_visual"
     spec.add_mesh(name=visual, file="visual.obj", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-    alone = {"contype": 0, "conaffinity": 0, "density": 0}
-    added.add_geom(
-        name=visual, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=visual, material=name, group=_VISUAL, **alone
-    )
+    alone = {"contype": 0, "conaffinity": 0, "density": 0, "group": _VISUAL}
+    added.add_geom(name=visual, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=visual, material=name, **alone)
     try:
         spec.compile()
     except ValueError as error:  # such as of an object that is too small

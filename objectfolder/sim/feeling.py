@@ -112,9 +112,8 @@ class Feeling:
             self._files[body], self._friction[body] = one.file, one.friction
         self._check_sizes()
         profile = self.profile
-        self._coarse = replace(
-            profile, height=profile.height // GRID_REDUCTION, width=profile.width // GRID_REDUCTION
-        )
+        height, width = profile.height // GRID_REDUCTION, profile.width // GRID_REDUCTION
+        self._coarse = replace(profile, height=height, width=width)
         self.markers = Markers().places(profile)
         half = profile.camera_to_gel * np.array(profile.half_extent)  # up, across
         across, up = np.meshgrid(*(s * np.linspace(-1, 1, n) for s, n in zip(half[::-1], SEARCH_RAYS)))
@@ -174,9 +173,7 @@ class Feeling:
                 continue
             side = pair.index(finger)
             place = (contact.pos - at) @ axes
-            if (
-                abs(place) > [SEARCH_RANGE, CONTACT_MARGIN * self._half[1], CONTACT_MARGIN * self._half[0]]
-            ).any():
+            if (abs(place) > [SEARCH_RANGE, *(CONTACT_MARGIN * self._half[::-1])]).any():
                 continue
             mujoco.mj_contactForce(model, data, k, wrench)
             on_second = wrench[:3] @ contact.frame.reshape(3, 3)

@@ -9,10 +9,15 @@ from objectfolder.sim.calls import refuse_options
 
 
 class Game(gymnasium.Env[Any, Any]):
-    """An environment whose copies go on as the original does, and pickles hold the episode.
+    """An environment of which a pickle holds the arguments, the episode and the random generator.
 
-    Subclasses draw an episode in ``_begin``, keep what they were made with in ``_arguments``, and name in
-    ``_changing`` the attributes that an episode changes.
+    So a copy goes on as the original does. Subclasses draw an episode in ``_begin``, keep their arguments in
+    ``_arguments``, and name in ``_changing`` the attributes that an episode changes.
+
+    Raises
+    ------
+    ObjectFolderError
+        If an argument is wrong; on a step before a reset or with a wrong action; on a reset with options.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it

@@ -83,9 +83,8 @@ def _add_body(document: dict[str, Any], body: RigidBody) -> dict[str, Any]:
     document["nodes"] = [node]
     for k, name in enumerate(names):
         collider = {"geometry": {"node": count + 1 + k, "convexHull": True}, "physicsMaterial": 0}
-        document["nodes"].append(
-            {"name": f"{name}_collider", "extensions": {PHYSICS: {"collider": collider}}}
-        )
+        extensions = {PHYSICS: {"collider": collider}}
+        document["nodes"].append({"name": f"{name}_collider", "extensions": extensions})
     # Shapes are nodes of no scene, so that nobody draws them.
     document["nodes"] += [{"name": name, "mesh": numbers[name]} for name in names]
     document["scenes"], document["scene"] = [{"nodes": [0]}], 0
@@ -118,11 +117,11 @@ def _modal_model(
     displaced = shapes[..., order].transpose(2, 0, 1).reshape(-1, 3)  # mode by mode
     arrays = {"frequencies": damped[order] / (2 * np.pi), "decayRates": damping[order]}
     arrays |= {"positions": y_up(points), "shapes": y_up(displaced)}
-    model: dict[str, Any] = {
-        name: add_accessor(document, buffer, values.astype(np.float32)) for name, values in arrays.items()
-    }
-    model["indices"] = add_accessor(document, buffer, faces.reshape(-1).astype(np.uint32))
-    whole = {"name": file.key, **model, "massProperties": describe_motion(body)}
+    whole: dict[str, Any] = {"name": file.key}
+    for name, values in arrays.items():
+        whole[name] = add_accessor(document, buffer, values.astype(np.float32))
+    whole["indices"] = add_accessor(document, buffer, faces.reshape(-1).astype(np.uint32))
+    whole["massProperties"] = describe_motion(body)
     found: dict[str, Any] = {"modalModels": [whole]}
     stored = file.header.get("material_properties")
     if stored:

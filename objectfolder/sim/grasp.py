@@ -55,12 +55,8 @@ class GraspEnv(Game):
     Raises
     ------
     ObjectFolderError
-        If the object does not fit the gripper, or the file lacks touch. On a step before a reset, with a
-        wrong action, or after the end of an episode, and on a reset with options.
-
-    Notes
-    -----
-    A pickle holds the arguments, the episode and the random generator: a copy goes on as the original does.
+        If the object does not fit the gripper, or the file lacks touch; on a step after the end of an
+        episode; otherwise as `objectfolder.sim.game.Game`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012

@@ -198,9 +198,8 @@ class GraspScene:
         models = [self._with_force(force) for force in np.asarray(forces, np.float64)]
         states = self._close_until_still(models, objects, hands)
         # Squeeze with the greatest force, until what the jaws pushed has come to rest as well.
-        controls = self.layout.constant_controls(
-            hands, np.full(len(hands), SHUT), self._steps(SQUEEZE_DURATION)
-        )
+        shut = np.full(len(hands), SHUT)
+        controls = self.layout.constant_controls(hands, shut, self._steps(SQUEEZE_DURATION))
         states, sensors = self._advance(models, states, controls)
         return ClosedGrasps(self.layout, models, hands, states, sensors)
 
@@ -289,9 +288,8 @@ class GraspScene:
         for part in (heights[: steps // 2], heights[steps // 2 :], np.full(steps, LIFT)):  # lift, hold
             controls = self.layout.constant_controls(closed.hands[held], np.full(len(held), SHUT), len(part))
             controls[:, :, self.layout.height_motor] += part
-            states[held], sensors = self._advance(
-                [closed.models[row] for row in held], states[held], controls
-            )
+            models = [closed.models[row] for row in held]
+            states[held], sensors = self._advance(models, states[held], controls)
             risen = self._rise(states, closed)[held] > HOLD_SHARE * part[-1]
             held = held[risen & (sensors[:, :, 0] > 0).all(1)]
         return states, held

@@ -161,9 +161,8 @@ def _parse(path: str | Path, arrays: dict[str, np.ndarray]) -> tuple[trimesh.Tri
     ):
         raise ObjectFolderError(f"{path} does not hold as many hulls as it counts; {remedy}")
     hulls = []
-    for k, (points, triangles) in enumerate(
-        zip(np.split(vertices, vertex_counts.cumsum()[:-1]), np.split(faces, face_counts.cumsum()[:-1]))
-    ):
+    parts = np.split(vertices, vertex_counts.cumsum()[:-1]), np.split(faces, face_counts.cumsum()[:-1])
+    for k, (points, triangles) in enumerate(zip(*parts)):
         name = f"{path}: hull {k}"
         if triangles.min() < 0 or triangles.max() >= len(points):
             raise ObjectFolderError(f"{name} has faces with missing vertices; {remedy}")

@@ -124,10 +124,8 @@ class ContactReader:
         held = np.array([pair in self._pending for pair in pairs])
         pressed = np.where(held, -(motion[::3] @ self._outside), 0.0).clip(0)
         approach = -velocity[:, 0] - pressed
-        faint = [
-            _MIN_SPEED_RATIO * self._pending[pair].speed if pair in self._pending else 0.0 for pair in pairs
-        ]
-        min_speed = np.maximum(self.min_speed, faint)
+        speeds = [self._pending[pair].speed if pair in self._pending else 0.0 for pair in pairs]
+        min_speed = np.maximum(self.min_speed, _MIN_SPEED_RATIO * np.array(speeds))
         met = new[live] & (approach > min_speed)
         impulses, out = np.zeros((count, 3)), []
         mobility = motion @ moved.T

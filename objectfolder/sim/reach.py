@@ -72,13 +72,7 @@ class ReachEnv(Game):
     Raises
     ------
     ObjectFolderError
-        If the object is too large for the scene, or an argument is wrong. On a step before a reset or with a
-        wrong action, and on a reset with options.
-
-    Notes
-    -----
-    A pickle holds the arguments, the simulation, the episode and the random generator: a copy goes on as the
-    original does.
+        If the object is too large for the scene; otherwise as `objectfolder.sim.game.Game`.
 
     Examples
     --------
@@ -188,15 +182,13 @@ def reach_scene(body: RigidBody) -> mujoco.MjModel:
     spec.option.timestep = TIME_STEP
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     world, shapes = spec.worldbody, mujoco.mjtGeom
-    world.add_geom(
-        name="table", type=shapes.mjGEOM_PLANE, size=[2, 2, 0.1], pos=[0, 0.6, 0], rgba=[0.75, 0.6, 0.45, 1]
-    )
+    place = {"pos": [0, 0.6, 0], "rgba": [0.75, 0.6, 0.45, 1]}
+    world.add_geom(name="table", type=shapes.mjGEOM_PLANE, size=[2, 2, 0.1], **place)
     add_body(spec, body, "object")
     _add_hand(spec)
     goal = world.add_body(name="goal", mocap=True)
-    goal.add_geom(
-        type=shapes.mjGEOM_SPHERE, size=[0.02, 0, 0], contype=0, conaffinity=0, rgba=[0.85, 0.1, 0.1, 1]
-    )
+    seen = {"contype": 0, "conaffinity": 0, "rgba": [0.85, 0.1, 0.1, 1]}
+    goal.add_geom(type=shapes.mjGEOM_SPHERE, size=[0.02, 0, 0], **seen)
     return spec.compile()
 
 
@@ -212,18 +204,17 @@ def _add_hand(spec: mujoco.MjSpec) -> None:
         hand.add_joint(name=f"hand_{axis}", type=slide, axis=direction)
     hand.add_geom(type=box, size=[0.03, 0.055, 0.02], pos=[0, 0, 0.07], mass=0.5, rgba=[0.3, 0.3, 0.35, 1])
     for side, place, limits in (("right", -0.05, [0, 0.04]), ("left", 0.05, [-0.03, 0])):
-        finger = hand.add_body(name=f"finger_{side}", pos=[0, place, 0], gravcomp=1)
+        name = f"finger_{side}"
+        finger = hand.add_body(name=name, pos=[0, place, 0], gravcomp=1)
         finger.add_joint(
-            name=f"finger_{side}", type=slide, axis=[0, 1, 0], range=limits, limited=True,
+            name=name, type=slide, axis=[0, 1, 0], range=limits, limited=True,
             armature=100, damping=[1000, 0, 0],
         )  # fmt: skip
         finger.add_geom(
             type=box, size=[0.015, 0.006, 0.045], mass=0.1, condim=4, friction=[2, 0.1, 0.002],
             rgba=[0.6, 0.6, 0.65, 1],
         )  # fmt: skip
-        motor = spec.add_actuator(
-            name=f"finger_{side}", target=f"finger_{side}", trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_position(kp=400)
     spec.add_exclude(bodyname1="finger_right", bodyname2="finger_left")
     spec.add_equality(

@@ -54,11 +54,6 @@ class TapEnv(Game):
     limit : int
         Greatest number of taps.
 
-    Raises
-    ------
-    ObjectFolderError
-        If an argument is wrong, or on a step before a reset or with a wrong action.
-
     Notes
     -----
     Taps use `ObjectFile.voice`, the modes that `objectfolder.sim.hearing.Hearing` plays, without a

@@ -75,9 +75,8 @@ def _add_look(stage: "Usd.Stage", key: str, look: trimesh.Trimesh, textured: boo
     shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
     color = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     if textured:
-        place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
-            "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
-        )
+        kind = Sdf.ValueTypeNames.TexCoord2fArray
+        place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, UsdGeom.Tokens.vertex)
         uv = getattr(look.visual, "uv", None)  # a textured mesh has them
         place.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(uv, np.float32)))
         reader = UsdShade.Shader.Define(stage, f"/{key}/materials/look/st")
@@ -121,9 +120,8 @@ def _add_mesh(stage: "Usd.Stage", path: str, mesh: trimesh.Trimesh) -> "UsdGeom.
     added = UsdGeom.Mesh.Define(stage, path)
     added.CreatePointsAttr(_vectors(mesh.vertices))
     added.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(mesh.faces)))
-    added.CreateFaceVertexIndicesAttr(
-        Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.reshape(-1), np.int32))
-    )
+    corners = np.ascontiguousarray(mesh.faces.reshape(-1), np.int32)
+    added.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners))
     added.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     added.CreateExtentAttr(_vectors(mesh.bounds))
     return added
