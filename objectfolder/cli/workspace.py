@@ -78,10 +78,10 @@ def build(
     The stage `observe` runs only for tasks that `benchmarks` in params.yaml lists, or if a target names it.
     Stage logs are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
+    from objectfolder.base.io import check_output
     from objectfolder.engine.progress import Progress, print_summary
     from objectfolder.engine.unchanged import recall
 
-    start = time.time_ns()
     if address is not None and engine is Engine.LOCAL:
         raise ObjectFolderError(f"--address {address} requires --engine ray")
     summary = None
@@ -89,6 +89,13 @@ def build(
         with Progress() as progress:
             summary = recall(targets or (), on_event=progress)
     if summary is None:
+        if Path("params.yaml").is_file() and not dry_run:
+            check_output(Path("build/.writable"))  # this changes the folder, so before it is looked at
+        from objectfolder.engine.build import BuildOptions, local_workers
+        from objectfolder.engine.build import build as run_build
+        from objectfolder.engine.ray import ray_workers
+
+        start = time.time_ns()
         _check_params()
         if dry_run:
             from objectfolder.cli.statusview import print_outlook
@@ -98,10 +105,6 @@ def build(
                 raise ObjectFolderError("--dry-run cannot be combined with --force or --pull")
             print_outlook(status(targets or (), wait=wait), console)
             return
-        from objectfolder.engine.build import BuildOptions, local_workers
-        from objectfolder.engine.build import build as run_build
-        from objectfolder.engine.ray import ray_workers
-
         with Progress() as progress:
             summary = run_build(
                 targets or (),

@@ -14,7 +14,6 @@ from queue import Empty, SimpleQueue
 
 from objectfolder.base import disk
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.io import check_output
 from objectfolder.engine.dvc import remote, steps
 from objectfolder.engine.dvc.graph import StageGraph, stage_graph
 from objectfolder.engine.dvc.inputs import Stamps, hold_params
@@ -283,7 +282,6 @@ class _Build:
         log = self._log(address)
         if not self.checked:  # not before: a build with nothing to do need not write
             self.repository.check_cache()
-            check_output(self.logs.parent / ".writable")
             self.checked = True
         try:
             await_end(log, self.signals.raise_if_caught)
