@@ -100,34 +100,38 @@ def _identity(root: Path, others: Sequence[str]) -> tuple[str, int]:
     variables = sorted(item for item in os.environ.items() if item[0].startswith(VARIABLES))
     digest = hashlib.sha256(repr(variables).encode())
     newest = 0
-    outside = ((path, _stat(path)) for path in others)
-    for path, status in chain(_found(root, top=True), _found(INSTALLED / PACKAGE), outside):
-        stamp = status and (
-            *(status.st_dev, status.st_ino, status.st_mode, status.st_size),
-            *(status.st_mtime_ns, status.st_ctime_ns),
-        )
+    listed = chain(_found(root, top=True), _found(INSTALLED / PACKAGE))
+    outside = ((path, _stat(path), False) for path in others)
+    for path, status, is_listed in chain(listed, outside):
+        stamp: tuple[int, ...] = ()
+        if status is not None:
+            stamp = status.st_dev, status.st_ino, status.st_mode
+            if not is_listed:
+                stamp += status.st_size, status.st_mtime_ns, status.st_ctime_ns
+            newest = max(newest, status.st_ctime_ns)
         digest.update(f"{path}\0{stamp}\0".encode(errors="surrogateescape"))
-        newest = max(newest, status.st_ctime_ns) if status else newest
     return digest.hexdigest(), newest
 
 
-def _found(folder: Path | str, top: bool = False) -> Iterator[tuple[str, os.stat_result | None]]:
+def _found(folder: Path | str, top: bool = False) -> Iterator[tuple[str, os.stat_result | None, bool]]:
     """Yield a folder, what is in it at any depth, and what links lead to; at the top no hidden folders.
 
-    Raises OSError if a link leads to a folder, where it would have to look, too.
+    The third value says whether it is a folder whose content follows: names tell more than its times, which
+    change whenever a file comes and goes. Raises OSError if a link leads to a folder, where it would have to
+    look, too.
     """
-    yield str(folder), Path(folder).stat()
+    yield str(folder), Path(folder).stat(), True
     with os.scandir(folder) as entries:
         for entry in sorted(entries, key=lambda entry: entry.name):
             if entry.is_dir(follow_symlinks=False):
                 if entry.name != "__pycache__" and not (top and entry.name.startswith(".")):
                     yield from _found(entry.path)
                 continue
-            yield entry.path, entry.stat(follow_symlinks=False)
+            yield entry.path, entry.stat(follow_symlinks=False), False
             if entry.is_symlink():
                 if entry.is_dir():
                     raise NotADirectoryError(entry.path)
-                yield entry.path, _stat(entry.path)
+                yield entry.path, _stat(entry.path), False
 
 
 def _stat(path: str) -> os.stat_result | None:

@@ -94,6 +94,18 @@ def test_a_change_is_seen(built, change):
     (built.root / "link").unlink(missing_ok=True)
 
 
+def test_a_file_that_came_and_went_is_no_change(built):
+    remember([], built.root, everything(), built.others, settle())
+    (built.root / "build/.writable").touch()
+    (built.root / "build/.writable").unlink()
+    assert recall(root=built.root) is not None
+    since = settle()
+    (built.root / "build/.writable").touch()
+    (built.root / "build/.writable").unlink()
+    remember(["other"], built.root, everything(), built.others, since)
+    assert recall(["other"], built.root) is None
+
+
 def test_a_workspace_in_use_is_left_to_the_build(built, monkeypatch):
     remember([], built.root, everything(), built.others, settle())
     with (built.root / ".dvc/tmp/lock").open() as lock:

@@ -49,6 +49,7 @@ def test_everything_is_built_and_a_second_build_runs_nothing(built):
         assert 0 <= metrics["audio"]["lost_energy"] < 0.5
     assert built.build() == set()
     summary = built.cli("build").stdout
+    built.run("-c", "from objectfolder.engine.unchanged import recall; assert recall()")
     for key in ("cube", "bell"):
         uncertainty = json.loads((built.root / f"build/{key}/modal.json").read_text())[
             "frequency_uncertainty"
