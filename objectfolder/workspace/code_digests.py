@@ -22,11 +22,7 @@ from objectfolder.workspace.params import PARAMS_FILE, read
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 PACKAGES = (PACKAGE, "stages")  #: packages of the project
 #: Files and folders of the package that stages read; a workspace without the package depends on digests.
-DATA = (
-    f"{PACKAGE}/benchmarks/data",
-    f"{PACKAGE}/stored/objectfile.schema.json",
-    PROFILES,
-)
+DATA = (f"{PACKAGE}/benchmarks/data", f"{PACKAGE}/stored/objectfile.schema.json", PROFILES)
 
 
 def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:

@@ -345,11 +345,7 @@ def examination_table(examinations: Sequence[Examination], up_given: bool) -> Ta
         if shown.refusal is not None:
             row.append(Text("refused", style="bold red"))
         else:
-            row += [
-                _digits(shown.scale),
-                shown.up + ("" if up_given else "?"),
-                str(shown.pieces),
-            ]
+            row += [_digits(shown.scale), shown.up + ("" if up_given else "?"), str(shown.pieces)]
             row += [CLOSED if shown.rung == "keep" else shown.rung, _digits(shown.volume * 1e6)]
         result.add_row(*row)
     return result
