@@ -129,11 +129,8 @@ def upgrade_workspace(root: Path) -> Upgrade:
     Files that were edited are kept; of one that is new in this version, the new text is written beside it.
     Own settings are kept, and those that are new get the values of the preset quick.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the workspace does not run the installed package, or its settings are not valid in this version;
-        nothing is changed then.
+    Raises ObjectFolderError if the workspace does not run the installed package, or its settings are not
+    valid in this version; nothing is changed then.
     """
     if not is_recorded(root):
         if not (root / PARAMS_FILE).is_file():

@@ -113,10 +113,7 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
 
     A stage that a build runs gets the values that the build recorded, whatever the file says by then.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is missing, not YAML, or an object key is not a slug.
+    Raises ObjectFolderError if it is missing, not YAML, or an object key is not a slug.
     """
     path = Path(path)
     held = Path(os.environ.get(HELD_PARAMS, path)) if path == Path(PARAMS_FILE) else path
@@ -179,10 +176,8 @@ def outside_workspace(path: Path) -> ObjectFolderError:
 def check_slug(key: Any, where: str = "object key") -> str:
     """Return a slug, as object keys are; see `objectfolder.workspace.stages.check_key`.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is not a slug, or too long. DVC drops integer keys silently and takes a dot for a path.
+    Raises ObjectFolderError if it is not a slug, or too long. DVC drops integer keys silently and takes a dot
+    for a path.
     """
     if isinstance(key, str) and len(key) <= MAX_KEY and KEY.fullmatch(key):
         return key
@@ -204,10 +199,7 @@ def check_slug(key: Any, where: str = "object key") -> str:
 def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> ObjectEntry:
     """Validate one object's entry.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is none, or a field is wrong.
+    Raises ObjectFolderError if there is none, or a field is wrong.
     """
     if key not in values["objects"]:
         known = ", ".join(values["objects"]) or "none yet"
@@ -323,10 +315,8 @@ def require_section(name: str, values: dict[str, Any], path: str | Path = PARAMS
 def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dict[str, Any]]:
     """Return the generator of a procedural object and its parameters.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such object; or if ``dvc repro`` runs this, which would not see a parameter change.
+    Raises ObjectFolderError if there is no such object; or if ``dvc repro`` runs this, which would not see a
+    parameter change.
     """
     values = read(path)
     entry = values["procedural"].get(key)
@@ -341,10 +331,7 @@ def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dic
 def check_seen(values: Any, path: str | Path = PARAMS_FILE, where: str = "") -> None:
     """Check that DVC's run cache sees all parameters, at any depth.
 
-    Raises
-    ------
-    ObjectFolderError
-        If one has a name in `UNSEEN_BY_DVC`.
+    Raises ObjectFolderError if one has a name in `UNSEEN_BY_DVC`.
     """
     for name, value in values.items() if isinstance(values, dict) else enumerate(values):
         if name in UNSEEN_BY_DVC:

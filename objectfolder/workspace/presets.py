@@ -53,10 +53,7 @@ def apply_preset(name: str, root: Path = Path(), dry_run: bool = False) -> list[
 def read_preset(name: str, root: Path = Path()) -> tuple[dict[str, Any], Path]:
     """Return all sections of a preset, and the path of its overlay.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such preset, or it is not a mapping.
+    Raises ObjectFolderError if there is no such preset, or it is not a mapping.
     """
     folder = root / "params"
     path = folder / f"{name}.yaml"

@@ -123,10 +123,8 @@ def graph_of_installed(text: str) -> str:
     A dependency on the package becomes one on `objectfolder.workspace.installed.RECORD` and on the folder of
     sensors, and one on a file in it becomes one on its digest, which ``hash_code`` writes.
 
-    Raises
-    ------
-    ObjectFolderError
-        If a stage depends on a file of the package that `objectfolder.workspace.code_digests.DATA` lacks.
+    Raises ObjectFolderError if a stage depends on a file of the package that
+    `objectfolder.workspace.code_digests.DATA` lacks.
     """
 
     def replacement(match: re.Match[str]) -> str:
