@@ -32,10 +32,7 @@ def recall(
 ) -> Summary | None:
     """Return the summary of a build that has nothing to do; None if a build must find out.
 
-    Parameters
-    ----------
-    targets, root, on_event
-        As for `objectfolder.engine.build.build`.
+    The arguments are those of `objectfolder.engine.build.build`.
     """
     start = time.monotonic()
     root = Path(root).resolve()
@@ -64,17 +61,9 @@ def remember(
 ) -> None:
     """Note that a build skipped all stages, unless something changed meanwhile.
 
-    Parameters
-    ----------
-    targets : sequence of str
-    root : Path
-        Workspace, an absolute path whose lock this process holds.
-    stages : iterable of str
-        Addresses in topological order.
-    others : iterable of str
-        Paths outside the workspace's own folders that the build looked at, or missed.
-    since : int
-        When it began to look, ns since 1970.
+    ``root``: absolute path of the workspace, whose lock this process holds; ``stages``: addresses, upstream
+    first; ``others``: paths outside the workspace's own folders that the build looked at, or missed;
+    ``since``: when it began to look, ns since 1970.
     """
     others = sorted(others)
     with suppress(OSError, ObjectFolderError):  # a folder that cannot be written costs time, nothing else

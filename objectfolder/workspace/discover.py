@@ -83,24 +83,10 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     """Find the objects in a folder: each mesh file directly in it, and each subfolder that holds one.
 
     Keys are made from file or subfolder names. ``materials.csv`` (lines ``name,material``) or
-    ``materials.yaml`` (``name: material``) in the folder assigns materials by file, subfolder or key.
-
-    Parameters
-    ----------
-    folder : Path
-    material : str, optional
-        Default for objects that the list does not name.
-
-    Returns
-    -------
-    list of Candidate
-        Ordered by name. Candidates with several meshes in their folder, or with a duplicate key, have a
-        refusal.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no mesh, or the list of materials is invalid or names an unknown object.
+    ``materials.yaml`` (``name: material``) in the folder assigns materials by file, subfolder or key;
+    ``material`` is that of the others. Returns candidates ordered by name; those with several meshes in their
+    folder, or with a duplicate key, have a refusal. Raises ObjectFolderError if there is no mesh, or the list
+    of materials is invalid or names an unknown object.
     """
     listed = _materials(folder)
     found = [(path.stem, [path]) for path in _meshes(folder)]
@@ -224,26 +210,10 @@ def examine(
 ) -> Examination:
     """Load a candidate's mesh, close its surface and voxelize it in memory.
 
-    Parameters
-    ----------
-    candidate : Candidate
-    values : dict
-        Contents of ``params.yaml``.
-    scale : float or None
-        Longest side, metres; None takes the mesh's own.
-    up : {"y", "z"} or None
-        None guesses from the file format.
-    unit : {"m", "cm", "mm"}
-        Unit of the mesh's coordinates.
-    wall : float, optional
-        Thickness that open sheets get, metres.
-    bridge : {"all", "fem", "off"}
-        Where to fill small gaps.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it cannot become an object.
+    ``values``: contents of ``params.yaml``; ``scale``: longest side, metres, None takes the mesh's own;
+    ``up``: None guesses from the file format; ``unit``: of the mesh's coordinates; ``wall``: thickness that
+    open sheets get, metres; ``bridge``: where to fill small gaps, "all", "fem" or "off". Raises
+    ObjectFolderError if it cannot become an object.
     """
     if candidate.refusal is not None:
         raise ObjectFolderError(candidate.refusal)

@@ -32,14 +32,8 @@ PIPELINE_FILES = (
 def located(name: str, root: str | Path = ".") -> Path:
     """Return the path of a file of the package or the workspace.
 
-    A workspace without the package may hold sensor profiles in `SENSORS`; they come before the package's.
-
-    Parameters
-    ----------
-    name : str
-        Relative to the workspace, or to the directory that contains the package.
-    root : Path
-        Workspace.
+    ``name`` is relative to the workspace ``root``, or to the directory that contains the package. A workspace
+    without the package may hold sensor profiles in `SENSORS`; they come before the package's.
     """
     root = Path(root)
     if name.partition("/")[0] != PACKAGE or not runs_installed(root):

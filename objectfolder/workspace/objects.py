@@ -217,19 +217,11 @@ def check_new(key: str, values: dict[str, Any], root: Path = Path(), mesh: Path 
 
 
 def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
-    """Enter a catalogue's procedural objects and object entries in ``params.yaml``.
+    """Enter a catalogue's procedural objects and object entries in ``params.yaml``; return the keys added.
 
-    Identical entries that exist already are skipped.
-
-    Returns
-    -------
-    Keys that were added.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such catalogue, an entry is invalid, or another one has its key; if the mesh of a new
-        object is neither there nor procedural; or if there are files where a new procedural object's will be.
+    Identical entries that exist already are skipped. Raises ObjectFolderError if there is no such catalogue,
+    an entry is invalid, or another one has its key; if the mesh of a new object is neither there nor
+    procedural; or if there are files where a new procedural object's will be.
     """
     params_path = root / params.PARAMS_FILE
     if not catalogue.is_file():

@@ -137,15 +137,7 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
 def name_as_today(values: Any) -> list[str]:
     """Rename parameters that earlier versions called otherwise, in place.
 
-    Parameters
-    ----------
-    values : any
-        Contents of ``params.yaml``; anything but a mapping with procedural objects is left as it is.
-
-    Returns
-    -------
-    list of str
-        What to write instead, for each of them.
+    Anything but a mapping with procedural objects is left as it is. Returns what to write instead, for each.
     """
     entries = values.get("procedural") if isinstance(values, dict) else None
     changes = []
@@ -217,19 +209,9 @@ def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
 
 
 def stage_params(config: type[Config], key: str, path: str | Path = PARAMS_FILE) -> StageParams[Config]:
-    """Return the parameters of a stage of one object.
+    """Return the parameters of a stage of one object; ``config`` is the dataclass of its section.
 
-    Parameters
-    ----------
-    config : type
-        Dataclass of the stage's section, one of `SECTIONS`.
-    key : str
-        Object key.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the section or the object's entry is missing or wrong.
+    Raises ObjectFolderError if the section or the object's entry is missing or wrong.
     """
     values = read(path)
     entry = object_entry(check_slug(key), values, path)
@@ -238,21 +220,10 @@ def stage_params(config: type[Config], key: str, path: str | Path = PARAMS_FILE)
 
 
 def settings(config: type[Config], values: dict[str, Any], path: str | Path = PARAMS_FILE) -> Config:
-    """Check a section and return it as its dataclass.
+    """Check a section and return it as its dataclass ``config``, one of `SECTIONS`.
 
-    Parameters
-    ----------
-    config : type
-        One of `SECTIONS`.
-    values : dict
-        Contents of ``params.yaml``, perhaps with a preset merged into it.
-    path : path
-        Named in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the section is missing, or a field is missing, unknown or wrong.
+    ``values``: contents of ``params.yaml``, perhaps with a preset merged into it; ``path``: named in errors.
+    Raises ObjectFolderError if the section is missing, or a field is missing, unknown or wrong.
     """
     name: str = config.section  # type: ignore[attr-defined]
     require_section(name, values, path)
