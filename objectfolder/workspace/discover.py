@@ -113,9 +113,9 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     Keys are made from file or subfolder names, which keep their numbers where others have the same words.
     Folders such as ``meshes`` or ``google_16k`` belong to the object of the folder above.
     ``materials.csv`` (lines ``name,material``) or ``materials.yaml`` (``name: material``) in the folder
-    assigns materials by file, subfolder or key; ``material`` is that of the others. Returns candidates ordered
-    by name; those with a duplicate key have a refusal. Raises ObjectFolderError if there is no mesh, or the
-    list of materials is invalid or names an unknown object.
+    assigns materials by file, subfolder or key; ``material`` is that of the others. Returns candidates by
+    name; those with a duplicate key have a refusal. Raises ObjectFolderError if there is no mesh, or the list
+    of materials is invalid or names an unknown object.
     """
     listed = _materials(folder)
     found = [(path.stem, [path]) for path in _meshes(folder)]
