@@ -122,7 +122,6 @@ def build(
 
 
 def _check_params() -> None:
-    """Check all of ``params.yaml``, before a build starts that may take hours."""
     from objectfolder.touch.profiles import load_profile, require_renderer
     from objectfolder.workspace import params
     from objectfolder.workspace.check import check_all

@@ -117,7 +117,6 @@ def _digests(names: list[str], root: str | Path) -> str:
 
 
 def _names_below(name: str, root: str | Path) -> list[str]:
-    """List the files in a folder of `DATA`."""
     folder = located(name, root)
     files = {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
     own = Path(root, SENSORS)
@@ -127,7 +126,6 @@ def _names_below(name: str, root: str | Path) -> list[str]:
 
 
 def _modules(name: str, root: str | Path) -> set[str]:
-    """Return the modules of the project that a file imports."""
     try:
         modules = _imports(located(name, root).read_text(encoding="utf-8"), ".".join(Path(name).parts[:-1]))
     except (SyntaxError, UnicodeDecodeError) as error:

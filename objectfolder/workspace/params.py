@@ -253,7 +253,6 @@ def settings(config: type[Config], values: dict[str, Any], path: str | Path = PA
 
 
 def _names(settings: dict[str, Any]) -> set[str]:
-    """Return the names of settings, at any depth."""
     inner = [_names(value) for value in settings.values() if isinstance(value, dict)]
     return {*settings}.union(*inner)
 

@@ -136,14 +136,6 @@ def test_no_other_text_is_a_key(key):
     assert not set(key) & set(" ./-\n\\")
 
 
-@pytest.mark.parametrize("key", [7, "a.b", "Mug"])
-def test_bad_keys_in_a_file_name_the_file(write, key):
-    path = write(objects={key: MUG})
-    with pytest.raises(ObjectFolderError, match="is not a valid object key") as caught:
-        read(path)
-    assert str(path) in str(caught.value)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
