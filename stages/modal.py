@@ -13,11 +13,7 @@ from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import split_rows
 from objectfolder.sound.fem.certainty import solver_warning, uncertainty_warning
 from objectfolder.sound.fem.elements import solid_from_arrays
-from objectfolder.sound.fem.modal import (
-    refined_analysis,
-    shape_points,
-    solved_band,
-)
+from objectfolder.sound.fem.modal import refined_analysis, shape_points, solved_band
 from objectfolder.sound.fem.reuse import Request, problem_digest, rescaled, solution_record
 from objectfolder.sound.fem.settings import ModalConfig
 from objectfolder.workspace.code_digests import code_digest
