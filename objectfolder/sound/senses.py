@@ -41,19 +41,8 @@ class ModalNet(Protocol):
 
 
 def sound_sense(stored: StoredNet) -> SoundSense:
-    """Load an audio net. The code of a kind is imported when a file holds it."""
-    if stored.kind == "gains":
-        from objectfolder.sound.gains_net import GainsNet
-
-        return ModalSense(stored.load(GainsNet), stored)
-    if stored.kind == "spectrogram":
-        from objectfolder.sound.spectrogram_net import SpectrogramNet
-
-        return SpectrogramSense(stored.load(SpectrogramNet), stored)
-    from objectfolder.stored.released import released_net
-
-    net = stored.load(released_net(stored.kind))
-    return ModalSense(net, stored) if stored.kind == "released_gains" else SpectrogramSense(net, stored)
+    """Load an audio net."""
+    return SENSES[stored.answers](stored)
 
 
 class ModalSense(SoundSense):
@@ -61,8 +50,8 @@ class ModalSense(SoundSense):
 
     has_modes = True
 
-    def __init__(self, net: ModalNet, stored: StoredNet):
-        self.net = net
+    def __init__(self, stored: StoredNet):
+        self.net: ModalNet = stored.load()
         self._stored, self._surface = stored, stored.surface
         self._banks: Recent[tuple[Tuning, Bank]] = Recent(_BANKS)
         self._said: set[str] = set()
@@ -309,8 +298,8 @@ class SpectrogramSense(SoundSense):
 
     has_modes = False
 
-    def __init__(self, net: SpectralNet, stored: StoredNet):
-        self.net = net
+    def __init__(self, stored: StoredNet):
+        self.net: SpectralNet = stored.load()
         self._key, self._surface = stored.key, stored.surface
 
     @property
@@ -382,3 +371,10 @@ def finite_sounds(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
             "the sound is linear in them: scale them down"
         )
     return sounds
+
+
+#: By what a net answers.
+SENSES: dict[str, type[ModalSense | SpectrogramSense]] = {
+    "modes": ModalSense,
+    "spectrograms": SpectrogramSense,
+}
