@@ -235,9 +235,9 @@ def _spell(node: ast.AST, words: list[str]) -> None:
 
 def _files(module: str, root: str | Path = ".") -> list[str]:
     """Return the module's file and the ``__init__.py`` of every package above it, or files of a pattern."""
-    *folders, last = parts = module.split(".")
-    if "*" in last:
-        folder = "/".join(folders)
-        return sorted(f"{folder}/{file.name}" for file in located(folder, root).glob(f"{last}.py"))
+    parts = module.split(".")
     names = ["/".join((*parts[:i], "__init__.py")) for i in range(1, len(parts) + 1)]
-    return [name for name in (*names, "/".join(parts) + ".py") if located(name, root).is_file()]
+    folder = "/".join(parts[:-1])
+    found = sorted(located(folder, root).glob(f"{parts[-1]}.py")) if "*" in parts[-1] else []
+    names += [f"{folder}/{file.name}" for file in found] or ["/".join(parts) + ".py"]
+    return [name for name in names if located(name, root).is_file()]

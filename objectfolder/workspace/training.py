@@ -1,5 +1,6 @@
 """Training of an object's nets, whatever their kind."""
 
+import json
 from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
@@ -46,7 +47,12 @@ def train_net(
     tensors, header = net.to_tensors()
     kind = getattr(net, "kind", settings.net)
     described = {"kind": kind, "net": header, **described}
-    require_valid(described, import_module(type(net).__module__).KINDS[kind].schema, key, (part,))
+    require_valid(
+        json.loads(json.dumps(described)),
+        import_module(type(net).__module__).KINDS[kind].schema,
+        key,
+        (part,),
+    )
     write_safetensors(build.net(part), tensors, described)
     write_curve(build.curve(part), curve)
     build.checkpoint(part).unlink(missing_ok=True)
