@@ -30,9 +30,9 @@ from objectfolder.sound.released_gains import ReleasedGains
 from objectfolder.sound.released_spectrogram import ReleasedSpectrogram
 from objectfolder.stored.header import checked_name, format_name
 from objectfolder.touch.profiles import SensorProfile, load_profile
-from objectfolder.touch.released_net import DEPTH_SIZE, ReleasedDepth, ReleasedImage
+from objectfolder.touch.released_images import DEPTH_SIZE, ReleasedDepth, ReleasedImage
 from objectfolder.vision.released_kilo import ReleasedKilo
-from objectfolder.vision.released_net import ReleasedNerf
+from objectfolder.vision.released_nerf import ReleasedNerf
 from objectfolder.workspace.layout import MODALITIES
 
 SENSOR = "gelsight_r15"  #: default sensor that renders images from the depth maps of 2.0

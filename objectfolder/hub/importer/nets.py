@@ -13,10 +13,10 @@ from objectfolder.nets.released_network import Frame, ReleasedNetwork, build_net
 from objectfolder.sound.released_gains import ReleasedGains
 from objectfolder.sound.released_spectrogram import AXES, NEIGHBOURS, ReleasedSpectrogram
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.released_net import APEX, DEPTH_SIZE, DEPTHS, PIXEL, ReleasedDepth, ReleasedImage
+from objectfolder.touch.released_images import APEX, DEPTH_SIZE, DEPTHS, PIXEL, ReleasedDepth, ReleasedImage
 from objectfolder.vision.osf_net import ScatteringFunction
 from objectfolder.vision.released_kilo import MARGIN, MAX_CELLS, ReleasedKilo
-from objectfolder.vision.released_net import MAX_SAMPLES, March, ReleasedNerf, build_scattering
+from objectfolder.vision.released_nerf import MAX_SAMPLES, March, ReleasedNerf, build_scattering
 
 DEPTH = 8  #: default number of hidden layers
 MAX_MODES = 1 << 16
