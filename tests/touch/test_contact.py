@@ -77,12 +77,6 @@ def test_normal_turns_gradually_across_an_edge():
     assert degrees_between(found[1:], found[:-1]).max() < 3
 
 
-def test_normals_do_not_depend_on_the_batch():
-    n = units(40)
-    whole = contact_normals(box_distance, n, 0.2)
-    np.testing.assert_array_equal(contact_normals(box_distance, n[7:8], 0.2), whole[7:8])
-
-
 def test_point_without_a_direction_is_an_error():
     with pytest.raises(ObjectFolderError, match="no contact normal"):
         contact_normals(box_distance, np.zeros((1, 3)), 0.1)

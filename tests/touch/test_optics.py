@@ -20,11 +20,6 @@ def bump(profile, row=80, column=60, height=1e-3, width=6.0):
     return height * torch.exp(-(rows**2 + columns**2) / (2 * width**2))[None]
 
 
-def test_untouched_gel_shows_the_background(digit, optics):
-    still = torch.zeros(2, digit.height, digit.width)
-    assert torch.equal(optics.render(still), optics.background.expand(2, -1, -1, -1))
-
-
 def test_background_is_smooth_and_reproducible(digit, optics):
     assert torch.equal(Optics(digit).background, optics.background)
     values = optics.background.int()
@@ -177,13 +172,6 @@ def test_image_is_that_of_its_own_window_alone(digit, optics):
     far[0, [0, -1]] = far[0, :, [0, -1]] = 1e-4
     near = np.s_[:, :, 15:-15, 15:-15]
     torch.testing.assert_close(optics.change(far)[near], optics.change(moved)[near], rtol=0, atol=1e-4)
-
-
-def test_background_can_be_replaced(digit):
-    optics = Optics(digit)
-    optics.background = torch.full((digit.height, digit.width, 3), 77, dtype=torch.uint8)
-    still = torch.zeros(1, digit.height, digit.width)
-    assert optics.render(still).unique().tolist() == [77]
 
 
 def test_blur_keeps_constants_and_has_its_variance():

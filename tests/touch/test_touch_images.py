@@ -1,4 +1,3 @@
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -48,18 +47,6 @@ def test_rows_depend_on_neither_the_batch_nor_the_optics(contacts, batch, digit,
     np.testing.assert_array_equal(images, batch[0][np.array(rows, int)])
     for name, whole in vars(batch[1]).items():
         np.testing.assert_array_equal(getattr(found, name), whole[np.array(rows, int)])
-
-
-def test_threads_get_the_same_bits(contacts, batch, digit, optics):
-    block, *contact = contacts
-
-    def row(i):
-        return touch_images(block, *(c[i : i + 1] for c in contact), digit, optics)
-
-    with ThreadPoolExecutor(4) as pool:
-        for i, (images, found) in zip(4 * list(range(9)), pool.map(row, 4 * list(range(9)))):
-            np.testing.assert_array_equal(images[0], batch[0][i])
-            np.testing.assert_array_equal(found.pressure[0], batch[1].pressure[i])
 
 
 def test_deeper_press_makes_a_larger_contact(ball, digit, optics):

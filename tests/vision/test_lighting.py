@@ -210,11 +210,8 @@ def test_an_environment_is_read_from_disk(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({}, "there is no light; give light, lights or environment"),
-        ({"lights": []}, "there is no light"),
-        ({"lights": "sun"}, "lights is 'sun', expected 'studio'"),
+        ({"lights": []}, "there is no light; give light, lights or environment"),
         ({"lights": [[0, 0, 1]]}, "expected PointLight or DistantLight"),
-        ({"environment": np.zeros((4, 8, 3))}, "environment is black"),
         ({"environment": -np.ones((4, 8, 3))}, "negative or not finite"),
         (
             {"environment": np.full((4, 8, 3), 1e308)},
@@ -262,9 +259,3 @@ def test_the_brightest_lights_give_a_finite_picture(brick):
     assert np.isfinite(seen.rgba).all()
     assert np.isfinite(seen.rgb).all()
     assert seen.rgba.max() > 1e9
-
-
-def test_the_way_to_a_light_is_from_the_point_to_the_light():
-    points = torch.tensor([[0.0, 0, 0], [1, 2, 3]])
-    np.testing.assert_allclose(toward(torch.tensor([1.0, 0, 0]), points), [[1, 0, 0], [0, -2, -3]])
-    np.testing.assert_allclose(toward(torch.tensor([0.0, 0, 1, 0]), points), [[0, 0, 1], [0, 0, 1]])

@@ -100,15 +100,6 @@ def test_radiance_of_fog_is_the_integral_of_what_each_point_scatters():
         np.testing.assert_allclose(rgba[ray, :3], exact, rtol=3e-3, atol=1e-6)
 
 
-def test_light_falls_off_with_the_distance_squared():
-    intrinsics = Intrinsics.square(8)
-    lights = (np.array([d, 0, 0]) for d in (200.0, 400.0))
-    near, far = (fog(2.0).picture(POSE, light, intrinsics).rgba[..., :3] for light in lights)
-    seen = near > 0
-    assert seen.any()
-    np.testing.assert_allclose(near[seen] / far[seen], 4, rtol=0.02)
-
-
 def test_depth_of_an_opaque_cube_is_its_face_whatever_the_pixel():
     """Along the optical axis: a plane that faces the camera has one depth."""
     intrinsics = Intrinsics.square(24)
