@@ -97,7 +97,7 @@ def test_weights_that_overflow_are_damage(brick):
     file, view = ObjectFile(brick.header, {**brick.tensors, **tensors}), ([1.5, 1.0, 1.0], [0.5, 0.5, 0.9], 8)
     for question, asked in ((file.view, view), (file.render, view), (file.mode_shapes, [[[0, 0, 0.015]]])):
         with pytest.raises(ObjectFolderError, match="is damaged: it gives values that are not finite"):
-            question(*given)
+            question(*asked)
 
 
 @pytest.mark.slow

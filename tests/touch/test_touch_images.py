@@ -103,9 +103,8 @@ def test_turning_the_sensor_turns_the_imprint(digit):
     rod = caster(trimesh.creation.cylinder(0.004, 0.06, sections=256))
     x = np.array([[1.0, 0, 0]])
     angles = np.array([0, np.pi, np.pi / 2])
-    imprint = press(
-        rod, np.repeat(0.004 * x, 3, 0), np.repeat(x, 3, 0), angles, np.full(3, 1e-3), digit
-    ).displacement
+    axes = np.repeat(x, 3, 0)
+    imprint = press(rod, 0.004 * axes, axes, angles, np.full(3, 1e-3), digit).displacement
     np.testing.assert_allclose(imprint[1], imprint[0, ::-1, ::-1], atol=2e-5)
     square = imprint[:, 20:140]
     np.testing.assert_allclose(np.rot90(square[0], -1)[30:90, 30:90], square[2][30:90, 30:90], atol=3e-5)
