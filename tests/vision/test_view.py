@@ -38,10 +38,8 @@ def exact_coverage(caster, pose, intrinsics, fine):
     """Share of each pixel's ``fine`` x ``fine`` rays that hit."""
     height, width = intrinsics.height, intrinsics.width
     rows, columns = (np.mgrid[: height * fine, : width * fine] + 0.5) / fine
-    hit = (
-        caster.first_hit(*camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1)))[1] >= 0
-    )
-    return hit.reshape(height, fine, width, fine).mean((1, 3))
+    _, face = caster.first_hit(*camera_rays(pose, intrinsics, np.stack([columns.ravel(), rows.ravel()], 1)))
+    return (face >= 0).reshape(height, fine, width, fine).mean((1, 3))
 
 
 @pytest.mark.parametrize("position", [(2.5, 0, 0), (0.4, -1.6, 1.9), (0, 0, 2.5)])
