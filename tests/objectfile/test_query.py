@@ -159,15 +159,15 @@ NO_MOTIONS = [
     (POSE + np.eye(4)[3][:, None] * 0.01, "last row must be"),
     (np.where(np.eye(4) > 0, np.nan, POSE), "last row must be|orthogonal"),
 ]
-TOO_FAR = "row 0 is at .*coordinates of at most 1000"  # for single precision
+TOO_FAR = "row 0 is .*coordinates of at most 1000"  # for single precision
 NONSENSE = [
     (np.zeros((2, 4)), [1, 0, 0], r"camera has shape \(2, 4\), expected \(N, 3\) or \(N, 4, 4\)"),
     (np.zeros(4), [1, 0, 0], "camera has shape"),
     (3.0, [1, 0, 0], "camera has shape"),
     (np.zeros((2, 3, 4)), [1, 0, 0], "camera has shape"),
-    ([[0, 0, 0]], [1, 0, 0], r"camera: row 0 is at \[0.0, 0.0, 0.0\], .* away from the point"),
+    ([[0, 0, 0]], [1, 0, 0], r"camera: row 0 is \[0.0, 0.0, 0.0\], .* away from the point"),
     ([[np.nan, 0, 1]], [1, 0, 0], "finite"),
-    (np.full((1, 4, 4), np.inf), [1, 0, 0], "camera: row 0 is at .*inf.*expected finite coordinates"),
+    (np.full((1, 4, 4), np.inf), [1, 0, 0], "camera: row 0 is .*inf.*expected finite coordinates"),
     ([[2, 0, 0]], [1, 0], r"light has shape \(2,\), expected \(N, 3\)"),
     ([[2, 0, 0]], [np.nan, 0, 0], r"light: row 0 is \[nan"),
     ([[2, 0, 0]] * 3, np.ones((2, 3)), "camera has 3 rows, light 2"),

@@ -81,7 +81,7 @@ def test_sphere_points_are_uniform(rng):
 
 @pytest.mark.parametrize("position", [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0]])
 def test_a_camera_at_its_target_or_nowhere_is_refused(position):
-    named = f"camera: row 1 is at {np.array(position, float).tolist()}, expected a place that is finite"
+    named = f"camera: row 1 is {np.array(position, float).tolist()}, expected a place that is finite"
     with pytest.raises(ObjectFolderError, match=re.escape(named)):
         look_at(np.array([[2, 1, 1], position]))
 
