@@ -69,6 +69,18 @@ def real_array(name: str, values: Any) -> np.ndarray:
         raise ObjectFolderError(f"{name} is not an array of numbers: {error}") from error
 
 
+def refuse_rows(name: str, wrong: np.ndarray, values: np.ndarray, expected: str) -> None:
+    """Raise ObjectFolderError about the first of N rows that is wrong, if any is.
+
+    The message goes on after its value, one of numbers (N,) or rows (N, K), with ``expected``.
+    """
+    rows = np.flatnonzero(wrong)
+    if len(rows):
+        value = values[rows[0]]
+        shown = value.tolist() if np.ndim(value) else f"{value:g}"
+        raise ObjectFolderError(f"{name}: row {rows[0]} is {shown}{expected}")
+
+
 def holds_tensors(values: object) -> bool:
     """Return whether they are a list, also of lists, that holds a tensor."""
     return isinstance(values, list | tuple) and any(
