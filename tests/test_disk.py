@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 from disks import small_disk
+from refusals import refused
 
 from objectfolder.base.disk import new_folder, refuse_links
-from objectfolder.base.errors import ObjectFolderError
 
 
 def folder(out, needed=1):
@@ -70,8 +70,7 @@ def test_what_is_there_stays(tmp_path, what, late):
 
     if not late:
         IN_THE_WAY[what](out)
-    with pytest.raises(ObjectFolderError, match="out exists already: choose another name, or delete it"):
-        write()
+    refused("out exists already: choose another name, or delete it", write)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "theirs"]
     assert content(tmp_path) == ({"out": "mine"} if what == "file" else {})
 
@@ -106,8 +105,7 @@ def test_of_two_writers_one_wins_and_nothing_is_mixed(tmp_path, order):
     for name in "ab":
         writers[name].__enter__()
     assert not writers[order[0]].__exit__(None, None, None)
-    with pytest.raises(ObjectFolderError, match="out exists already"):
-        writers[order[1]].__exit__(None, None, None)
+    refused("out exists already", writers[order[1]].__exit__, None, None, None)
     assert content(tmp_path) == {"out/1": order[0], "out/2": order[0]}
 
 
@@ -182,8 +180,7 @@ def test_a_disk_that_fills_up_names_the_file(tmp_path, fail):
     words = (
         rf"a release: no space in {tmp_path}/out to write {tmp_path}/out/sub/second: at least 1 bytes needed"
     )
-    with pytest.raises(ObjectFolderError, match=rf"^{words}, .* make room, or release fewer objects$"):
-        failing()
+    refused(rf"^{words}, .* make room, or release fewer objects$", failing)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -197,8 +194,7 @@ def test_a_small_disk_names_the_file(tmp_path):
             shutil.copyfile(tmp_path / "big", new / "large")
 
     with small_disk(place, "100k"):
-        with pytest.raises(ObjectFolderError, match=rf"no space in {place}/out to write {place}/out/large: "):
-            failing()
+        refused(rf"no space in {place}/out to write {place}/out/large: ", failing)
         assert list(place.iterdir()) == []
 
 
@@ -207,5 +203,4 @@ def test_links_below_a_folder_are_refused(tmp_path):
     (tmp_path / "top").symlink_to("real")  # of the user
     refuse_links(tmp_path / "top/a/b", tmp_path / "top")
     (tmp_path / "real/a").symlink_to("/tmp")
-    with pytest.raises(ObjectFolderError, match="top/a is a link, expected a folder"):
-        refuse_links(tmp_path / "top/a/b", tmp_path / "top")
+    refused("top/a is a link, expected a folder", refuse_links, tmp_path / "top/a/b", tmp_path / "top")

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from PIL import Image
+from refusals import refused
 from rich.console import Console
 
 from objectfolder.base.arrays import read_npz, read_safetensors, write_npz, write_png, write_safetensors
@@ -469,10 +470,8 @@ def test_scores_have_their_units(name, value, shown):
 
 
 def test_unknown_stage_names_the_close_ones(tmp_path):
-    with pytest.raises(ObjectFolderError, match="'modl'; did you mean modal"):
-        inspect_stage("modl", "brick", tmp_path)
-    with pytest.raises(ObjectFolderError, match="expected one of normalize, voxelize"):
-        inspect_stage("xyz", "brick", tmp_path)
+    refused("'modl'; did you mean modal", inspect_stage, "modl", "brick", tmp_path)
+    refused("expected one of normalize, voxelize", inspect_stage, "xyz", "brick", tmp_path)
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -483,10 +482,8 @@ def test_missing_artifact_says_what_to_build(tmp_path, stage):
 
 
 def test_bad_key_and_vtu_of_another_stage(tmp_path):
-    with pytest.raises(ObjectFolderError, match="not a valid object key"):
-        inspect_stage("modal", "../brick", tmp_path)
-    with pytest.raises(ObjectFolderError, match="inspect voxelize@brick --vtu"):
-        inspect_stage("modal", "brick", tmp_path, vtu=True)
+    refused("not a valid object key", inspect_stage, "modal", "../brick", tmp_path)
+    refused("inspect voxelize@brick --vtu", inspect_stage, "modal", "brick", tmp_path, vtu=True)
 
 
 @pytest.mark.slow
@@ -505,8 +502,7 @@ def test_without_opengl_the_error_says_what_to_install():
 
 def test_without_pyvista_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyvista", None)
-    with pytest.raises(ObjectFolderError, match=r"pyvista is not installed; .*\[inspect\]"):
-        triangles(np.eye(3), np.array([[0, 1, 2]]))
+    refused(r"pyvista is not installed; .*\[inspect\]", triangles, np.eye(3), np.array([[0, 1, 2]]))
 
 
 def test_print_keeps_brackets(capsys):

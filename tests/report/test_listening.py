@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
@@ -76,15 +77,13 @@ def test_a_study_loads_nothing_and_is_repeatable(folders):
 
 
 def test_too_few_pairs_are_refused(folders):
-    with pytest.raises(ObjectFolderError, match=r"have 12 sounds of the same name, expected 16"):
-        study_page(*folders)
+    refused(r"have 12 sounds of the same name, expected 16", study_page, *folders)
 
 
 def test_silence_is_refused(folders, tmp_path):
     shutil.copytree(folders[0], tmp_path / "silent")
     soundfile.write(tmp_path / "silent" / "wood_2.wav", np.zeros(1000), 16000)
-    with pytest.raises(ObjectFolderError, match=r"wood_2\.wav is silent in its first 10 s"):
-        study_page(tmp_path / "silent", folders[1], pairs=12)
+    refused(r"wood_2\.wav is silent in its first 10 s", study_page, tmp_path / "silent", folders[1], pairs=12)
 
 
 @pytest.fixture
@@ -133,18 +132,14 @@ def test_levels_at_the_limits_of_floats_are_matched(one_pair, level):
 
 def test_sounds_that_begin_late_are_told_from_broken_ones(one_pair):
     late = np.concatenate([np.zeros(106000), ring(10000, 0.5, 0)])
-    with pytest.raises(
-        ObjectFolderError, match=r"wood_1\.wav is silent in its first 10 s, expected a sound; remove"
-    ):
-        one_pair(late, 10000)
+    refused(r"wood_1\.wav is silent in its first 10 s, expected a sound; remove", one_pair, late, 10000)
     assert np.abs(one_pair(late[6100:], 10000)[0]).max() > 0.1
     with pytest.raises(ObjectFolderError, match=r"wood_1\.wav holds values that are not finite"):
         one_pair(np.where(np.arange(10000) == 7, np.nan, ring(10000, 0.5, 0)), 10000)
 
 
 def test_a_folder_twice_is_refused(folders):
-    with pytest.raises(ObjectFolderError, match="have the same name"):
-        study_page(folders[0], folders[0])
+    refused("have the same name", study_page, folders[0], folders[0])
 
 
 @pytest.mark.parametrize(("chosen", "answers"), [(0, 10), (67, 160), (160, 160)])
@@ -227,8 +222,7 @@ RIGHT = "s,1,1,wood_1,wood,ours,recorded,ours,ours"
 def test_answers_that_contradict_are_refused_by_line(tmp_path, lines, message):
     path = tmp_path / "x.csv"
     path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-    with pytest.raises(ObjectFolderError, match=f"{re.escape(str(path))}.*{message}"):
-        preferences([path])
+    refused(f"{re.escape(str(path))}.*{message}", preferences, [path])
 
 
 def test_answers_are_those_of_the_page(folders, tmp_path, capsys):
@@ -245,8 +239,7 @@ def test_answers_are_those_of_the_page(folders, tmp_path, capsys):
         (f"{one},1,12,wood_2,wood,ours,recorded,ours,recorded", "ours first, expected"),
     ):
         path.write_text(f"{HEAD}\n{line}\n", encoding="utf-8")
-        with pytest.raises(ObjectFolderError, match=message):
-            preferences([path], page)
+        refused(message, preferences, [path], page)
     path.write_text(f"{HEAD}\n{right}\n", encoding="utf-8")
     app(["listening", "score", str(path), "--study", str(page)], standalone_mode=False)
     assert "100%" in capsys.readouterr().out
@@ -259,10 +252,8 @@ def test_answers_are_those_of_the_page(folders, tmp_path, capsys):
     ):
         tag = "" if held is None else f'<script type="application/json" id="study">{held}</script>'
         page.write_text(tag, encoding="utf-8")
-        with pytest.raises(ObjectFolderError, match=message):
-            preferences([path], page)
-    with pytest.raises(ObjectFolderError, match="cannot be read as a page of a study"):
-        preferences([path], tmp_path / "no.html")
+        refused(message, preferences, [path], page)
+    refused("cannot be read as a page of a study", preferences, [path], tmp_path / "no.html")
 
 
 @pytest.mark.parametrize(
@@ -276,24 +267,19 @@ def test_answers_are_those_of_the_page(folders, tmp_path, capsys):
     ],
 )
 def test_numbers_of_a_study_are_checked(folders, change, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        study_page(*folders, **change)
+    refused(message, study_page, *folders, **change)
 
 
 def test_answers_of_different_studies_are_refused(tmp_path):
     row = [("1", "wood_1", ("ours", "recorded"), "ours")]
     paths = [saved(tmp_path / f"{name}.csv", row, name) for name in "st"]
-    with pytest.raises(ObjectFolderError, match="are of different studies"):
-        preferences(paths)
+    refused("are of different studies", preferences, paths)
 
 
 def test_one_listener_who_answers_in_two_ways_is_refused(tmp_path):
     sides = ("ours", "recorded")
     paths = [saved(tmp_path / f"{chosen}.csv", [("1", "wood_1", sides, chosen)]) for chosen in sides]
-    with pytest.raises(
-        ObjectFolderError, match=r"ours\.csv and .*recorded\.csv: listener 1 answers pair wood_1 in two ways"
-    ):
-        preferences(paths)
+    refused(r"ours\.csv and .*recorded\.csv: listener 1 answers pair wood_1 in two ways", preferences, paths)
     assert preferences(paths[:1] * 2).total == Preference(1, 1)
 
 

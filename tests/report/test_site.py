@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 from PIL import Image
+from refusals import refused
 
 from objectfolder.base.arrays import read_npz, write_npz
 from objectfolder.base.errors import ObjectFolderError
@@ -299,8 +300,7 @@ def test_a_site_is_written_whole_or_not_at_all(three, tmp_path):
     site = tmp_path / "site"
     write_site(three[:1], site)
     before = {path: path.read_bytes() for path in site.rglob("*") if path.is_file()}
-    with pytest.raises(ObjectFolderError, match="neither an Object File"):
-        write_site(three[::-1], site)
+    refused("neither an Object File", write_site, three[::-1], site)
     assert {path: path.read_bytes() for path in site.rglob("*") if path.is_file()} == before
 
 
@@ -399,8 +399,7 @@ def test_report_reports_on_a_workspace(workspace, tmp_path, monkeypatch, capsys)
 def test_report_says_that_nothing_is_built(tmp_path, monkeypatch):
     shutil.copy(Path(__file__).parents[2] / "params.yaml", tmp_path)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ObjectFolderError, match=r"no object of params\.yaml is built"):
-        app(["report", "--no-open"], standalone_mode=False)
+    refused(r"no object of params\.yaml is built", app, ["report", "--no-open"], standalone_mode=False)
 
 
 @pytest.mark.slow

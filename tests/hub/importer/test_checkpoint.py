@@ -11,6 +11,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from objectfolder.base.arrays import torch_problem
 from objectfolder.base.errors import ObjectFolderError
@@ -82,8 +83,7 @@ class Evaluate(Touch):
 def test_pickled_calls_are_never_run(tmp_path, attack, zipped):
     trace = tmp_path / "trace"
     path = save(tmp_path / "file.pth", {"VisionNet": attack(trace)}, zipped)
-    with pytest.raises(ObjectFolderError, match=r"it names \S+, which is never run"):
-        read_released(path)
+    refused(r"it names \S+, which is never run", read_released, path)
     assert not trace.exists()
     torch.load(path, weights_only=False)  # it would have
     assert trace.exists()
@@ -92,8 +92,7 @@ def test_pickled_calls_are_never_run(tmp_path, attack, zipped):
 def test_a_bare_pickle_is_not_run(tmp_path):
     trace, path = tmp_path / "trace", tmp_path / "file.pth"
     path.write_bytes(pickle.dumps(Evaluate(trace), protocol=2))
-    with pytest.raises(ObjectFolderError, match="not a file of tensors"):
-        read_released(path)
+    refused("not a file of tensors", read_released, path)
     assert not trace.exists()
 
 
@@ -129,8 +128,7 @@ def test_numpy_objects_other_than_numbers_are_refused(tmp_path, zipped):
     """Object arrays hold pickles of their own."""
     for array in (np.array([{"a": 1}], object), np.zeros(2, [("a", "f4")]), np.array(["text"])):
         path = save(tmp_path / "file.pth", {"a": array}, zipped)
-        with pytest.raises(ObjectFolderError, match="not a file of tensors and numbers"):
-            read_released(path)
+        refused("not a file of tensors and numbers", read_released, path)
 
 
 def test_what_is_read_does_not_outlive_the_reading(tmp_path):
@@ -153,8 +151,7 @@ def test_tensors_larger_than_the_file_are_refused(tmp_path):
         lambda: part.numbers("c", 1000, 100),
         lambda: part.numbers("a", 10**6, 10**6),
     ):
-        with pytest.raises(ObjectFolderError, match=r"file.pth: [abc] is "):
-            ask()
+        refused(r"file.pth: [abc] is ", ask)
 
 
 def test_compressed_archives_are_refused(tmp_path):
@@ -162,20 +159,16 @@ def test_compressed_archives_are_refused(tmp_path):
     with zipfile.ZipFile(path) as source, zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as target:
         for entry in source.infolist():
             target.writestr(entry.filename, source.read(entry))
-    with pytest.raises(ObjectFolderError, match="compressed"):
-        read_released(packed)
+    refused("compressed", read_released, packed)
 
 
 def test_files_that_are_none_are_errors(tmp_path):
     for name, data in {"empty": b"", "text": b"hello " * 100, "zip": b"PK\x03\x04" + bytes(100)}.items():
         path = tmp_path / name
         path.write_bytes(data)
-        with pytest.raises(ObjectFolderError, match=name):
-            read_released(path)
-    with pytest.raises(ObjectFolderError, match="does not exist"):
-        read_released(tmp_path / "none")
-    with pytest.raises(ObjectFolderError, match="holds a tensor of float32"):
-        read_released(save(tmp_path / "tensor", torch.zeros(2)))
+        refused(name, read_released, path)
+    refused("does not exist", read_released, tmp_path / "none")
+    refused("holds a tensor of float32", read_released, save(tmp_path / "tensor", torch.zeros(2)))
 
 
 def test_a_folder_is_said_to_be_one(tmp_path):
@@ -209,8 +202,7 @@ def test_errors_name_the_key_and_what_is_there(tmp_path):
         (lambda: part.tensor("sparse", 2, 2), r"a\.sparse is a tensor"),
         (lambda: part.part("sparse"), r"a\.sparse is a tensor of float32, shape .*; expected a dictionary"),
     ):
-        with pytest.raises(ObjectFolderError, match=message):
-            ask()
+        refused(message, ask)
 
 
 @cache  # the older format names tensors by their addresses, whose lengths differ

@@ -7,8 +7,8 @@ import re
 import pytest
 from hostile import CONTROLS, WORDS
 from markdown_it import MarkdownIt
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.text import visible
 from objectfolder.base.yamlfile import read_yaml
 from objectfolder.hub.release.croissant import croissant
@@ -112,19 +112,14 @@ def test_a_notice_is_read_without_control_characters(tmp_path, text):
 def test_a_notice_is_short_and_no_link_to_a_private_file(tmp_path):
     home = tmp_path / "cup"
     home.mkdir()
-    with pytest.raises(ObjectFolderError, match="its licence has 1001 characters, expected at most 1000"):
-        read_notice(mesh(home, "l" * 1001))
+    refused("its licence has 1001 characters, expected at most 1000", read_notice, mesh(home, "l" * 1001))
     (home / "SOURCE.txt").write_text("a" * (MAX_NOTICE + 1))
-    with pytest.raises(ObjectFolderError, match="has more than 65,536 bytes, expected a notice"):
-        read_notice(home / "mesh.glb")
+    refused("has more than 65,536 bytes, expected a notice", read_notice, home / "mesh.glb")
     (home / "SOURCE.txt").unlink()
     secret = tmp_path / "id_rsa"
     secret.write_text("Licence: secret")
     (home / "SOURCE.txt").symlink_to(secret)
-    with pytest.raises(
-        ObjectFolderError, match=r"SOURCE\.txt is a link to .*id_rsa, expected a file of its own"
-    ):
-        read_notice(home / "mesh.glb")
+    refused(r"SOURCE\.txt is a link to .*id_rsa, expected a file of its own", read_notice, home / "mesh.glb")
     cached = tmp_path / ".dvc/cache/files/md5/ab/cdef"  # with cache.type symlink
     cached.parent.mkdir(parents=True)
     secret.rename(cached)
