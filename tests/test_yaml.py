@@ -71,14 +71,13 @@ def test_bombs_are_refused_at_once_and_shortly(path, reader, text, message):
     assert len(error) < 300 + len(str(path))
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["a: 1\na: 2", "a: 2001-99-99", "a: !!int x", "a: [", "a: !foo 1", "? {a: 1}\n: 2", "a: *b", "\xff"],
-)
+BROKEN = ["a: 1\na: 2", "a: 2001-99-99", "a: !!int x", "a: [", "a: !foo 1", "? {a: 1}\n: 2", "a: *b", "\xff"]
+
+
+@pytest.mark.parametrize("text", BROKEN)
 def test_what_cannot_be_loaded_is_said_in_one_line(path, text):
     path.write_text(text, encoding="latin-1")
-    error = refused(r"params\.yaml.* is not valid YAML: .*correct it", read_yaml, path)
-    assert "\n" not in error
+    assert "\n" not in refused(r"params\.yaml.* is not valid YAML: .*correct it", read_yaml, path)
 
 
 def test_a_key_that_is_there_twice_is_named_with_its_line(path):
@@ -107,5 +106,4 @@ def test_values_in_messages_are_short():
 def test_a_long_value_of_a_wrong_parameter_is_shortened(path):
     path.write_text(f"objects: {{a: {{mesh: {'m' * 1900}}}}}\nprocedural: {{}}\n")
     values = params.read(path)
-    error = refused(r"objects\.a: material", params.object_entry, "a", values, path)
-    assert len(error) < 1000
+    assert len(refused(r"objects\.a: material", params.object_entry, "a", values, path)) < 1000

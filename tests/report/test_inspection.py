@@ -157,12 +157,10 @@ def _rows(root, stage):
     return dict(_inspected(root, stage).rows)
 
 
-SLOW = [pytest.param(stage, marks=pytest.mark.slow) for stage in ("radiation", "voxelize")]
+SLOW = {stage: pytest.param(stage, marks=pytest.mark.slow) for stage in ("radiation", "voxelize")}
 
 
-@pytest.mark.parametrize(
-    "stage", [*(stage for stage in STAGES if stage not in ("radiation", "voxelize")), *SLOW]
-)
+@pytest.mark.parametrize("stage", [SLOW.get(stage, stage) for stage in STAGES])
 def test_pictures_show_something_and_nothing_declared_changes(root, build, stage):
     before = {name: held for name, held in contents(root).items() if "/inspect/" not in name}
     inspection = _inspected(root, stage)
@@ -388,9 +386,8 @@ def copied_net(source, folder, modality, curve):
 
 @pytest.mark.parametrize(("losses", "scale"), [((2e-6, 1.9e-6), "linear"), ((0.5, 0.01), "log")])
 def test_a_curve_is_drawn_from_zero_unless_it_falls_by_a_decade(tmp_path, build, monkeypatch, losses, scale):
-    copied_net(
-        build, tmp_path, "touch", [CurvePoint(n + 1, loss, loss, 1.0) for n, loss in enumerate(losses)]
-    )
+    curve = [CurvePoint(n + 1, loss, loss, 1.0) for n, loss in enumerate(losses)]
+    copied_net(build, tmp_path, "touch", curve)
     (axes,) = drawn(monkeypatch, inspect_nets, tmp_path, "train_touch").findobj(Axes)
     assert axes.get_yscale() == scale
     assert (axes.get_ylim()[0] == 0) == (scale == "linear")

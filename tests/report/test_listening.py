@@ -131,11 +131,10 @@ def test_the_interval_is_wilsons(chosen, answers):
 
 
 def saved(path, rows, study="s"):
-    lines = [
-        [study, who, pair, pair.partition("_")[0], *sides, chosen, "ours"]
-        for who, pair, sides, chosen in rows
-    ]
-    path.write_text("\n".join(",".join(line) for line in [COLUMNS, *lines]) + "\n")
+    lines = [COLUMNS]
+    for listener, pair, sides, chosen in rows:
+        lines.append((study, listener, pair, pair.partition("_")[0], *sides, chosen, "ours"))
+    path.write_text("".join(",".join(line) + "\n" for line in lines))
     return path
 
 

@@ -14,10 +14,8 @@ import soundfile
 from PIL import Image
 
 VIEWER = Path(__file__).parents[2] / "viewer"
-_MISSING = (
-    shutil.which("node") is None or not (VIEWER / "node_modules").exists() or not shutil.which("chromium")
-)
-NEEDS_CHROMIUM = pytest.mark.skipif(_MISSING, reason="needs node, `npm ci` in viewer/ and Chromium")
+_FOUND = shutil.which("node") and shutil.which("chromium") and (VIEWER / "node_modules").exists()
+NEEDS_CHROMIUM = pytest.mark.skipif(not _FOUND, reason="needs node, `npm ci` in viewer/ and Chromium")
 
 
 def run_node(script, *arguments):
