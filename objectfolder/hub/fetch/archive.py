@@ -82,9 +82,8 @@ class _Budget:
         self.members += 1
         self.bytes += size
         if self.members > self.max_members:
-            raise ObjectFolderError(
-                f"{self.archive} has over {self.max_members} members; expected one object"
-            )
+            many = f"{self.archive} has over {self.max_members} members"
+            raise ObjectFolderError(f"{many}; expected one object")
         if size < 0 or self.bytes > self.max_bytes:
             large = f"the archive unpacks to over {self.max_bytes / 2**20:.0f} MB"
             raise ObjectFolderError(f"{self.archive}: {name}: {large}; refused")

@@ -215,8 +215,8 @@ def _check_size(mesh: Path, bounds: np.ndarray, stored: np.ndarray) -> None:
     if abs(size / expected - 1) > SIZE_MISMATCH:
         what = f"its {'coordinates span' if pair else 'longest side is'} {size:.4g}"
         raise ObjectFolderError(
-            f"{mesh}: {what}, the file's stored bounds say {expected:.4g}; expected a mesh in the coordinates "
-            "of the released file. If it is that, give --scale, its longest side in metres"
+            f"{mesh}: {what}, the file's stored bounds say {expected:.4g}; expected a mesh in the "
+            "coordinates of the released file. If it is that, give --scale, its longest side in metres"
         )
 
 

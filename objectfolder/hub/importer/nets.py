@@ -82,7 +82,7 @@ def trunk(
     width, channels = state.tensor("pts_linears.0.weight", None, None).shape
     octaves = octaves_of(state, "pts_linears.0.weight", channels, inputs)
     order = by_octave(inputs, octaves)
-    tensors = {}
+    tensors: dict[str, torch.Tensor] = {}
     for i in range(depth):
         joined = channels if i == SKIP + 1 and refeed else 0
         name = f"{prefix}hidden.{i}"
@@ -289,7 +289,8 @@ def _sizes(part: ReleasedDict, key: str, limit: int) -> tuple[int, int, int]:
 def image_net(touch: ReleasedDict, frame: Frame, bounds: np.ndarray) -> ReleasedImage:
     """Read a TouchNet of ObjectFolder 1.0; ``bounds`` (2, 3): of the object in the file's coordinates."""
     net = build_network(network(touch.state("model_state_dict"), 5, 3), 5)
-    config = {"frame": frame.to_dict(), "coordinates": [float(bounds.min()), float(bounds.max())]}
+    coordinates = [float(bounds.min()), float(bounds.max())]
+    config: dict[str, Any] = {"frame": frame.to_dict(), "coordinates": coordinates}
     config |= {"press_depth": PRESS_DEPTH, "angle": 0.0, "sensor": "tacto_digit"}
     return ReleasedImage(net, config)
 
