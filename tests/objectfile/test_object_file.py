@@ -177,9 +177,7 @@ def test_a_value_outside_its_range_is_refused_at_once(edit, path, value):
         *places, name = path.split(".")
         reduce(getitem, places, header)[name] = value
 
-    with pytest.raises(
-        ObjectFolderError, match=rf"edited\.safetensors: {path}.*objectfolder\.stored\.kinds"
-    ):
+    with pytest.raises(ObjectFolderError, match=rf"edited\.safetensors: {path}.*objectfolder\.stored\.kinds"):
         edit(change)
 
 
