@@ -14,28 +14,6 @@ from objectfolder.workspace.params import read, settings
 from objectfolder.workspace.stages import BENCHMARKS, check_key, section_config
 
 ROOT = Path(__file__).parents[2]
-ENCODE = {
-    "encoder": "resnet18",
-    "image": 56,
-    "spectrogram": [64, 50],
-    "touch": [64, 48],
-    "subtract": False,
-    "shift": 0,
-    "precision": "float32",
-}
-STABILITY = {
-    "seeds": 1,
-    "sizes": [100, 1000],
-    "epochs": 6,
-    "epoch_grasps": 400,
-    "fusion_epochs": 1,
-    "hidden": 128,
-    "touch": [32, 24],
-    "batch": 32,
-    "learning_rate": 0.001,
-    "weight_decay": 0.01,
-    "patience": 3,
-}
 
 
 @pytest.fixture
@@ -100,9 +78,8 @@ def test_lacking_sections_say_what_to_do(values, section):
 
 
 @pytest.mark.parametrize("sizes", [[], [1, 100], [1000, 100], [100, 100]])
-def test_sizes_ascend(sizes):
-    values = {"seed": 0, "sensor": "digit", "encode": ENCODE, "grasp_stability": STABILITY | {"sizes": sizes}}
+def test_sizes_ascend(values, sizes):
+    assert settings(GraspStabilityConfig, values).sizes == tuple(values["grasp_stability"]["sizes"])
+    values["grasp_stability"]["sizes"] = sizes
     with pytest.raises(ObjectFolderError, match=r"params.yaml: grasp_stability: sizes"):
         settings(GraspStabilityConfig, values)
-    values["grasp_stability"] = STABILITY
-    assert settings(GraspStabilityConfig, values).sizes == (100, 1000)

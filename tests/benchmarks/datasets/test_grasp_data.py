@@ -1,4 +1,5 @@
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -97,25 +98,27 @@ def test_poses_are_enough_to_run_grasps_again(brick, body, collected):
 def test_interrupted_and_threaded_collections_are_the_same(
     brick, body, surface, collected, tmp_path, monkeypatch
 ):
-    class Interrupted(Exception):
-        pass
+    folder = tmp_path / "brick"
+    request = grasp_request(brick, body, WANTED, 0, surface)
 
     def stop(done, total):
-        raise Interrupted
+        raise KeyboardInterrupt
 
-    with pytest.raises(Interrupted):
-        collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, report=stop)
-    assert not (tmp_path / "brick" / "record.json").exists()
-    assert not is_collected(grasp_request(brick, body, WANTED, 0, surface), tmp_path / "brick")
-    tried = []
-    first = grasp_data.label_grasps
+    with pytest.raises(KeyboardInterrupt):
+        collect_grasps(brick, body, WANTED, 0, folder, surface, report=stop)
+    assert not (folder / "record.json").exists()
+    assert not is_collected(request, folder)
+    tried, first = [], grasp_data.label_grasps
     monkeypatch.setattr(grasp_data, "label_grasps", lambda *args: tried.append(0) or first(*args))
-    collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, threads=2)
-    assert contents(tmp_path / "brick") == contents(collected)
+    collect_grasps(brick, body, WANTED, 0, folder, surface, threads=2)
+    assert contents(folder) == contents(collected)
+    assert is_collected(request, folder)
+    collect_grasps(brick, body, WANTED, 0, folder, surface)
     assert len(tried) == 1  # of two batches the first was there
-    assert is_collected(grasp_request(brick, body, WANTED, 0, surface), tmp_path / "brick")
-    collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface)
-    assert len(tried) == 1
+    shutil.copytree(collected, tmp_path / "copy")
+    for damage in (lambda path: path.write_bytes(path.read_bytes()[:-1]), Path.unlink):
+        damage(tmp_path / "copy" / "touch.npy")
+        assert not is_collected(request, tmp_path / "copy")
 
 
 def test_starts_are_free_and_forces_spread(body):
@@ -133,18 +136,28 @@ def test_starts_are_free_and_forces_spread(body):
     assert np.abs(lowest).max() < 0.001
 
 
-def test_a_file_without_touch_is_refused(brick, body, tmp_path):
-    header = {name: value for name, value in brick.header.items() if name != "touch"}
-    with pytest.raises(ObjectFolderError, match="brick: the Object File holds no touch"):
-        collect_grasps(ObjectFile(header, brick.tensors), body, WANTED, 0, tmp_path)
-    assert list(tmp_path.iterdir()) == []
+def without_touch(brick):
+    return ObjectFile({name: value for name, value in brick.header.items() if name != "touch"}, brick.tensors)
 
 
-def test_a_rigid_gel_is_refused(brick, body, tmp_path):
-    with pytest.raises(
-        ObjectFolderError, match="brick: the gel of sensor 'tacto_digit' is rigid and bears no"
-    ):
-        collect_grasps(felt_by(brick, "tacto_digit"), body, WANTED, 0, tmp_path)
+@pytest.mark.parametrize(
+    ("changed", "turned", "message"),
+    [
+        (
+            without_touch,
+            None,
+            "the Object File holds no touch; grasps need geometry, vision and touch: leave",
+        ),
+        (lambda brick: felt_by(brick, "tacto_digit"), None, "the gel of sensor 'tacto_digit' is rigid and"),
+        (lambda brick: brick, [2, 0, 1], "the true surface reaches .* another object or build"),
+        (lambda brick: with_images(brick, 0.001, 0.0), [0, 1, 2], "its touch net knows one press alone"),
+    ],
+    ids=["no touch", "rigid gel", "another surface", "a net of images"],
+)
+def test_what_cannot_be_grasped_is_refused(brick, body, surface, tmp_path, changed, turned, message):
+    truth = None if turned is None else (surface[0][:, turned], surface[1])
+    with pytest.raises(ObjectFolderError, match=f"brick: {message}"):
+        collect_grasps(changed(brick), body, WANTED, 0, tmp_path, truth)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -155,19 +168,6 @@ def test_a_net_that_knows_no_turned_sensor_is_refused(brick, body, tmp_path, mon
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_surface_of_another_object_is_refused(brick, body, surface, tmp_path):
-    vertices, faces = surface
-    with pytest.raises(
-        ObjectFolderError, match=r"brick: the true surface reaches .* another object or build"
-    ):
-        collect_grasps(brick, body, WANTED, 0, tmp_path, (vertices[:, [2, 0, 1]], faces))
-
-
-def test_a_net_of_images_has_no_truth_to_compare_with(brick, body, surface, tmp_path):
-    with pytest.raises(ObjectFolderError, match="brick: its touch net knows one press alone"):
-        collect_grasps(with_images(brick, 0.001, 0.0), body, WANTED, 0, tmp_path, surface)
-
-
 def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
     crumb = ObjectFile(brick.header | {"key": "crumb", "scale": 0.003}, brick.tensors)
     tiny = rigid_body(crumb, convex_hulls(crumb.to_mesh()))
@@ -175,34 +175,24 @@ def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
         collect_grasps(crumb, tiny, WANTED, 0, tmp_path)
 
 
-def test_other_hulls_are_another_collection(brick, body, surface, collected):
-    assert is_collected(grasp_request(brick, body, WANTED, 0, surface), collected)
-    moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
-    assert not is_collected(grasp_request(brick, moved, WANTED, 0, surface), collected)
-    assert not is_collected(grasp_request(brick, body, WANTED, 0, None), collected)
+def test_another_request_is_another_collection(brick, body, surface, collected):
     vertices, faces = surface
-    assert not is_collected(grasp_request(brick, body, WANTED, 0, (vertices + 1e-5, faces)), collected)
+    moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
+    assert is_collected(grasp_request(brick, body, WANTED, 0, surface), collected)
+    for other in (
+        (moved, WANTED, 0, surface),
+        (body, replace(WANTED, timestep=0.001), 0, surface),
+        (body, WANTED, 1, surface),
+        (body, WANTED, 0, None),
+        (body, WANTED, 0, (vertices + 1e-5, faces)),
+    ):
+        assert not is_collected(grasp_request(brick, *other), collected)
 
 
-def test_another_time_step_is_another_collection(brick, body, surface, collected, tmp_path, monkeypatch):
-    finer = replace(WANTED, timestep=0.001)
-    assert not is_collected(grasp_request(brick, body, finer, 0, surface), collected)
-    asked = []
-
+def test_the_time_step_is_that_of_the_simulation(brick, body, tmp_path, monkeypatch):
     def scene(body, physics, threads):
-        asked.append(physics)
-        raise ObjectFolderError("enough")
+        raise ObjectFolderError(repr(physics))
 
     monkeypatch.setattr(grasp_data, "GraspScene", scene)
-    with pytest.raises(ObjectFolderError, match="enough"):
-        collect_grasps(brick, body, finer, 0, tmp_path, surface)
-    assert asked == [Physics(timestep=0.001)]
-
-
-@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-1])])
-def test_a_collection_that_lacks_an_array_is_not_complete(brick, body, surface, collected, tmp_path, damage):
-    shutil.copytree(collected, tmp_path / "brick")
-    request = grasp_request(brick, body, WANTED, 0, surface)
-    assert is_collected(request, tmp_path / "brick")
-    damage(tmp_path / "brick" / "touch.npy")
-    assert not is_collected(request, tmp_path / "brick")
+    with pytest.raises(ObjectFolderError, match=re.escape(repr(Physics(timestep=0.001)))):
+        collect_grasps(brick, body, replace(WANTED, timestep=0.001), 0, tmp_path)

@@ -171,7 +171,7 @@ def test_streams_share_the_head_and_nothing_else():
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory):
     table = Table()
-    return table, *run(table, tmp_path_factory.mktemp("progress"), seeds=2, epochs=8)
+    return table, *run(table, tmp_path_factory.mktemp("progress"), seeds=2, epochs=8, embedding=16)
 
 
 def test_learns_what_the_senses_share(learnt):

@@ -24,19 +24,7 @@ from objectfolder.benchmarks.tasks.running import KnownObject, Run
 from objectfolder.benchmarks.tasks.task import TaskParams
 from objectfolder.workspace.layout import Benchmarks
 
-SETTINGS = RetrieveConfig(
-    seeds=1,
-    epochs=1,
-    batch=8,
-    learning_rate=0.1,
-    weight_decay=0.0,
-    patience=1,
-    margin=0.5,
-    embedding=4,
-    pretrain_epochs=0,
-    schedule="cosine",
-)
-PARAMS = TaskParams(SETTINGS, encoding(), 0)
+PARAMS = TaskParams(RetrieveConfig(seeds=1, epochs=1, embedding=4), encoding(), 0)
 
 
 def run_of(inputs, part="seen", params=PARAMS, task=retrieve.TASK, **more):
