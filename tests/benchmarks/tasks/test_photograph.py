@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from objectfolder.base.arrays import read_safetensors, write_safetensors
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.seeding import seeded
 from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, save_model
@@ -56,16 +57,18 @@ def mask_of(box=(10, 20, 40, 35), size=(80, 60)):
     return mask
 
 
+def untrained(resolution):
+    setup = Setup(("vision",), "middle", InputSizes(28, (8, 8), (8, 8)), VIEW, 4, 1, 0, resolution, ("ball",))
+    with seeded(0, "untrained"):
+        return ShapeModel(setup, new_net(setup).eval())
+
+
 @pytest.fixture
 def model():
     """A net that sees a ball: the darker the middle of the picture, the larger."""
-    setup = Setup(("vision",), "middle", InputSizes(28, (8, 8), (8, 8)), VIEW, 4, 1, 0, 24, ("ball",))
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        net = new_net(setup).eval()
-    net.decoder = Ball()
-    net.fusion = nn.Identity()
-    return ShapeModel(setup, net)
+    model = untrained(24)
+    model.net.decoder, model.net.fusion = Ball(), nn.Identity()
+    return model
 
 
 class Ball(nn.Module):
@@ -83,13 +86,14 @@ class Ball(nn.Module):
 @pytest.fixture
 def model_path(tmp_path):
     """An untrained net whose answer is everything above a plane."""
-    setup = Setup(("vision",), "middle", InputSizes(28, (8, 8), (8, 8)), VIEW, 4, 1, 0, 12, ("ball",))
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        net = new_net(setup).eval()
-    path = tmp_path / "model.safetensors"
-    save_model(path, ShapeModel(setup, net))
-    return path
+    save_model(tmp_path / "model.safetensors", untrained(12))
+    return tmp_path / "model.safetensors"
+
+
+@pytest.fixture
+def photo(tmp_path):
+    Image.fromarray(picture()[..., :3]).save(tmp_path / "photo.png")
+    return tmp_path / "photo.png"
 
 
 def test_the_three_ways_of_cutting_out_agree():
@@ -120,31 +124,26 @@ def test_specks_elsewhere_are_not_the_object():
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("alpha", "given", "message"),
     [
-        ({}, "expected one of three"),
-        ({"mask": np.zeros((60, 80), np.uint8)}, "no foreground by the mask"),
-        ({"mask": np.zeros((80, 60), np.uint8)}, "60 x 80 pixels, expected 80 x 60"),
-        ({"background": (200, 30, 30), "tolerance": 255}, "no foreground by the background 200,30,30"),
+        (255, {}, "expected one of three"),
+        (255, {"mask": np.zeros((60, 80), np.uint8)}, "no foreground by the mask"),
+        (255, {"mask": np.zeros((80, 60), np.uint8)}, "60 x 80 pixels, expected 80 x 60"),
+        (255, {"background": (200, 30, 30), "tolerance": 255}, "foreground by the background 200,30,30"),
+        (0, {}, "no foreground by its alpha"),
     ],
 )
-def test_pictures_without_an_object_are_refused(given, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        cut_out(picture(), **given)
-
-
-def test_a_transparent_picture_without_an_object_is_refused():
+def test_pictures_without_an_object_are_refused(alpha, given, message):
     image = picture()
-    image[..., 3] = 0
-    with pytest.raises(ObjectFolderError, match="no foreground by its alpha"):
-        cut_out(image)
+    image[..., 3] = alpha
+    with pytest.raises(ObjectFolderError, match=message):
+        cut_out(image, **given)
 
 
 def test_pictures_are_read_upright_and_others_refused(tmp_path):
-    turned = Image.fromarray(picture()[..., :3])
     exif = Image.Exif()
     exif[0x0112] = 6  # to be turned by 90 degrees
-    turned.save(tmp_path / "turned.png", exif=exif)
+    Image.fromarray(picture()[..., :3]).save(tmp_path / "turned.png", exif=exif)
     assert read_picture(tmp_path / "turned.png").shape == (80, 60, 4)
     (tmp_path / "text.jpg").write_text("no picture")
     for name, message in (("text.jpg", "cannot be read as an image"), ("none.png", "does not exist")):
@@ -169,20 +168,17 @@ def run(*arguments):
 
 
 @pytest.mark.parametrize("ending", ["obj", "ply", "glb"])
-def test_command_writes_a_mesh_in_the_unit_frame(ending, model_path, tmp_path):
-    Image.fromarray(picture()[..., :3]).save(tmp_path / "photo.png")
+def test_command_writes_a_mesh_in_the_unit_frame(ending, model_path, photo, tmp_path):
     Image.fromarray(mask_of()).save(tmp_path / "mask.png")
-    out = tmp_path / f"mesh.{ending}"
-    output = run(tmp_path / "photo.png", out, "--model", model_path, "--mask", tmp_path / "mask.png")
+    out, again = (tmp_path / f"{name}.{ending}" for name in ("mesh", "again"))
+    output = run(photo, out, "--model", model_path, "--mask", tmp_path / "mask.png")
     mesh = trimesh.load(out, force="mesh")
-    vertices, triangles = (
-        int(n.replace(",", "")) for n in re.search(r"([\d,]+) v.* ([\d,]+) t", output).groups()
-    )
+    counts = re.search(r"([\d,]+) v.* ([\d,]+) t", output).groups()
+    vertices, triangles = (int(count.replace(",", "")) for count in counts)
     assert len(mesh.faces) == triangles > 0
     assert len(mesh.vertices) <= vertices
     assert np.abs(mesh.vertices).max() < 0.66
-    again = tmp_path / f"again.{ending}"
-    run(tmp_path / "photo.png", again, "--model", model_path, "--background", "0,255,0")
+    run(photo, again, "--model", model_path, "--background", "0,255,0")
     assert again.read_bytes() == out.read_bytes()
 
 
@@ -194,16 +190,14 @@ def test_command_writes_a_mesh_in_the_unit_frame(ending, model_path, tmp_path):
         ([], "--mask.*--background R,G,B"),
     ],
 )
-def test_command_refuses_bad_options(options, message, model_path, tmp_path):
-    Image.fromarray(picture()[..., :3]).save(tmp_path / "photo.png")
-    with pytest.raises(ObjectFolderError, match=message):
-        run(tmp_path / "photo.png", tmp_path / "mesh.ply", "--model", model_path, *options)
-    with pytest.raises(ObjectFolderError, match="cannot write a mesh"):
-        run(tmp_path / "photo.png", tmp_path / "mesh.stp", "--model", model_path, *options)
-    assert not (tmp_path / "mesh.ply").exists()
+def test_command_refuses_bad_options(options, message, model_path, photo, tmp_path):
+    for name, expected in (("mesh.ply", message), ("mesh.stp", "cannot write a mesh")):
+        with pytest.raises(ObjectFolderError, match=expected):
+            run(photo, tmp_path / name, "--model", model_path, *options)
+        assert not (tmp_path / name).exists()
 
 
-def test_a_model_with_an_own_encoder_is_read_with_that(model_path, tmp_path):
+def test_a_model_with_an_own_encoder_is_read_with_that(model_path, photo, tmp_path):
     tensors, header = read_safetensors(model_path)
     write_safetensors(model_path, tensors, header | {"encoder": "own"})
     own = tmp_path / "mine.py"
@@ -211,8 +205,7 @@ def test_a_model_with_an_own_encoder_is_read_with_that(model_path, tmp_path):
         "from objectfolder.benchmarks.models import encoders\n"
         "encoders.register_encoder('own')(encoders._FACTORIES['middle'])\n"
     )
-    Image.fromarray(picture()[..., :3]).save(tmp_path / "photo.png")
-    words = (tmp_path / "photo.png", tmp_path / "mesh.ply", "--model", model_path, "--background", "0,255,0")
+    words = (photo, tmp_path / "mesh.ply", "--model", model_path, "--background", "0,255,0")
     with pytest.raises(ObjectFolderError, match=r"encoder 'own' is not one of .*--encoder FILE.py:NAME"):
         run(*words)
     run(*words, "--encoder", f"{own}:own")
