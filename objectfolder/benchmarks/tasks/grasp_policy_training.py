@@ -33,22 +33,14 @@ def grasp_policy(job: ObjectJob[GraspPolicyConfig]) -> tuple[dict[str, Any], lis
     others; all policies of a seed start alike. Touch features come from a `TouchBank` during training; the
     test also computes them exactly with the Object File.
 
-    Raises ObjectFolderError if the object does not fit the gripper, or the file lacks touch.
+    The job's ``progress`` receives the files to keep: an animation if an episode can be shown
+    (``episodes.gif``) and the first seed's policy (``model.safetensors``). Raises ObjectFolderError if the
+    object does not fit the gripper, or the file lacks touch.
 
-    Parameters
-    ----------
-    job : ObjectJob
-        ``progress`` receives the files to keep: an animation if an episode can be shown
-        (``episodes.gif``) and the first seed's policy
-        (``model.safetensors``).
-
-    Returns
-    -------
-    dict
-        By policy (`OBSERVED`, ``touch_exact``, ``random`` and ``nothing``) the success ``rate``, its
-        ``interval_95`` over all rollouts (Wilson), and the rates of the ``seeds``; the numbers of
-        ``rollouts`` per seed, of ``episodes`` per training and of ``presses`` in the bank; ``seconds`` of
-        training.
+    Returns scores: by policy (`OBSERVED`, ``touch_exact``, ``random`` and ``nothing``) the success ``rate``,
+    its ``interval_95`` over all rollouts (Wilson), and the rates of the ``seeds``; the numbers of
+    ``rollouts`` per seed, of ``episodes`` per training and of ``presses`` in the bank; ``seconds`` of
+    training.
     """
     params, seed, progress, key = job.params, job.seed, job.progress, job.file.key
     assert job.body is not None

@@ -20,11 +20,9 @@ class LocalizeConfig(TrainingConfig):
     """Section ``localize`` of ``params.yaml``."""
 
     epochs: Count = 30
-    batch: Annotated[int, Ge(2)] = 32
     learning_rate: Positive = 0.003
     weight_decay: NonNegative = 0.05
     patience: Count = 30
-    seeds: Count = 1  #: runs whose mean is the result
     #: With each object: 80 % to train with, 10 % for validation, 10 % for the test, which need a sequence.
     contacts: Annotated[int, Ge(80), MultipleOf(10)] = 500
 

@@ -42,11 +42,8 @@ class ReconstructConfig(TrainingConfig):
     """Section ``reconstruct`` of ``params.yaml``."""
 
     epochs: Count = 6
-    batch: Annotated[int, Ge(2)] = 32
-    learning_rate: Positive = 0.001
-    weight_decay: NonNegative = 0.01
     patience: Count = 5
-    seeds: Count = 3  #: trainings of each variant
+    seeds: Count = 3
     #: In which each encoder learns to name the training objects and then stays as it is; 0: all is learned
     #: together.
     pretrain_epochs: Annotated[int, Ge(0)] = 0

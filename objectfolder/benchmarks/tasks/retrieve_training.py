@@ -49,15 +49,11 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
 
     Raises ObjectFolderError if a split cannot be trained on or scored, or a training diverges.
 
-    Returns
-    -------
-    dict
-        ``directions``, such as ``V->A`` (sounds from views) or ``V->V``: ``map`` (mean over the seeds), its
-        ``interval_95``, ``seeds`` (one value each); ``named``, with the same three; ``cca``; ``chance``. Then
-        what was chosen for ``cca``, the counts of `Job.without_duplicates`, with a row dropped for all pairs
-        if both inputs of one repeat, and ``seconds`` of training.
-    list
-        Rows of the training curves, those of the task; ``second`` is empty in pre-training.
+    Returns ``directions``, such as ``V->A`` (sounds from views) or ``V->V``: ``map`` (mean over the seeds),
+    its ``interval_95``, ``seeds`` (one value each); ``named``, with the same three; ``cca``; ``chance``. Then
+    what was chosen for ``cca``, the counts of `Job.without_duplicates`, with a row dropped for all pairs if
+    both inputs of one repeat, and ``seconds`` of training.
+    In rows of the training curves, ``second`` is empty in pre-training.
     """
     check_objects(job.split, Objects(job.observations.keys, job.observations.labels))
     job.check_sizes(MODALITIES)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 from brick import felt_by
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets import close_ups
 from objectfolder.benchmarks.datasets.close_ups import (
     close_up_request,
@@ -101,11 +101,9 @@ def test_cameras_stand_in_the_open(bell):
 
 def test_an_object_without_room_is_refused(bell, monkeypatch):
     monkeypatch.setattr(close_ups, "NEAREST", 0.2)
-    with pytest.raises(ObjectFolderError, match="bell: 0 of 40 random points leave 20 cm for a camera"):
-        open_points(bell, 10, seed=0)
+    refused("bell: 0 of 40 random points leave 20 cm for a camera", open_points, bell, 10, seed=0)
 
 
 @pytest.mark.parametrize("size", [(10, 12), (12, 10), (161, 120)])
 def test_sizes_that_cannot_be_scored_or_felt_are_refused(bell, size):
-    with pytest.raises(ObjectFolderError, match=rf"bell: encode.touch is \[{size[0]}, {size[1]}\], expected"):
-        close_up_request(bell, 10, size, 0)
+    refused(rf"bell: encode.touch is \[{size[0]}, {size[1]}\], expected", close_up_request, bell, 10, size, 0)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import soundfile
 from PIL import Image
+from refusals import refused
 from typer.testing import CliRunner
 
 from objectfolder.base.arrays import wav_bytes
@@ -132,8 +133,7 @@ def test_the_same_observations_give_the_same_bytes_in_a_new_folder(
     monkeypatch.setattr("time.time", lambda: 2e9)
     write(observations, split_of(observations), tmp_path / "second")
     assert content(tmp_path / "first") == content(tmp_path / "second")
-    with pytest.raises(ObjectFolderError, match=f"{tmp_path} exists already"):
-        write(observations, split_of(observations), tmp_path)
+    refused(f"{tmp_path} exists already", write, observations, split_of(observations), tmp_path)
 
 
 @pytest.mark.parametrize("key", ["../own", "<b>", "a\x1b[2J"])
@@ -219,5 +219,4 @@ def test_folders_are_found_at_any_depth_and_once(root, tmp_path):
     copy = tmp_path / "copy"
     copy.mkdir()
     (copy / "observations.json").write_bytes((root / KEYS[0] / "observations.json").read_bytes())
-    with pytest.raises(ObjectFolderError, match=f"{KEYS[0]}: both .* hold its observations; pass only one"):
-        find_folders([root, copy])
+    refused(f"{KEYS[0]}: both .* hold its observations; pass only one", find_folders, [root, copy])

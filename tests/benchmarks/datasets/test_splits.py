@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from ruamel.yaml import YAML
 
 from objectfolder.base.errors import ObjectFolderError
@@ -123,8 +124,7 @@ def test_unseen_without_a_validation_object_validates_with_what_seen_keeps_back(
 
 @pytest.mark.parametrize(("keys", "lacking"), [(TRAIN, "test"), (TEST + VAL, "train")])
 def test_unseen_says_which_objects_are_lacking(keys, lacking):
-    with pytest.raises(ObjectFolderError, match=f"of {', '.join(keys)} none is a {lacking} object; add one"):
-        per_object(keys, 20)
+    refused(f"of {', '.join(keys)} none is a {lacking} object; add one", per_object, keys, 20)
 
 
 @pytest.mark.parametrize(
@@ -137,8 +137,7 @@ def test_unseen_says_which_objects_are_lacking(keys, lacking):
     ],
 )
 def test_splits_that_cannot_be_made_are_refused(name, keys, count, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        named_split(name, keys, count)
+    refused(message, named_split, name, keys, count)
 
 
 class Table:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from pretend_device import pretend_device
+from refusals import refused
 from torch import nn
 
 from objectfolder.base.errors import ObjectFolderError
@@ -83,8 +84,7 @@ def test_weights_of_another_net_are_refused(imagenet, tmp_path, change, message)
     change(stored)
     path = tmp_path / "other.pth"
     torch.save(stored, path)
-    with pytest.raises(ObjectFolderError, match=rf"other\.pth:? .*{message}"):
-        make_encoder("resnet18", "vision", read_weights(path))
+    refused(rf"other\.pth:? .*{message}", lambda: make_encoder("resnet18", "vision", read_weights(path)))
 
 
 @pytest.mark.parametrize(
@@ -104,8 +104,7 @@ def test_file_that_is_no_checkpoint_is_named(tmp_path, content, message):
         path.write_bytes(content)
     elif content is not None:
         torch.save(content, path)
-    with pytest.raises(ObjectFolderError, match=rf"some\.pth {message}"):
-        read_weights(path)
+    refused(rf"some\.pth {message}", read_weights, path)
 
 
 def test_own_encoder_is_made_by_its_name_for_the_channels_of_a_modality(monkeypatch):
@@ -121,8 +120,7 @@ def test_own_encoder_is_made_by_its_name_for_the_channels_of_a_modality(monkeypa
             self.channels = channels
 
     assert [make_encoder("mean", m).channels for m in ("vision", "audio", "touch")] == [3, 1, 3]
-    with pytest.raises(ObjectFolderError, match="encoder 'vgg' is not one of mean, resnet18"):
-        make_encoder("vgg", "vision")
+    refused("encoder 'vgg' is not one of mean, resnet18", make_encoder, "vgg", "vision")
 
 
 def test_a_file_registers_its_encoder_and_is_run_by_nobody_else(tmp_path, monkeypatch):
@@ -138,10 +136,8 @@ def test_a_file_registers_its_encoder_and_is_run_by_nobody_else(tmp_path, monkey
     assert "of_a_file" not in encoders._FACTORIES
     assert registered(f"{path}:of_a_file") == "of_a_file"
     assert make_encoder("of_a_file", "audio").in_channels == 1
-    with pytest.raises(ObjectFolderError, match="'nothing' is not one of"):
-        registered(f"{path}:nothing")
-    with pytest.raises(ObjectFolderError, match=r"mine2\.py does not exist"):
-        registered(f"{tmp_path / 'mine2.py'}:of_a_file")
+    refused("'nothing' is not one of", registered, f"{path}:nothing")
+    refused(r"mine2\.py does not exist", registered, f"{tmp_path / 'mine2.py'}:of_a_file")
 
 
 OWN = """
@@ -193,8 +189,7 @@ def own(tmp_path, monkeypatch):
 def test_an_own_encoder_that_fails_is_named_before_any_work(own, text, instead, message):
     encode = own(OWN.replace(text, instead))
     assert text in OWN
-    with pytest.raises(ObjectFolderError, match=rf"(?s)^encoder .*mine\.py:own.*{message}"):
-        check_encoder(encode, ("vision", "audio", "touch"))
+    refused(rf"(?s)^encoder .*mine\.py:own.*{message}", check_encoder, encode, ("vision", "audio", "touch"))
 
 
 def test_an_encoder_is_checked_without_a_trace(own, imagenet):
@@ -204,10 +199,8 @@ def test_an_encoder_is_checked_without_a_trace(own, imagenet):
     assert torch.equal(torch.get_rng_state(), state)
     assert sys.path == path
     check_encoder(encode, ())
-    with pytest.raises(ObjectFolderError, match="is not one of"):
-        check_encoder(EncodeConfig(**vars(encode) | {"encoder": "vgg"}), ())
-    with pytest.raises(ObjectFolderError, match=r"expected the .* tensors of own"):
-        check_encoder(encode, ("vision",), read_weights(imagenet))
+    refused("is not one of", check_encoder, EncodeConfig(**vars(encode) | {"encoder": "vgg"}), ())
+    refused(r"expected the .* tensors of own", check_encoder, encode, ("vision",), read_weights(imagenet))
 
 
 def test_the_code_of_an_encoder_is_its_file_and_the_modules_beside_it(own, tmp_path):

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 from torch import nn
 
 from objectfolder.base.errors import ObjectFolderError
@@ -100,10 +101,8 @@ def test_rows_do_not_depend_on_each_other(rng, modality):
 
 
 def test_observations_smaller_than_the_sizes_are_refused(rng):
-    with pytest.raises(
-        ObjectFolderError, match="views of 48 x 64 pixels are smaller than the encoder's image 56"
-    ):
-        encoder_inputs("vision", np.zeros((1, 48, 64, 3), np.uint8), SIZES)
+    message = "views of 48 x 64 pixels are smaller than the encoder's image 56"
+    refused(message, encoder_inputs, "vision", np.zeros((1, 48, 64, 3), np.uint8), SIZES)
     with pytest.raises(ObjectFolderError, match="touch of 60 x 48 is smaller than the encoder's 64 x 48"):
         encoder_inputs("touch", np.zeros((1, 60, 48, 3), np.uint8), SIZES)
 

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 from torch import nn
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.models.training import (
     Objective,
@@ -210,8 +210,7 @@ def test_net_is_in_evaluation_and_without_gradients_while_it_is_scored():
 def test_diverging_training_is_an_error(factor, score, message):
     net, (batches, loss, _), settings = _problem()
     objective = Objective(net, batches, lambda rows: factor * loss(rows), lambda: score)
-    with pytest.raises(ObjectFolderError, match=message):
-        train(objective, TrainSettings(**settings))
+    refused(message, train, objective, TrainSettings(**settings))
 
 
 @pytest.mark.parametrize(("width", "changes"), [(16, {"learning_rate": 0.01}), (8, {})])
@@ -222,10 +221,8 @@ def test_a_checkpoint_of_other_settings_or_another_net_is_refused(tmp_path, widt
     train(Objective(net, *functions), TrainSettings(**settings), checkpoint)
     net, functions, _ = _problem(width=width)
     before = _state(net)
-    with pytest.raises(
-        ObjectFolderError, match=r"training\.pt is of a training with .*'learning_rate': 0\.02.*delete it"
-    ):
-        train(Objective(net, *functions), TrainSettings(**settings | changes), checkpoint)
+    message = r"training\.pt is of a training with .*'learning_rate': 0\.02.*delete it"
+    refused(message, train, Objective(net, *functions), TrainSettings(**settings | changes), checkpoint)
     assert _state(net) == before
 
 

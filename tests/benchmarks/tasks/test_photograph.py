@@ -5,11 +5,11 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
+from refusals import refused
 from torch import nn
 from typer.testing import CliRunner
 
 from objectfolder.base.arrays import read_safetensors, write_safetensors
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.seeding import seeded
 from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.settings import InputSizes
@@ -136,8 +136,7 @@ def test_specks_elsewhere_are_not_the_object():
 def test_pictures_without_an_object_are_refused(alpha, given, message):
     image = picture()
     image[..., 3] = alpha
-    with pytest.raises(ObjectFolderError, match=message):
-        cut_out(image, **given)
+    refused(message, cut_out, image, **given)
 
 
 def test_pictures_are_read_upright_and_others_refused(tmp_path):
@@ -147,8 +146,7 @@ def test_pictures_are_read_upright_and_others_refused(tmp_path):
     assert read_picture(tmp_path / "turned.png").shape == (80, 60, 4)
     (tmp_path / "text.jpg").write_text("no picture")
     for name, message in (("text.jpg", "cannot be read as an image"), ("none.png", "does not exist")):
-        with pytest.raises(ObjectFolderError, match=message):
-            read_picture(tmp_path / name)
+        refused(message, read_picture, tmp_path / name)
 
 
 @pytest.mark.parametrize("ending", FORMATS)
@@ -192,8 +190,7 @@ def test_command_writes_a_mesh_in_the_unit_frame(ending, model_path, photo, tmp_
 )
 def test_command_refuses_bad_options(options, message, model_path, photo, tmp_path):
     for name, expected in (("mesh.ply", message), ("mesh.stp", "cannot write a mesh")):
-        with pytest.raises(ObjectFolderError, match=expected):
-            run(photo, tmp_path / name, "--model", model_path, *options)
+        refused(expected, run, photo, tmp_path / name, "--model", model_path, *options)
         assert not (tmp_path / name).exists()
 
 
@@ -206,8 +203,7 @@ def test_a_model_with_an_own_encoder_is_read_with_that(model_path, photo, tmp_pa
         "encoders.register_encoder('own')(encoders._FACTORIES['middle'])\n"
     )
     words = (photo, tmp_path / "mesh.ply", "--model", model_path, "--background", "0,255,0")
-    with pytest.raises(ObjectFolderError, match=r"encoder 'own' is not one of .*--encoder FILE.py:NAME"):
-        run(*words)
+    refused(r"encoder 'own' is not one of .*--encoder FILE.py:NAME", run, *words)
     run(*words, "--encoder", f"{own}:own")
     assert (tmp_path / "mesh.ply").is_file()
 

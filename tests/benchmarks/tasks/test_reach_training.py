@@ -3,12 +3,12 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 from PIL import Image
+from refusals import refused
 from ruamel.yaml import YAML
 from tiny_tasks import Line
 from typer.testing import CliRunner
 
 from objectfolder.base.arrays import write_safetensors
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import read_json
 from objectfolder.benchmarks.models import ppo
 from objectfolder.benchmarks.models.actor import Actor
@@ -94,11 +94,9 @@ def test_the_best_part_in_validation_is_kept(tmp_path, monkeypatch):
 def test_a_checkpoint_of_another_training_is_refused(tmp_path):
     checkpoint = tmp_path / "a.pt"
     _train(checkpoint, steps=128)
-    with pytest.raises(ObjectFolderError, match=r"a\.pt is of a training with .* delete it"):
-        _train(checkpoint, steps=256)
+    refused(r"a\.pt is of a training with .* delete it", _train, checkpoint, steps=256)
     checkpoint.write_bytes(checkpoint.read_bytes()[:100])
-    with pytest.raises(ObjectFolderError, match=r"a\.pt is damaged"):
-        _train(checkpoint, steps=128)
+    refused(r"a\.pt is damaged", _train, checkpoint, steps=128)
 
 
 @pytest.fixture
@@ -144,8 +142,7 @@ def test_an_actor_is_read_as_it_was_written(tmp_path):
     read = Actor.load(tmp_path / "actor.safetensors")
     assert _bytes(read) == _bytes(actor)
     write_safetensors(tmp_path / "other.safetensors", {"x": np.ones(1)}, {"format": "other"})
-    with pytest.raises(ObjectFolderError, match=r"other\.safetensors is not a trained policy"):
-        Actor.load(tmp_path / "other.safetensors")
+    refused(r"other\.safetensors is not a trained policy", Actor.load, tmp_path / "other.safetensors")
 
 
 def test_an_actor_by_hand():
@@ -306,10 +303,8 @@ def test_params_are_read_and_checked(tmp_path):
     values = {"seed": 3, "sensor": "digit", "reach": asdict(TINY)}
     assert TASK.params(values) == TaskParams(TINY, None, 3)
     values["reach"] |= {"discount": 1.5}
-    with pytest.raises(ObjectFolderError, match="reach: discount"):
-        TASK.params(values)
-    with pytest.raises(ObjectFolderError, match="lacks section 'reach'"):
-        TASK.params({"seed": 0, "sensor": "digit"})
+    refused("reach: discount", TASK.params, values)
+    refused("lacks section 'reach'", TASK.params, {"seed": 0, "sensor": "digit"})
 
 
 def _played(last, ever):

@@ -9,10 +9,10 @@ import torch
 from encoding import encoding
 from made_up import Linear, MadeUp, hum, picture
 from PIL import Image
+from refusals import refused
 from solids import box, sphere
 from torch import nn
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.seeding import seeded
 from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
@@ -349,14 +349,11 @@ def test_model_file_keeps_everything_and_refuses_what_it_is_not(occupancy, tmp_p
     inner = (np.abs(vertices) < HALF_SIDE).all(1)  # the rest closes the surface outside
     there = model.logits(embedding[:1], vertices[inner].astype(np.float32))
     assert np.median(np.abs(there - level)) < 0.1 * np.ptp(model.logits(embedding[:1], points))
-    with pytest.raises(ObjectFolderError, match="no reconstruction model"):
-        load_model(brick_path)
-    with pytest.raises(ObjectFolderError, match="does not exist"):
-        load_model(tmp_path / "none.safetensors")
+    refused("no reconstruction model", load_model, brick_path)
+    refused("does not exist", load_model, tmp_path / "none.safetensors")
     broken = replace(model, setup=replace(model.setup, width=25))
     save_model(tmp_path / "wrong.safetensors", broken)
-    with pytest.raises(ObjectFolderError, match="damaged"):
-        load_model(tmp_path / "wrong.safetensors")
+    refused("damaged", load_model, tmp_path / "wrong.safetensors")
 
 
 def test_encoders_start_from_given_weights(tmp_path):
@@ -371,5 +368,4 @@ def test_encoders_start_from_given_weights(tmp_path):
 def test_an_object_file_of_another_object_is_named(brick_path):
     vertices = reconstruct_training._surface(brick_path, "brick").vertices
     assert np.array_equal(vertices, ObjectFile.load(brick_path).surface.vertices)
-    with pytest.raises(ObjectFolderError, match=f"{brick_path} holds brick, expected mug"):
-        reconstruct_training._surface(brick_path, "mug")
+    refused(f"{brick_path} holds brick, expected mug", reconstruct_training._surface, brick_path, "mug")
