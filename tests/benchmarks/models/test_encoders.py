@@ -1,8 +1,8 @@
 import sys
 
-import numpy as np
 import pytest
 import torch
+from made_up import observations
 from pretend_device import pretend_device
 from refusals import refused
 from torch import nn
@@ -225,11 +225,7 @@ def test_the_code_of_an_encoder_is_its_file_and_the_modules_beside_it(own, tmp_p
 
 @pytest.mark.parametrize("modality", ["vision", "audio", "touch"])
 def test_inputs_and_features_on_a_device_are_those_of_the_cpu(modality, rng):
-    raw = {
-        "vision": rng.integers(0, 256, (2, 64, 64, 3), dtype=np.uint8),
-        "audio": rng.standard_normal((2, 32000)).astype(np.float32),
-        "touch": rng.integers(0, 256, (2, 96, 72, 3), dtype=np.uint8),
-    }[modality]
+    raw = observations(rng, 2)[modality]
     here = encoder_inputs(modality, raw, SIZES)
     with pretend_device() as device:
         net = make_encoder("resnet18", modality).eval()

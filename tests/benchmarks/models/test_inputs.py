@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from made_up import observations
 from refusals import refused
 from torch import nn
 
@@ -90,11 +91,7 @@ def test_half_of_the_pictures_are_mirrored_left_to_right():
 
 @pytest.mark.parametrize("modality", ["vision", "audio", "touch"])
 def test_rows_do_not_depend_on_each_other(rng, modality):
-    raw = {
-        "vision": rng.integers(256, size=(3, 64, 64, 3), dtype=np.uint8),
-        "audio": rng.standard_normal((3, 32000)).astype(np.float32),
-        "touch": rng.integers(256, size=(3, 160, 120, 3), dtype=np.uint8),
-    }[modality]
+    raw = observations(rng, 3)[modality]
     together = encoder_inputs(modality, raw, SIZES)
     alone = torch.cat([encoder_inputs(modality, raw[i : i + 1], SIZES) for i in range(3)])
     torch.testing.assert_close(alone, together, rtol=0, atol=1e-6)

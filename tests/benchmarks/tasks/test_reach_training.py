@@ -217,18 +217,32 @@ def test_scores_have_everything_and_are_the_same_again(brick, body, tmp_path):
     assert (tmp_path / "b/episodes.gif").read_bytes() == (tmp_path / "a/episodes.gif").read_bytes()
 
 
-def test_each_training_is_scored_on_goals_of_its_own(brick, body, tmp_path, monkeypatch):
+@pytest.fixture
+def play(monkeypatch):
+    """Lets episodes end as told; lists the policies and goals that are asked for, and goals of films."""
+    asked, shown = [], []
+
+    def by(last):
+        def run_episodes(env, policy, seeds):
+            asked.append((policy, seeds))
+            return task.EpisodeScores(*[np.array(last)] * 2, *[np.zeros(len(last))] * 2)
+
+        monkeypatch.setattr(task, "run_episodes", run_episodes)
+        return asked, shown
+
+    def frames(env, policy, seeds):
+        shown.extend(seeds)
+        return [np.zeros((8, 8, 3), np.uint8)]
+
+    monkeypatch.setattr(task, "reach_frames", frames)
+    return by
+
+
+def test_each_training_is_scored_on_goals_of_its_own(brick, body, tmp_path, monkeypatch, play):
     class Trained:
         save = staticmethod(lambda *given: None)
 
-    asked = []
-
-    def play(env, policy, seeds):
-        asked.append((policy, seeds))
-        return task.EpisodeScores(*[np.ones(2, bool)] * 2, *[np.zeros(2)] * 2)
-
-    monkeypatch.setattr(task, "run_episodes", play)
-    monkeypatch.setattr(task, "reach_frames", lambda env, policy, seeds: [np.zeros((8, 8, 3), np.uint8)])
+    asked, _ = play([True] * 2)
     monkeypatch.setattr(task, "train_ppo", lambda *given: (Trained(), [[32, 0, 0, 0, 0]], 0.0))
     scores, _ = reach(ObjectJob("reach", brick, body, replace(TINY, seeds=2), 0, tmp_path))
     first, second = (seeds for policy, seeds in asked if isinstance(policy, Trained))
@@ -241,18 +255,8 @@ def test_each_training_is_scored_on_goals_of_its_own(brick, body, tmp_path, monk
 @pytest.mark.parametrize(
     ("last", "shown"), [([True] * 4, [0]), ([False] * 4, [0]), ([False, False, True, False], [2, 0])]
 )
-def test_the_animation_shows_each_outcome_once(brick, body, tmp_path, monkeypatch, last, shown):
-    found = []
-
-    def frames(env, policy, seeds):
-        found.extend(seeds)
-        return [np.zeros((8, 8, 3), np.uint8)]
-
-    def play(env, policy, seeds):
-        return task.EpisodeScores(np.array(last), np.array(last), np.zeros(4), np.zeros(4))
-
-    monkeypatch.setattr(task, "reach_frames", frames)
-    monkeypatch.setattr(task, "run_episodes", play)
+def test_the_animation_shows_each_outcome_once(brick, body, tmp_path, play, last, shown):
+    _, found = play(last)
     reach(ObjectJob("reach", brick, body, replace(TINY, goals=4), 0, tmp_path))
     goals = fresh_seeds(0, brick.key, "test", 4)
     assert found == [goals[i] for i in shown]
@@ -307,15 +311,13 @@ def test_params_are_read_and_checked(tmp_path):
     refused("lacks section 'reach'", TASK.params, {"seed": 0, "sensor": "digit"})
 
 
-def _played(last, ever):
-    share = {"interval_95": [0.96378, 1.0]}
-    shares = {"last": share | {"rate": last}, "any": share | {"rate": ever}}
-    return shares | {"return": 950.0, "distance": 0.0123, "seeds": [last]}
-
-
 def test_a_table_has_a_row_for_each_policy_of_each_object():
-    policies = dict.fromkeys(POLICIES, _played(0.97, 1.0))
-    scores = policies | {"episodes": 100, "horizon": 100, "task": "reach", "steps": [163840, 81920]}
+    shares = {
+        when: {"interval_95": [0.96378, 1.0], "rate": rate} for when, rate in (("last", 0.97), ("any", 1))
+    }
+    played = shares | {"return": 950.0, "distance": 0.0123, "seeds": [0.97]}
+    run = {"episodes": 100, "horizon": 100, "task": "reach", "steps": [163840, 81920]}
+    scores = dict.fromkeys(POLICIES, played) | run
     (shown,) = TASK.tables({"cup": scores, "die": scores})
     assert [row[0] for row in shown.rows] == ["cup"] * 4 + ["die"] * 4
     assert shown.rows[0] == ("cup", "PPO", "97 (96-100)", "100 (96-100)", "12", "9.50", "164k/82k", "100")

@@ -78,6 +78,8 @@ class Observed(MadeUp):
 
 
 LABELS = Observed().labels
+BALL, BLOCK, SLAB, CUBE = (np.flatnonzero(i == LABELS) for i in range(4))
+UNSEEN = Split("unseen", np.concatenate([BALL, SLAB]), BLOCK, CUBE)
 
 
 def make_job(progress, split=SPLIT, observed=None, **changes):
@@ -216,19 +218,16 @@ def test_selection_is_the_first_rows_of_each_object():
 
 
 def test_of_objects_without_validation_rows_training_rows_help_to_choose(tmp_path):
-    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
-    seen = per_sample(tuple(SOLIDS), COUNT)
-    unseen = Split("unseen", np.concatenate([ball, slab]), block, cube)
-    for split, rows in ((seen, seen.val), (unseen, np.concatenate([block[:2], ball[:2], slab[:2]]))):
-        job = make_job(tmp_path, split)
-        assert validation_rows(job).tolist() == rows.tolist()
+    # Not those of an object whose own validation rows are all repeated.
+    silent = replace(SPLIT, val=SPLIT.val[LABELS[SPLIT.val] > 0])
+    others = np.concatenate([BLOCK[:2], BALL[:2], SLAB[:2]])
+    for split, rows in ((SPLIT, SPLIT.val), (silent, silent.val), (UNSEEN, others)):
+        assert validation_rows(make_job(tmp_path, split)).tolist() == rows.tolist()
 
 
 def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
     """A net that knows the training objects by heart and nothing else has learnt nothing."""
-    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
-    split = Split("unseen", np.concatenate([ball, slab]), block, cube)
-    job = make_job(tmp_path, split)
+    job = make_job(tmp_path, UNSEEN)
     training = ShapeTraining(job, occupancy, "V", 0, tmp_path / "none.pt")
     labels = LABELS[validation_rows(job)]
 
@@ -243,16 +242,9 @@ def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
     assert validated(by_heart) == pytest.approx(expected)
 
 
-def test_an_object_without_validation_rows_is_not_validated_on_what_it_learnt(tmp_path):
-    seen = per_sample(tuple(SOLIDS), COUNT)
-    silent = replace(seen, val=seen.val[LABELS[seen.val] > 0])
-    job = make_job(tmp_path, silent)
-    assert validation_rows(job).tolist() == silent.val.tolist()
-
-
-def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hearing_alone(
-    occupancy, tmp_path, monkeypatch
-):
+@pytest.fixture
+def untrained(monkeypatch, tmp_path):
+    """Lists which objects' rows each variant is tested with, instead of training it."""
     tested = {}
 
     def finished(jobs, truth, variant, run):
@@ -263,10 +255,16 @@ def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hear
     (tmp_path / "V_0.safetensors").touch()
     monkeypatch.setattr(reconstruct_training, "_train_once", finished)
     monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
+    return tested
+
+
+def test_counts_are_of_the_scored_rows_and_a_silent_object_is_lost_to_hearing_alone(
+    occupancy, tmp_path, untrained
+):
     silent = Observed()
     silent.arrays["audio"][LABELS == 1] = 0
     scores, _ = reconstruct(make_job(tmp_path, observed=silent, views=1))
-    assert tested == {"V": [1] * 4, "A": [1, 0, 1, 1], "T": [1] * 4, "VA": [1] * 4}
+    assert untrained == {"V": [1] * 4, "A": [1, 0, 1, 1], "T": [1] * 4, "VA": [1] * 4}
     assert scores["rows"] == {"train": 64, "val": 4, "test": 4}
     assert scores["duplicates"]["audio"] == {"val": 1, "test": 1}
     assert scores["untested"] == {"A": ["block"]}
@@ -275,17 +273,8 @@ def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hear
     assert "nearest_shape" not in scores  # the objects themselves are known
 
 
-def test_unknown_objects_are_compared_with_known_ones(occupancy, tmp_path, monkeypatch):
-    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
-    unseen = Split("unseen", np.concatenate([ball, slab]), block, cube)
-
-    def finished(jobs, truth, variant, run):
-        return {"scores": {"iou": 0.5}, "curve": [], "seconds": 0.0}
-
-    (tmp_path / "V_0.safetensors").touch()
-    monkeypatch.setattr(reconstruct_training, "_train_once", finished)
-    monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
-    scores, _ = reconstruct(make_job(tmp_path, unseen))
+def test_unknown_objects_are_compared_with_known_ones(occupancy, tmp_path, untrained):
+    scores, _ = reconstruct(make_job(tmp_path, UNSEEN))
     inside = occupancy.score_inside
     to_cube = [(inside[i] & inside[3]).sum() / (inside[i] | inside[3]).sum() for i in (0, 2)]
     assert to_cube[0] != to_cube[1]
