@@ -11,14 +11,6 @@ from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets import grasp_data
-from objectfolder.benchmarks.datasets.grasp_data import (
-    FORCES,
-    GraspDataConfig,
-    collect_grasps,
-    draw_attempts,
-    grasp_request,
-    is_collected,
-)
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, Grasps
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.body import rigid_body, rotation
@@ -26,7 +18,7 @@ from objectfolder.sim.fingers import Presses
 from objectfolder.sim.grasp_scene import GraspScene, Physics, lowest_hand
 from objectfolder.sim.hulls import convex_hulls
 
-WANTED = GraspDataConfig(grasps=10, perturbations=1, image=24, touch=(16, 12), timestep=0.002)
+WANTED = grasp_data.GraspDataConfig(grasps=10, perturbations=1, image=24, touch=(16, 12), timestep=0.002)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +42,7 @@ def surface(brick):
 @pytest.fixture(scope="module")
 def collected(brick, body, surface, tmp_path_factory):
     folder = tmp_path_factory.mktemp("grasps") / "brick"
-    collect_grasps(brick, body, WANTED, 0, folder, surface)
+    grasp_data.collect_grasps(brick, body, WANTED, 0, folder, surface)
     return folder
 
 
@@ -69,7 +61,7 @@ def test_what_is_collected(brick, collected):
     # It is 3, 6 and 10 cm thick; jaws may close on a corner of it.
     assert ((width > 0.028) & (width < 0.11)).all()
     assert set(np.round(2 * soft).astype(int)) <= {0, 1, 2}
-    assert ((force > 0.5 * FORCES[0]) & (force < 1.5 * FORCES[1])).all()
+    assert ((force > 0.5 * grasp_data.FORCES[0]) & (force < 1.5 * grasp_data.FORCES[1])).all()
     offset = grasps.read("offset", rows)
     assert np.linalg.norm(offset, axis=1).max() < 0.06
     # The truth here is the stored surface itself, on which both then agree.
@@ -100,37 +92,37 @@ def test_interrupted_and_threaded_collections_are_the_same(
     brick, body, surface, collected, tmp_path, monkeypatch
 ):
     folder = tmp_path / "brick"
-    request = grasp_request(brick, body, WANTED, 0, surface)
+    request = grasp_data.grasp_request(brick, body, WANTED, 0, surface)
 
     def stop(done, total):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        collect_grasps(brick, body, WANTED, 0, folder, surface, report=stop)
+        grasp_data.collect_grasps(brick, body, WANTED, 0, folder, surface, report=stop)
     assert not (folder / "record.json").exists()
-    assert not is_collected(request, folder)
+    assert not grasp_data.is_collected(request, folder)
     tried, first = [], grasp_data.label_grasps
     monkeypatch.setattr(grasp_data, "label_grasps", lambda *args: tried.append(0) or first(*args))
-    collect_grasps(brick, body, WANTED, 0, folder, surface, threads=2)
+    grasp_data.collect_grasps(brick, body, WANTED, 0, folder, surface, threads=2)
     assert contents(folder) == contents(collected)
-    assert is_collected(request, folder)
-    collect_grasps(brick, body, WANTED, 0, folder, surface)
+    assert grasp_data.is_collected(request, folder)
+    grasp_data.collect_grasps(brick, body, WANTED, 0, folder, surface)
     assert len(tried) == 1  # of two batches the first was there
     shutil.copytree(collected, tmp_path / "copy")
     for damage in (lambda path: path.write_bytes(path.read_bytes()[:-1]), Path.unlink):
         damage(tmp_path / "copy" / "touch.npy")
-        assert not is_collected(request, tmp_path / "copy")
+        assert not grasp_data.is_collected(request, tmp_path / "copy")
 
 
 def test_starts_are_free_and_forces_spread(body):
     scene = GraspScene(body)
     rests = scene.rests(np.random.default_rng(0), 8)
-    attempts, drawn = draw_attempts(scene, rests, 40, np.random.default_rng(1))
+    attempts, drawn = grasp_data.draw_attempts(scene, rests, 40, np.random.default_rng(1))
     assert drawn >= 40
     assert scene.free(attempts.objects, attempts.hands).all()
     assert attempts.hands[:, 2].min() >= lowest_hand()
-    assert FORCES[0] <= attempts.forces.min() < 3
-    assert 15 < attempts.forces.max() <= FORCES[1]
+    assert grasp_data.FORCES[0] <= attempts.forces.min() < 3
+    assert 15 < attempts.forces.max() <= grasp_data.FORCES[1]
     # All rest on the table, whichever way they are turned.
     points = body.hulls[0].vertices
     lowest = [(points @ rotation(pose[3:]).T + pose[:3])[:, 2].min() for pose in attempts.objects]
@@ -157,14 +149,14 @@ def without_touch(brick):
 )
 def test_what_cannot_be_grasped_is_refused(brick, body, surface, tmp_path, changed, turned, message):
     truth = None if turned is None else (surface[0][:, turned], surface[1])
-    refused(f"brick: {message}", collect_grasps, changed(brick), body, WANTED, 0, tmp_path, truth)
+    refused(f"brick: {message}", grasp_data.collect_grasps, changed(brick), body, WANTED, 0, tmp_path, truth)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_net_that_knows_no_turned_sensor_is_refused(brick, body, tmp_path, monkeypatch):
     monkeypatch.setattr("objectfolder.sim.fingers.DepthMapSense", type(brick.touch_sense))
     with pytest.raises(ObjectFolderError, match=r"brick: the touch net of an imported 2\.0 file knows no"):
-        collect_grasps(brick, body, WANTED, 0, tmp_path)
+        grasp_data.collect_grasps(brick, body, WANTED, 0, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -172,13 +164,13 @@ def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
     crumb = ObjectFile(brick.header | {"key": "crumb", "scale": 0.003}, brick.tensors)
     tiny = rigid_body(crumb, convex_hulls(crumb.to_mesh()))
     with pytest.raises(ObjectFolderError, match=r"crumb: both pads touch it in none of \d+ .* 4 mm over"):
-        collect_grasps(crumb, tiny, WANTED, 0, tmp_path)
+        grasp_data.collect_grasps(crumb, tiny, WANTED, 0, tmp_path)
 
 
 def test_another_request_is_another_collection(brick, body, surface, collected):
     vertices, faces = surface
     moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
-    assert is_collected(grasp_request(brick, body, WANTED, 0, surface), collected)
+    assert grasp_data.is_collected(grasp_data.grasp_request(brick, body, WANTED, 0, surface), collected)
     for other in (
         (moved, WANTED, 0, surface),
         (body, replace(WANTED, timestep=0.001), 0, surface),
@@ -186,7 +178,7 @@ def test_another_request_is_another_collection(brick, body, surface, collected):
         (body, WANTED, 0, None),
         (body, WANTED, 0, (vertices + 1e-5, faces)),
     ):
-        assert not is_collected(grasp_request(brick, *other), collected)
+        assert not grasp_data.is_collected(grasp_data.grasp_request(brick, *other), collected)
 
 
 def test_the_time_step_is_that_of_the_simulation(brick, body, tmp_path, monkeypatch):
@@ -195,4 +187,4 @@ def test_the_time_step_is_that_of_the_simulation(brick, body, tmp_path, monkeypa
 
     monkeypatch.setattr(grasp_data, "GraspScene", scene)
     with pytest.raises(ObjectFolderError, match=re.escape(repr(Physics(timestep=0.001)))):
-        collect_grasps(brick, body, replace(WANTED, timestep=0.001), 0, tmp_path)
+        grasp_data.collect_grasps(brick, body, replace(WANTED, timestep=0.001), 0, tmp_path)

@@ -14,15 +14,7 @@ from objectfolder.base.seeding import seeded
 from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, save_model
-from objectfolder.benchmarks.tasks.photograph import (
-    FORMATS,
-    cluttered,
-    cut_out,
-    photograph_conditions,
-    photograph_scores,
-    read_picture,
-    write_mesh,
-)
+from objectfolder.benchmarks.tasks import photograph
 from objectfolder.cli import app
 from objectfolder.mesh.reading.load import default_up, load_mesh
 
@@ -98,12 +90,12 @@ def photo(tmp_path):
 
 def test_the_three_ways_of_cutting_out_agree():
     plain = picture()
-    by_mask = cut_out(plain, mask=mask_of())
-    by_colour = cut_out(plain, background=(0, 250, 5))
+    by_mask = photograph.cut_out(plain, mask=mask_of())
+    by_colour = photograph.cut_out(plain, background=(0, 250, 5))
     transparent = plain.copy()
     transparent[..., 3] = mask_of()
     assert np.array_equal(by_mask, by_colour)
-    assert np.array_equal(by_mask, cut_out(transparent))
+    assert np.array_equal(by_mask, photograph.cut_out(transparent))
     assert np.array_equal(by_mask[..., 3] == 1, mask_of() > 0)
     assert not by_mask[by_mask[..., 3] == 0].any()
     linear = [((level / 255 + 0.055) / 1.055) ** 2.4 for level in (200, 30, 30)]
@@ -112,15 +104,15 @@ def test_the_three_ways_of_cutting_out_agree():
 
 def test_alpha_goes_before_the_mask_and_the_mask_before_the_colour():
     image, other = picture(), mask_of((50, 5, 70, 15))
-    assert np.array_equal(cut_out(image, other, (0, 255, 0))[..., 3] == 1, other > 0)
+    assert np.array_equal(photograph.cut_out(image, other, (0, 255, 0))[..., 3] == 1, other > 0)
     image[..., 3] = mask_of()
-    assert np.array_equal(cut_out(image, other)[..., 3] == 1, mask_of() > 0)
+    assert np.array_equal(photograph.cut_out(image, other)[..., 3] == 1, mask_of() > 0)
 
 
 def test_specks_elsewhere_are_not_the_object():
     image = picture()
     image[2, 70] = (0, 0, 0, 255)
-    assert np.array_equal(cut_out(image, background=(0, 255, 0))[..., 3] == 1, mask_of() > 0)
+    assert np.array_equal(photograph.cut_out(image, background=(0, 255, 0))[..., 3] == 1, mask_of() > 0)
 
 
 @pytest.mark.parametrize(
@@ -136,24 +128,24 @@ def test_specks_elsewhere_are_not_the_object():
 def test_pictures_without_an_object_are_refused(alpha, given, message):
     image = picture()
     image[..., 3] = alpha
-    refused(message, cut_out, image, **given)
+    refused(message, photograph.cut_out, image, **given)
 
 
 def test_pictures_are_read_upright_and_others_refused(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6  # to be turned by 90 degrees
     Image.fromarray(picture()[..., :3]).save(tmp_path / "turned.png", exif=exif)
-    assert read_picture(tmp_path / "turned.png").shape == (80, 60, 4)
+    assert photograph.read_picture(tmp_path / "turned.png").shape == (80, 60, 4)
     (tmp_path / "text.jpg").write_text("no picture")
     for name, message in (("text.jpg", "cannot be read as an image"), ("none.png", "does not exist")):
-        refused(message, read_picture, tmp_path / name)
+        refused(message, photograph.read_picture, tmp_path / name)
 
 
-@pytest.mark.parametrize("ending", FORMATS)
+@pytest.mark.parametrize("ending", photograph.FORMATS)
 def test_a_written_mesh_is_read_upright(ending, tmp_path):
     vertices = np.array([[0.1, 0.2, 0.5], [-0.3, 0.2, -0.5], [0.1, -0.4, -0.5]])
     path = tmp_path / f"mesh{ending}"
-    write_mesh(path, vertices, np.array([[0, 1, 2]]))
+    photograph.write_mesh(path, vertices, np.array([[0, 1, 2]]))
     read = load_mesh(path, default_up(path))
     np.testing.assert_allclose(read.vertices[read.faces[0]], vertices, atol=1e-6)
 
@@ -209,7 +201,7 @@ def test_a_model_with_an_own_encoder_is_read_with_that(model_path, photo, tmp_pa
 
 
 def test_clutter_is_busy_and_seeded():
-    first, again, other = (cluttered(64, 64, np.random.default_rng(seed)) for seed in (0, 0, 1))
+    first, again, other = (photograph.cluttered(64, 64, np.random.default_rng(seed)) for seed in (0, 0, 1))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
     assert first.min() >= 0
@@ -220,7 +212,7 @@ def test_clutter_is_busy_and_seeded():
 def test_removing_the_background_undoes_it(model):
     rgba = np.zeros((128, 128, 4), np.float16)
     rgba[40:100, 50:90] = (0.2, 0.1, 0.1, 1)
-    seen = photograph_conditions(rgba, VIEW, np.random.default_rng(0))
+    seen = photograph.photograph_conditions(rgba, VIEW, np.random.default_rng(0))
     assert list(seen) == ["white", "white, removed", "clutter", "clutter, removed"]
     assert all(image.shape == (VIEW, VIEW, 3) for image in seen.values())
     assert np.array_equal(seen["white, removed"], seen["clutter, removed"])
@@ -231,6 +223,6 @@ def test_removing_the_background_undoes_it(model):
     points = np.random.default_rng(1).uniform(-0.55, 0.55, (4000, 3)).astype(np.float32)
     dark = model.embed({"vision": seen["white, removed"][None]})
     truth = model.is_inside(dark, points)[0]
-    scores = photograph_scores(model, rgba[None], points, truth, np.random.default_rng(0))
+    scores = photograph.photograph_scores(model, rgba[None], points, truth, np.random.default_rng(0))
     assert scores["white, removed"].tolist() == scores["clutter, removed"].tolist() == [1]
     assert 0 < scores["clutter"][0] < 1

@@ -17,16 +17,6 @@ from objectfolder.benchmarks.models.settings import ReachConfig
 from objectfolder.benchmarks.tasks import reach_training as task
 from objectfolder.benchmarks.tasks.job import ObjectJob
 from objectfolder.benchmarks.tasks.reach import TASK
-from objectfolder.benchmarks.tasks.reach_training import (
-    POLICIES,
-    controller,
-    fresh_seeds,
-    nothing,
-    random_policy,
-    reach,
-    reach_frames,
-    run_episodes,
-)
 from objectfolder.benchmarks.tasks.running import KnownObject, Run, run_benchmark
 from objectfolder.benchmarks.tasks.task import TaskParams
 from objectfolder.cli import app
@@ -154,9 +144,9 @@ def test_an_actor_by_hand():
 
 def test_baselines_bound_the_task(body):
     env = ReachEnv(body, horizon=60)
-    seeds = fresh_seeds(0, "brick", "test", 5)
-    best, idle = run_episodes(env, controller, seeds), run_episodes(env, nothing, seeds)
-    aimless = run_episodes(env, random_policy(np.random.default_rng(0)), seeds)
+    seeds = task.fresh_seeds(0, "brick", "test", 5)
+    best, idle = task.run_episodes(env, task.controller, seeds), task.run_episodes(env, task.nothing, seeds)
+    aimless = task.run_episodes(env, task.random_policy(np.random.default_rng(0)), seeds)
     assert best.last.all()
     assert best.ever.all()
     assert not idle.ever.any()
@@ -173,23 +163,23 @@ def test_success_at_any_time_is_not_success_at_the_end(body):
         """To the goal, then away, which the opening of the gripper remembers."""
         near = np.linalg.norm(observation[36:39] - observation[:3] - [0, 0, -0.045]) < 0.03
         away = near or observation[3] < 0.97
-        return np.array([0, -1, 1, 1], np.float32) if away else controller(observation) - [0, 0, 0, 1]
+        return np.array([0, -1, 1, 1], np.float32) if away else task.controller(observation) - [0, 0, 0, 1]
 
-    played = run_episodes(env, leaving, [0, 1])
+    played = task.run_episodes(env, leaving, [0, 1])
     assert played.ever.all()
     assert not played.last.any()
 
 
 def test_goals_of_validation_and_test_are_others_and_stay():
-    val, test = (fresh_seeds(0, "mug", part, 100) for part in ("val", "test"))
+    val, test = (task.fresh_seeds(0, "mug", part, 100) for part in ("val", "test"))
     assert len({*val, *test}) == 200
-    assert fresh_seeds(0, "mug", "test", 10) == test[:10]
-    assert fresh_seeds(1, "mug", "test", 10) != test[:10] != fresh_seeds(0, "cup", "test", 10)
+    assert task.fresh_seeds(0, "mug", "test", 10) == test[:10]
+    assert task.fresh_seeds(1, "mug", "test", 10) != test[:10] != task.fresh_seeds(0, "cup", "test", 10)
 
 
 def test_films_show_where_the_goal_is_met(body):
     env = ReachEnv(body, horizon=60, render_mode="rgb_array", resolution=(30, 40))
-    frames = reach_frames(env, controller, [0, 1])
+    frames = task.reach_frames(env, task.controller, [0, 1])
     assert len(frames) == 2 * 15
     assert {tuple(frame[-1, 0]) for frame in (frames[0], frames[15])} == {(190, 40, 40)}
     assert {tuple(frame[-1, 0]) for frame in (frames[14], frames[29])} == {(30, 150, 60)}
@@ -198,12 +188,12 @@ def test_films_show_where_the_goal_is_met(body):
 def test_scores_have_everything_and_are_the_same_again(brick, body, tmp_path):
     said = []
     params = replace(TINY, seeds=2)
-    scores, curve = reach(ObjectJob("reach", brick, body, params, 0, tmp_path / "a", said.append))
+    scores, curve = task.reach(ObjectJob("reach", brick, body, params, 0, tmp_path / "a", said.append))
     assert len(said) == len(curve) == 2  # a part has 32 steps
     assert [row[:2] for row in curve] == [[0, 32], [1, 32]]
     assert len(curve[0]) == len(TASK.columns)
     assert scores["steps"] == [32, 32]
-    for name in POLICIES:
+    for name in task.POLICIES:
         low, high = scores[name]["last"]["interval_95"]
         assert 0 <= low <= scores[name]["last"]["rate"] <= scores[name]["any"]["rate"] <= 1
         assert low <= high
@@ -211,7 +201,7 @@ def test_scores_have_everything_and_are_the_same_again(brick, body, tmp_path):
     # Of none of n the upper end of Wilson's interval is z^2 / (n + z^2).
     high = pytest.approx(1.96**2 / (2 + 1.96**2), abs=1e-4)
     assert scores["nothing"]["last"] == {"rate": 0, "interval_95": [0, high]}
-    again, curve_again = reach(ObjectJob("reach", brick, body, params, 0, tmp_path / "b"))
+    again, curve_again = task.reach(ObjectJob("reach", brick, body, params, 0, tmp_path / "b"))
     assert curve_again == curve
     assert again | {"seconds": 0} == scores | {"seconds": 0}
     assert (tmp_path / "b/episodes.gif").read_bytes() == (tmp_path / "a/episodes.gif").read_bytes()
@@ -227,7 +217,7 @@ def play(monkeypatch):
             asked.append((policy, seeds))
             return task.EpisodeScores(*[np.array(last)] * 2, *[np.zeros(len(last))] * 2)
 
-        monkeypatch.setattr(task, "run_episodes", run_episodes)
+        monkeypatch.setattr(task, "run_episodes", task.run_episodes)
         return asked, shown
 
     def frames(env, policy, seeds):
@@ -244,9 +234,9 @@ def test_each_training_is_scored_on_goals_of_its_own(brick, body, tmp_path, monk
 
     asked, _ = play([True] * 2)
     monkeypatch.setattr(task, "train_ppo", lambda *given: (Trained(), [[32, 0, 0, 0, 0]], 0.0))
-    scores, _ = reach(ObjectJob("reach", brick, body, replace(TINY, seeds=2), 0, tmp_path))
+    scores, _ = task.reach(ObjectJob("reach", brick, body, replace(TINY, seeds=2), 0, tmp_path))
     first, second = (seeds for policy, seeds in asked if isinstance(policy, Trained))
-    assert first == fresh_seeds(0, brick.key, "test", TINY.goals)  # as with one seed
+    assert first == task.fresh_seeds(0, brick.key, "test", TINY.goals)  # as with one seed
     assert not set(first) & set(second)
     assert {tuple(seeds) for policy, seeds in asked if not isinstance(policy, Trained)} == {tuple(first)}
     assert scores["ppo"]["seeds"] == [1.0, 1.0]
@@ -257,14 +247,14 @@ def test_each_training_is_scored_on_goals_of_its_own(brick, body, tmp_path, monk
 )
 def test_the_animation_shows_each_outcome_once(brick, body, tmp_path, play, last, shown):
     _, found = play(last)
-    reach(ObjectJob("reach", brick, body, replace(TINY, goals=4), 0, tmp_path))
-    goals = fresh_seeds(0, brick.key, "test", 4)
+    task.reach(ObjectJob("reach", brick, body, replace(TINY, goals=4), 0, tmp_path))
+    goals = task.fresh_seeds(0, brick.key, "test", 4)
     assert found == [goals[i] for i in shown]
 
 
 def run_with(brick, body, params, folder):
     known = KnownObject(brick, "digest", body)
-    return Run(task=TASK, training=reach, part="brick", inputs=known, params=params, folder=folder)
+    return Run(task=TASK, training=task.reach, part="brick", inputs=known, params=params, folder=folder)
 
 
 def test_a_run_leaves_its_files_and_goes_on_where_it_was(brick, body, tmp_path):
@@ -317,7 +307,7 @@ def test_a_table_has_a_row_for_each_policy_of_each_object():
     }
     played = shares | {"return": 950.0, "distance": 0.0123, "seeds": [0.97]}
     run = {"episodes": 100, "horizon": 100, "task": "reach", "steps": [163840, 81920]}
-    scores = dict.fromkeys(POLICIES, played) | run
+    scores = dict.fromkeys(task.POLICIES, played) | run
     (shown,) = TASK.tables({"cup": scores, "die": scores})
     assert [row[0] for row in shown.rows] == ["cup"] * 4 + ["die"] * 4
     assert shown.rows[0] == ("cup", "PPO", "97 (96-100)", "100 (96-100)", "12", "9.50", "164k/82k", "100")

@@ -16,16 +16,8 @@ from torch import nn
 from objectfolder.base.seeding import seeded
 from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
-from objectfolder.benchmarks.models import encoders
+from objectfolder.benchmarks.models import encoders, shape_model
 from objectfolder.benchmarks.models.settings import InputSizes
-from objectfolder.benchmarks.models.shape_model import (
-    Setup,
-    ShapeModel,
-    load_model,
-    new_net,
-    save_model,
-    shape_inputs,
-)
 from objectfolder.benchmarks.scoring import truth
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import Truth, best_level
@@ -130,7 +122,7 @@ def test_every_variant_beats_the_average_shape(occupancy, tmp_path, pretrain_epo
     first = {variant: next(row for row in curves if row[0] == variant) for variant in VARIANTS}
     assert len([row for row in curves if row[0] == "VA"]) == PARAMS.epochs / 2
     assert first["VA"][3] < 0.9 * first["V"][3]  # it starts from what the others learnt
-    assert load_model(tmp_path / "model.safetensors").setup.modalities == ("vision",)
+    assert shape_model.load_model(tmp_path / "model.safetensors").setup.modalities == ("vision",)
     with Image.open(tmp_path / "sheet.png") as page:
         assert page.size[0] > page.size[1] / 2 > 200
 
@@ -157,12 +149,12 @@ def test_touches_of_a_row_are_of_its_object_and_encoded_as_one_by_one(occupancy,
     np.testing.assert_array_equal(touches[:, 0], Observed().read("touch", rows))
     colours = touches.mean((2, 3)).round(-2)
     assert (colours == colours[:, :1]).all()
-    net = new_net(training.train([], 0)[0].setup)
+    net = shape_model.new_net(training.train([], 0)[0].setup)
     encoder, rng = net.eval().encoders["touch"], np.random.default_rng(0)
     few = SPLIT.train[:3]
     one_by_one = training._encode(encoder, "touch", few, rng)
     with torch.no_grad():
-        together = encoder(shape_inputs("touch", read_observed(job, "touch", few[None]), SIZES))
+        together = encoder(shape_model.shape_inputs("touch", read_observed(job, "touch", few[None]), SIZES))
     torch.testing.assert_close(one_by_one.mean(0, keepdim=True), together)
     whole = training._features(encoder, "touch", rng)
     assert whole[SPLIT.train].any()
@@ -193,7 +185,7 @@ def test_what_no_epoch_changes_is_encoded_once(occupancy, tmp_path):
         asked.clear()
     crops = training._views(rows[:3], np.random.default_rng(1))
     raw = Observed().read("vision", rows[:3])
-    assert torch.equal(crops, shape_inputs("vision", raw, SIZES, np.random.default_rng(1)))
+    assert torch.equal(crops, shape_model.shape_inputs("vision", raw, SIZES, np.random.default_rng(1)))
     other = ShapeTraining(job, occupancy, "A", 1, tmp_path / "none.pt")
     other._features(encoder, "audio", rng)  # another seed has other encoders
     assert sum(asked) == len(rows)
@@ -313,19 +305,19 @@ def test_best_level_by_hand():
 
 
 def test_model_file_keeps_everything_and_refuses_what_it_is_not(occupancy, tmp_path, brick_path):
-    setup = Setup(("vision",), "linear", SIZES, 16, 8, 1, 2, 8, tuple(SOLIDS), 0.45)
+    setup = shape_model.Setup(("vision",), "linear", SIZES, 16, 8, 1, 2, 8, tuple(SOLIDS), 0.45)
     with seeded(0, "model"):
-        net = new_net(setup).eval()
+        net = shape_model.new_net(setup).eval()
     nn.init.normal_(net.decoder.blocks[0].norm1.beta.weight)  # not 0: the embedding counts
     path = tmp_path / "model.safetensors"
-    save_model(path, ShapeModel(setup, net))
-    model = load_model(path)
+    shape_model.save_model(path, shape_model.ShapeModel(setup, net))
+    model = shape_model.load_model(path)
     assert model.setup == setup
-    save_model(tmp_path / "copy.safetensors", model)
+    shape_model.save_model(tmp_path / "copy.safetensors", model)
     assert (tmp_path / "copy.safetensors").read_bytes() == path.read_bytes()
     view = Observed().read("vision", np.array([9, 30]))
     embedding = model.embed({"vision": view})
-    torch.testing.assert_close(embedding[1:], load_model(path).embed({"vision": view[1:]}))
+    torch.testing.assert_close(embedding[1:], shape_model.load_model(path).embed({"vision": view[1:]}))
     points = occupancy.score_points
     inside = model.is_inside(embedding, points)
     probability = torch.from_numpy(model.logits(embedding, points)).double().sigmoid().numpy()
@@ -338,18 +330,19 @@ def test_model_file_keeps_everything_and_refuses_what_it_is_not(occupancy, tmp_p
     inner = (np.abs(vertices) < HALF_SIDE).all(1)  # the rest closes the surface outside
     there = model.logits(embedding[:1], vertices[inner].astype(np.float32))
     assert np.median(np.abs(there - level)) < 0.1 * np.ptp(model.logits(embedding[:1], points))
-    refused("no reconstruction model", load_model, brick_path)
-    refused("does not exist", load_model, tmp_path / "none.safetensors")
+    refused("no reconstruction model", shape_model.load_model, brick_path)
+    refused("does not exist", shape_model.load_model, tmp_path / "none.safetensors")
     broken = replace(model, setup=replace(model.setup, width=25))
-    save_model(tmp_path / "wrong.safetensors", broken)
-    refused("damaged", load_model, tmp_path / "wrong.safetensors")
+    shape_model.save_model(tmp_path / "wrong.safetensors", broken)
+    refused("damaged", shape_model.load_model, tmp_path / "wrong.safetensors")
 
 
 def test_encoders_start_from_given_weights(tmp_path):
     weights = encoders.Weights(tmp_path, Linear(3).state_dict())
     ones = {name: torch.ones_like(value) for name, value in weights.items()}
-    net = new_net(
-        Setup(("vision",), "linear", SIZES, 16, 8, 1, 0, 8, ("ball",)), encoders.Weights(tmp_path, ones)
+    net = shape_model.new_net(
+        shape_model.Setup(("vision",), "linear", SIZES, 16, 8, 1, 0, 8, ("ball",)),
+        encoders.Weights(tmp_path, ones),
     )
     assert all((value == 1).all() for value in net.encoders["vision"].state_dict().values())
 
