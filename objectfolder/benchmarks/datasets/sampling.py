@@ -34,11 +34,7 @@ SPAN = 0.0095
 RAYS = 9  #: along each side
 ABOVE = 0.004  #: where rays start, metres above the point
 BELOW = 0.003  #: and where they end below it: gel of no sensor reaches further
-_DTYPES: dict[str, np.dtype[Any]] = {
-    "vision": np.dtype(np.uint8),
-    "audio": np.dtype(np.float32),
-    "touch": np.dtype(np.uint8),
-}
+_DTYPES: dict[str, np.dtype[Any]] = dict(zip(MODALITIES, map(np.dtype, ("uint8", "float32", "uint8"))))
 
 log = logging.getLogger(__name__)
 

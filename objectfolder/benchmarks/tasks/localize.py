@@ -1,7 +1,8 @@
 """Localization of a contact on a known object by touch, by sound, or by both (ObjectFolder Benchmark)."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import fmean
 from typing import Annotated, Any
 
 from annotated_types import Ge, MultipleOf
@@ -45,9 +46,9 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
             )
         if len(found) > 1:
             means = [
-                *(_mean(one["net"][kind] for one in found) for kind in ("mean", "median", "together")),
-                *(_mean(one["nearest"][kind] for one in found) for kind in ("mean", "together")),
-                *(_mean(score[kind] for score in scores.values()) for kind in ("constant", "random")),
+                *(fmean(one["net"][kind] for one in found) for kind in ("mean", "median", "together")),
+                *(fmean(one["nearest"][kind] for one in found) for kind in ("mean", "together")),
+                *(fmean(score[kind] for score in scores.values()) for kind in ("constant", "random")),
             ]
             rows.append((name, f"mean of {len(found)}", *(f"{100 * value:.1f}" for value in means)))
     contacts = next(iter(scores.values()))["contacts"]
@@ -60,11 +61,6 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         "Nearest: the training contact with the most similar input, for eight a belief by similarity. "
         "Constant: the best single answer.",
     )
-
-
-def _mean(values: Iterable[float]) -> float:
-    found = list(values)
-    return sum(found) / len(found)
 
 
 TASK = Task(

@@ -10,6 +10,7 @@ import numpy as np
 
 from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.models.actor import Actor
+from objectfolder.benchmarks.models.policy_training import PolicyPoint
 from objectfolder.benchmarks.models.ppo import train_ppo
 from objectfolder.benchmarks.models.settings import ReachConfig
 from objectfolder.benchmarks.reporting.film import mark_outcome, write_gif
@@ -119,11 +120,11 @@ def reach(job: ObjectJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     actors, curve, steps, seconds = [], [], [], 0.0
     for run in range(params.seeds):
 
-        def report(done: int, figures: tuple[float, ...], elapsed: float, run: int = run) -> None:
-            last, ever = (round(100 * share) for share in figures[:2])
+        def report(point: PolicyPoint, run: int = run) -> None:
+            last, ever = (round(100 * share) for share in point.figures[:2])
             job.report(
-                f"{task} {body.key}, seed {run + 1} of {params.seeds}, {done} of {params.steps} steps: "
-                f"validation success {last} % at the last step, {ever} % at any time, {elapsed:.0f} s"
+                f"{task} {body.key}, seed {run + 1} of {params.seeds}, {point.done} of {params.steps} steps: "
+                f"validation success {last} % at the last step, {ever} % at any time, {point.seconds:.0f} s"
             )
 
         purpose = (task, body.key, str(run))
