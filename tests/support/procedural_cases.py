@@ -73,15 +73,8 @@ SAMPLE = ("toaster", "lantern")  # of the appliances, examined by default
 GENUS = (
     dict.fromkeys((*STARTERS, *VESSELS, *TOOLS), 0)
     | {"mug": 1, "pan": 1, "teapot": 1, "wrench": 1, "ring wrench": 2, "peg block": 9}
-    | {
-        "television": 4,
-        "radio": 10,
-        "clock": 1,
-        "toaster": 1,
-        "lantern": 13,
-        "clothes iron": 1,
-        "hair dryer": 4,
-    }
+    | {"television": 4, "radio": 10, "clock": 1, "toaster": 1, "lantern": 13}
+    | {"clothes iron": 1, "hair dryer": 4}
     | dict.fromkeys(KINDS)
 )
 
