@@ -72,7 +72,7 @@ def test_every_dimension_is_a_finite_number_that_fits_the_others(generator):
     """One that is out of its range, or that puts another one out of its range."""
     beside = r"\S+ to \S+, .+; change \1 or the dimensions beside it"
     limits = rf"{generator}: (\w+)=.*: expected ({beside}|a positive, finite number)"
-    parameters = inspect.signature(GENERATORS[generator]).parameters.values()
+    parameters = inspect.signature(inspect.unwrap(GENERATORS[generator])).parameters.values()
     dimensions = [p for p in parameters if isinstance(p.default, float)]
     assert dimensions
     for one in dimensions:
