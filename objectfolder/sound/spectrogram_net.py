@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from objectfolder.nets.positional import PointwiseNetwork
-from objectfolder.nets.storage import DEPTH, OCTAVES, UNFILLED, WIDTH, NetKind, fill, halve_weights
+from objectfolder.nets.storage import OCTAVES, PAPERS, UNFILLED, NetKind, fill, halve_weights
 from objectfolder.sound.spectrogram import SHAPE
 
 
@@ -100,5 +100,4 @@ def _coordinates(device: torch.device) -> torch.Tensor:
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).flatten(0, 1)
 
 
-_FIELDS = {"width": WIDTH, "depth": DEPTH, "point_octaves": OCTAVES, "bin_octaves": OCTAVES}
-KINDS = {"spectrogram": NetKind(SpectrogramNet, "spectrograms", _FIELDS)}
+KINDS = {"spectrogram": NetKind(SpectrogramNet, "spectrograms", PAPERS | {"bin_octaves": OCTAVES})}

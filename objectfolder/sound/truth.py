@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -14,24 +14,9 @@ from objectfolder.base.materials import Material
 from objectfolder.mesh.topology import Mesh
 from objectfolder.sound.fem.certainty import solver_checks
 from objectfolder.sound.fem.elasticity import Solid
-from objectfolder.sound.fem.modal import MIN_FREQUENCY, ModalData, refined_analysis, solved_band
+from objectfolder.sound.fem.modal import MIN_FREQUENCY, ModalData, Request, refined_analysis, solved_band
 from objectfolder.sound.fem.settings import FineGrids, ModalConfig
 from objectfolder.sound.fem.similarity import similarity
-
-
-@dataclass(frozen=True)
-class Request:
-    """Request for a modal analysis of a given solid."""
-
-    material: Material
-    scale: float  #: longest side, metres
-    max_frequency: float  #: Hz
-    max_modes: int
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> "Request":
-        """Inverse of `dataclasses.asdict`."""
-        return cls(**{**values, "material": Material(**values["material"])})
 
 
 def compute_modes(
@@ -55,12 +40,11 @@ def compute_modes(
             data = rescaled(earlier, problem, request)
     reused = data is not None
     if data is None:
-        data = refined_analysis(solid, surface, fine, points, **vars(request), name=name)
-    band = solved_band(data, request.material, request.max_frequency, request.max_modes)
+        data = refined_analysis(solid, surface, fine, points, request, name)
     record = {"problem": problem, "request": asdict(request), "report": data.report}
     arrays = data.arrays() | {
         "truncated": np.asarray(data.report["truncated"]),
-        "band_hz": np.asarray(band),
+        "band_hz": np.asarray(solved_band(data, request)),
         "solution": np.asarray(json.dumps(record, sort_keys=True)),
     }
     return arrays, data.report | {"reused": reused}

@@ -9,7 +9,7 @@ from solids import box
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import material
 from objectfolder.sound.fem.cutcell import cut_cells
-from objectfolder.sound.fem.modal import modal_analysis, solved_band
+from objectfolder.sound.fem.modal import Request, modal_analysis, solved_band
 from objectfolder.sound.tuning import retune, stored_modes
 
 SOLID = box((1, 0.55, 0.3))
@@ -24,8 +24,9 @@ def solve():
     cells = cut_cells(*SOLID, 6, 4)
 
     def modes(stuff, scale, max_frequency=20000.0, max_modes=30):
-        data = modal_analysis(cells, SOLID[0], stuff, scale, max_frequency, max_modes)
-        return data, solved_band(data, stuff, max_frequency, max_modes)
+        request = Request(stuff, scale, max_frequency, max_modes)
+        data = modal_analysis(cells, SOLID[0], request)
+        return data, solved_band(data, request)
 
     return modes
 
