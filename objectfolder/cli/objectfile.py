@@ -295,7 +295,6 @@ def touch(
 
 
 def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str]) -> None:
-    """Write the named outputs of one contact."""
     from objectfolder.base.arrays import write_npz, write_png
 
     if "image" in names:

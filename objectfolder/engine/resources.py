@@ -169,7 +169,6 @@ def _quota_of_first_version(folder: Path) -> str:
 
 
 def _read(path: Path) -> str:
-    """Return the content of a file; empty if there is none that can be read."""
     try:
         return path.read_text().strip()
     except OSError:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from typing_extensions import override  # the standard one is there since Python 3.12
 
+from objectfolder.base.checks import refuse_rows
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.stored.reading import StoredNet, report_damage
 from objectfolder.stored.surface import UNMOVED
@@ -48,12 +49,8 @@ class GeometricSense(TouchSense):
         Raises ObjectFolderError if a point is off the surface, or a depth is not one of the net's sensor.
         """
         depth, limit = contacts.depth, net.profile.max_indentation
-        wrong = np.flatnonzero((depth < 0) | (depth > limit))
-        if len(wrong):
-            raise ObjectFolderError(
-                f"depth: row {wrong[0]} is {depth[wrong[0]]:g} m; the sensor {net.profile.name!r} takes "
-                f"0 to {limit:g} m"
-            )
+        takes = f" m; the sensor {net.profile.name!r} takes 0 to {limit:g} m"
+        refuse_rows("depth", (depth < 0) | (depth > limit), depth, takes)
         return self._surface.snap(contacts.points, contacts.tolerance, UNMOVED)
 
     @override
@@ -123,12 +120,8 @@ class DepthMapSense(TouchSense):
 
     @override
     def touches(self, contacts: ContactPoses, profile: SensorProfile | None) -> Iterator[Touches]:
-        turned = np.flatnonzero(contacts.angle)
-        if len(turned):
-            raise ObjectFolderError(
-                f"angle: row {turned[0]} is {contacts.angle[turned[0]]:g}; a released touch net knows tilt, "
-                "no rotation"
-            )
+        angle = contacts.angle
+        refuse_rows("angle", angle != 0, angle, "; a released touch net knows tilt, no rotation")
         return self.net.touches(*self._arguments(contacts), profile)
 
     @override

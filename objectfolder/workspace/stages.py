@@ -69,9 +69,7 @@ STAGES = {
         {"mitsuba-cuda": Needs(30, gpus=0.5, memory_mb=2000, timeout=3 * HOUR)},
     ),
     "render_touch": Stage(
-        "object",
-        "objectfolder.touch.settings:RenderTouchConfig",
-        Needs(3, memory_mb=1000, timeout=3 * HOUR),
+        "object", "objectfolder.touch.settings:RenderTouchConfig", Needs(3, memory_mb=1000, timeout=3 * HOUR)
     ),
     "train_vision": Stage(
         "object",
