@@ -49,11 +49,8 @@ def _described(description: str) -> dict[str, str]:
 
 
 OCTAVES = whole(0, 24, "of the positional encoding")
-PAPERS = {
-    "width": whole(1, 1024),
-    "depth": whole(1, 32),
-    "point_octaves": OCTAVES,
-}  #: fields of the paper's nets
+#: Fields of the paper's nets.
+PAPERS = {"width": whole(1, 1024), "depth": whole(1, 32), "point_octaves": OCTAVES}
 
 
 def fill(net: _Net, state: dict[str, torch.Tensor]) -> _Net:

@@ -321,7 +321,4 @@ def finite_sounds(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
 #: By what a net answers at (N, 3) points of the unit frame. Modes: by ``shapes``, (N, 3, M) kg^-1/2, of
 #: ``damped_frequency`` and ``damping``, (M,). Spectrograms: by ``spectrograms`` of unit impulses, (N, 3, 257,
 #: 201) complex, of modes with some ``damped_frequency``.
-SENSES: dict[str, type[ModalSense | SpectrogramSense]] = {
-    "modes": ModalSense,
-    "spectrograms": SpectrogramSense,
-}
+SENSES: dict[str, type[SoundSense]] = {"modes": ModalSense, "spectrograms": SpectrogramSense}

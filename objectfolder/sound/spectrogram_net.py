@@ -37,12 +37,8 @@ class SpectrogramNet(nn.Module):
         bin_octaves: int,
     ):
         super().__init__()
-        self.config = {
-            "width": width,
-            "depth": depth,
-            "point_octaves": point_octaves,
-            "bin_octaves": bin_octaves,
-        }
+        self.config = {"width": width, "depth": depth}
+        self.config |= {"point_octaves": point_octaves, "bin_octaves": bin_octaves}
         self.register_buffer("damped_frequency", damped_frequency.double())
         self.register_buffer("range", value_range.double())
         branches = [PointwiseNetwork(width, depth, point_octaves, bin_octaves, outputs=2) for _ in range(3)]

@@ -68,43 +68,57 @@ def _modes_at(
     cells, material, scale = candidate.solid, candidate.material, candidate.scale
     fem = candidate.vibration.fem
     modes = candidate.vibration.modes_below(request.max_frequency, request.max_modes, name)
-    damping = material.damping(modes.eigenvalues)
-    rings = (modes.eigenvalues > damping**2) & (modes.eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
-    eigenvalues, damping = modes.eigenvalues[rings], damping[rings]
+    rings = is_heard(modes.eigenvalues, material)
+    eigenvalues = modes.eigenvalues[rings]
     nodal = modes.shapes[:, rings].reshape(len(fem.nodes), -1)
     shapes = cells.interpolate(nodal, points).reshape(len(points), 3, -1)
-    frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
     errors = candidate.errors(np.sqrt(modes.eigenvalues[:ESTIMATED_MODES]) / (2 * np.pi))
     report = {
         "element": cells.name,
         "resolution": cells.resolution,
         "elements": cells.elements,
         "degrees_of_freedom": int(fem.stiffness.shape[0]),
-        "material": material.name,
-        "material_properties": material.properties(),
-        "scale_m": scale,
         "mass_kg": float(cells.volume * scale**3 * material.density),
         "volume_error": cells.volume_error,  # before the correction of mass and stiffness
         "dropped_volume_share": cells.dropped_volume,
-        "modes": len(eigenvalues),
-        "modes_below_8_kHz": int((frequencies < 8000).sum()),
         "count_below_max_frequency": modes.count_below,
         "truncated": modes.truncated,
-        "max_frequency_hz": request.max_frequency,
-        "lowest_hz": frequencies[:8].round(2).tolist(),
         "rigid_hz": modes.rigid_frequencies.round(4).tolist(),
         "residual_max": float(modes.residuals.max(initial=0.0)),
         "discretisation_error": errors,
         "frequency_uncertainty": max(errors, default=0.0) if errors is not None else None,
         "highest_resolved_hz": resolved_frequency(cells, material, scale, wall),
     }
+    return stored_modes(eigenvalues, shapes, modes.residuals[rings], request, report)
+
+
+def is_heard(eigenvalues: np.ndarray, material: Material) -> np.ndarray:
+    """Return which modes ring and are not below hearing, by their eigenvalues (M,), rad^2/s^2."""
+    damped = eigenvalues <= material.damping(eigenvalues) ** 2
+    return ~damped & (eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
+
+
+def stored_modes(
+    eigenvalues: np.ndarray,
+    shapes: np.ndarray,
+    residuals: np.ndarray,
+    request: Request,
+    report: dict[str, Any],
+) -> ModalData:
+    """Return modes that are heard as they are stored; completes the report by what is said of them."""
+    frequencies, damping = np.sqrt(eigenvalues) / (2 * np.pi), request.material.damping(eigenvalues)
+    report = report | {
+        "material": request.material.name,
+        "material_properties": request.material.properties(),
+        "scale_m": request.scale,
+        "max_frequency_hz": request.max_frequency,
+        "modes": len(eigenvalues),
+        "modes_below_8_kHz": int((frequencies < 8000).sum()),
+        "lowest_hz": frequencies[:8].round(2).tolist(),
+    }
     return ModalData(
-        eigenvalues=eigenvalues,
-        damping=damping,
-        damped_frequency=np.sqrt(eigenvalues - damping**2),
-        shapes=shapes.astype(np.float32),
-        residuals=modes.residuals[rings],
-        report=report | solver_checks(report),
+        *(eigenvalues, damping, np.sqrt(eigenvalues - damping**2)),
+        *(shapes.astype(np.float32), residuals, report | solver_checks(report)),
     )
 
 
