@@ -14,7 +14,7 @@ from torch import nn
 from objectfolder.mesh.grid import ascent
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.positional import HiddenLinear, SkipNetwork, append_octaves
-from objectfolder.nets.storage import DEPTH, OCTAVES, UNFILLED, WIDTH, NetKind, fill, halve_weights, whole
+from objectfolder.nets.storage import OCTAVES, PAPERS, UNFILLED, NetKind, fill, halve_weights, whole
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.volume import Rays, resample, sample_strata, visibility
@@ -236,11 +236,9 @@ def pixel_centres(intrinsics: Intrinsics) -> np.ndarray:
 
 
 _FIELDS = {
-    "width": WIDTH,
-    "depth": DEPTH,
-    "branch_width": WIDTH,
-    "branch_depth": DEPTH,
-    "point_octaves": OCTAVES,
+    **PAPERS,
+    "branch_width": PAPERS["width"],
+    "branch_depth": PAPERS["depth"],
     "direction_octaves": OCTAVES,
     "coarse_samples": whole(2, 4096, "of a ray"),
     "fine_samples": whole(1, 4096, "of a ray"),
