@@ -49,20 +49,11 @@ def known_net(part: str, described: dict[str, Any]) -> dict[str, Any]:
 
 
 def checked_header(header: Any, path: object) -> dict[str, Any]:
-    """Validate a header.
+    """Return a copy of a header, converted to JSON types.
 
-    Returns dict: Copy of the header, converted to JSON types.
-
-    Raises ObjectFolderError if it is not the header of an Object File, is of another major version, or
-    violates the schema. An unknown kind is rejected here, unless the file has a newer version: then it is
-    rejected when its part is queried.
-
-    Parameters
-    ----------
-    header : anything
-        Header as decoded from JSON, or to be encoded.
-    path : path
-        Path of the file, for error messages.
+    Raises ObjectFolderError, which names the path, if it is not the header of an Object File, is of another
+    major version, or violates the schema. An unknown kind is rejected here, unless the file has a newer
+    version: then it is rejected when its part is queried.
     """
     try:
         header = json.loads(json.dumps(header, allow_nan=False))
