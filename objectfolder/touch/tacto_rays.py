@@ -80,8 +80,10 @@ class TactoRays:
             outline = np.flatnonzero(_outline(contact[i]))
             if outline.size:
                 picture[outline] = self._multisample(camera, frame, outline)
-            drawn = (of.reshape(height, width, 3) for of in (picture, self._empty))
-            images[i] = compose(*drawn, self.background, self.profile)
+            shape = height, width, 3
+            images[i] = compose(
+                picture.reshape(shape), self._empty.reshape(shape), self.background, self.profile
+            )
         return images, contact
 
     def _multisample(self, camera: np.ndarray, frame: np.ndarray, pixels: np.ndarray) -> np.ndarray:
