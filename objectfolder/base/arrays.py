@@ -145,16 +145,9 @@ def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
             raise ValueError(f"its header has {len(header):,} characters, expected at most {MAX_HEADER:,}")
         return StoredTensors(path, stored), {} if header is None else parse_json(header)
     except Exception as error:
-<<<<<<< HEAD
         reason = str(error).removeprefix("Error while deserializing: ") + content_hint(path)
-        raise ObjectFolderError(
-            f"{path} is neither an Object File nor another readable safetensors file: {reason}"
-        ) from error
-=======
-        reason = str(error).removeprefix("Error while deserializing: ")
         other = "neither an Object File nor another readable safetensors file"
         raise ObjectFolderError(f"{path} is {other}: {reason}") from error
->>>>>>> s6
 
 
 def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -44,53 +44,10 @@ EXTRAS = (
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),
     Extra("s3", ("[s3]", "moto[s3,server]"), "dvc-s3", "s3 or outage", ("tests/engine/test_remotes.py",)),
     Extra("usd", ("[usd]",), "usd-core", "usd", ("tests/sim/test_usd_export.py",)),
-<<<<<<< HEAD
-    Extra(
-        "lerobot",
-        # The last for Python 3.11, and the last.
-        (
-            "[hub]",
-            "lerobot==0.4.4; python_version < '3.12'",
-            "lerobot[dataset]==0.6.1; python_version >= '3.12'",
-        ),
-        "lerobot",
-        "lerobot",
-        ("tests/benchmarks/datasets/test_lerobot.py",),
-        environment="lerobot",
-        pinned=False,
-    ),
-    Extra(
-        "nerfstudio",
-        # Of later versions, torch may refuse how Nerfstudio indexes, and fpsample has no wheels.
-        ("nerfstudio==1.1.5", "torch==2.10.0", "fpsample<1"),
-        "nerfstudio",
-        "nerfstudio",
-        ("tests/benchmarks/datasets/test_nerfstudio.py",),
-        environment="nerfstudio",
-        pinned=False,
-    ),
-    Extra(
-        "croissant",
-        ("[hub]", "mlcroissant"),
-        "mlcroissant",
-        "croissant",
-        ("tests/release/test_release.py",),
-    ),
-    Extra(
-        "metaworld",
-        ("[metaworld]",),
-        "metaworld",
-        "metaworld",
-        ("tests/envs/test_reach.py",),
-        environment="metaworld",
-        unpinned=("mujoco",),
-    ),
-=======
     Extra("lerobot", ("[hub]", *LEROBOTS), "lerobot", "lerobot", (LEROBOT,), "lerobot", pinned=False),
     Extra("nerfstudio", NERFSTUDIOS, "nerfstudio", "nerfstudio", (NERFSTUDIO,), "nerfstudio", pinned=False),
     Extra("croissant", ("[hub]", "mlcroissant"), "mlcroissant", "croissant", (RELEASE,)),
     Extra("metaworld", ("[metaworld]",), "metaworld", "metaworld", (REACH,), "metaworld", ("mujoco",)),
->>>>>>> s6
 )
 
 
