@@ -7,6 +7,7 @@ stale.
 import ast
 import hashlib
 import inspect
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -20,6 +21,8 @@ from objectfolder.workspace.layout import MATERIALS
 from objectfolder.workspace.params import PARAMS_FILE, read
 
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+#: Text that names modules which are imported by name, such as all nets of a sense.
+_PATTERN = re.compile(rf"{PACKAGE}(\.\w+)*\.\*\w+")
 PACKAGES = (PACKAGE, "stages")  #: packages of the project
 #: Files and folders of the package that stages read; a workspace without the package depends on digests.
 DATA = (f"{PACKAGE}/benchmarks/data", f"{PACKAGE}/stored/objectfile.schema.json", PROFILES)
@@ -173,6 +176,8 @@ def _parsed(source: str) -> tuple[str, frozenset[tuple[int, str]]]:
         elif isinstance(node, ast.ImportFrom):
             module = node.module or ""
             imports |= {(node.level, name) for name in (module, *(f"{module}.{a.name}" for a in node.names))}
+        elif isinstance(node, ast.Constant) and _PATTERN.fullmatch(str(node.value)):
+            imports.add((0, str(node.value)))
     return digest, frozenset((level, name.lstrip(".")) for level, name in imports)
 
 
@@ -196,7 +201,10 @@ def _spell(node: ast.AST, words: list[str]) -> None:
 
 
 def _files(module: str, root: str | Path = ".") -> list[str]:
-    """Return the module's file and the ``__init__.py`` of every package above it."""
+    """Return the module's file and the ``__init__.py`` of every package above it, or files of a pattern."""
     parts = module.split(".")
     names = ["/".join((*parts[:i], "__init__.py")) for i in range(1, len(parts) + 1)]
-    return [name for name in (*names, "/".join(parts) + ".py") if located(name, root).is_file()]
+    folder = "/".join(parts[:-1])
+    found = sorted(located(folder, root).glob(f"{parts[-1]}.py")) if "*" in parts[-1] else []
+    names += [f"{folder}/{file.name}" for file in found] or ["/".join(parts) + ".py"]
+    return [name for name in names if located(name, root).is_file()]

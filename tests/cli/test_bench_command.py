@@ -267,8 +267,8 @@ def test_unseen_needs_objects_to_test_with(brick, workspace, monkeypatch):
     assert all(text in message for text in (*keys, "none is a test object", "split seen"))
 
     asked = []
-    monkeypatch.setattr(run, "collect_observations", lambda *given: {})
-    monkeypatch.setattr(run, "_call_all", lambda call, given, jobs: asked.extend(row[1] for row in given))
+    monkeypatch.setattr(run, "collect_samples", lambda *given: {})
+    monkeypatch.setattr(run, "_call_all", lambda call, given, jobs: asked.extend(row[0] for row in given))
     monkeypatch.setattr(run, "read_json", lambda path: {})
     lines = []
     options = run.BenchmarkOptions(files=[*map(Path, files)])

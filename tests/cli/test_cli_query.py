@@ -95,8 +95,8 @@ def test_views_under_several_lights(brick, brick_path, tmp_path):
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ([0.0, 0, 0, 0.5, 0.5, 1], "camera: row 2 is at [0.0, 0.0, 0.0], expected a place that is finite"),
-        ([2.0, 1, 2e3, 0.5, 0.5, 1], "camera: row 2 is at [2.0, 1.0, 2000.0], expected finite coordinates"),
+        ([0.0, 0, 0, 0.5, 0.5, 1], "camera: row 2 is [0.0, 0.0, 0.0], expected a place that is finite"),
+        ([2.0, 1, 2e3, 0.5, 0.5, 1], "camera: row 2 is [2.0, 1.0, 2000.0], expected finite coordinates"),
         ([2.0, 1, 1, 0.5, np.nan, 1], "light: row 2 is [0.5, nan, 1.0], expected finite numbers"),
     ],
 )
