@@ -15,7 +15,14 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.base.io import atomic_stream, existing_file, parse_json, unique_names, write_bytes
+from objectfolder.base.io import (
+    atomic_stream,
+    content_hint,
+    existing_file,
+    parse_json,
+    unique_names,
+    write_bytes,
+)
 
 MAX_BYTES = 2**30  #: size limit of a safetensors file; a thousand times that of an Object File
 MAX_HEADER = 2**20  #: length limit of its JSON header, characters
@@ -59,12 +66,8 @@ def safetensors_bytes(tensors: Mapping[str, Any], header: dict[str, Any]) -> byt
     from safetensors.numpy import save
 
     contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-    return save(contiguous, metadata=_metadata(header))
-
-
-def _metadata(header: dict[str, Any]) -> dict[str, str]:
-    """Return the metadata that hold a header; `read_safetensors` refuses NaN and infinity."""
-    return {"objectfolder": json.dumps(header, sort_keys=True, allow_nan=False)}
+    text = json.dumps(header, sort_keys=True, allow_nan=False)  # `read_safetensors` refuses NaN and infinity
+    return save(contiguous, metadata={"objectfolder": text})
 
 
 def write_png(path: str | Path, image: np.ndarray) -> None:
@@ -87,11 +90,8 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
             arrays = unique_names([(name, archive[name]) for name in archive.files])
     except Exception as error:
         raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error
-    missing = set(required) - set(arrays)
-    if missing:
-        raise ObjectFolderError(
-            f"{path} lacks {', '.join(sorted(missing))} (it holds {', '.join(sorted(arrays))}); rebuild it"
-        )
+    if missing := ", ".join(sorted(set(required) - set(arrays))):
+        raise ObjectFolderError(f"{path} lacks {missing} (it holds {', '.join(sorted(arrays))}); rebuild it")
     return arrays
 
 
@@ -108,9 +108,8 @@ class StoredTensors(Mapping[str, np.ndarray]):
         stored = self._stored[name]
         dtype = DTYPES.get(stored["dtype"])
         if dtype is None:
-            raise ObjectFolderError(
-                f"{self._path}: tensor {name} holds {stored['dtype']}, expected one of {', '.join(DTYPES)}"
-            )
+            held = f"tensor {name} holds {stored['dtype']}"
+            raise ObjectFolderError(f"{self._path}: {held}, expected one of {', '.join(DTYPES)}")
         return np.ndarray(stored["shape"], dtype, buffer=stored["data"]).copy()
 
     def __iter__(self) -> Iterator[str]:
@@ -146,10 +145,9 @@ def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
             raise ValueError(f"its header has {len(header):,} characters, expected at most {MAX_HEADER:,}")
         return StoredTensors(path, stored), {} if header is None else parse_json(header)
     except Exception as error:
-        reason = str(error).removeprefix("Error while deserializing: ")
-        raise ObjectFolderError(
-            f"{path} is neither an Object File nor another readable safetensors file: {reason}"
-        ) from error
+        reason = str(error).removeprefix("Error while deserializing: ") + content_hint(path)
+        other = "neither an Object File nor another readable safetensors file"
+        raise ObjectFolderError(f"{path} is {other}: {reason}") from error
 
 
 def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -191,9 +189,7 @@ def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
             return np.load(stream, allow_pickle=False).astype(np.float64)
     except ObjectFolderError:
         raise
-    except (
-        Exception
-    ) as error:  # numpy parses the header as Python literals, which raises many types of errors
+    except Exception as error:  # numpy parses the header as Python literals, which raises many types
         raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
 
 

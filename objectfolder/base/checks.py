@@ -4,6 +4,7 @@ import math
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from numbers import Integral, Real
 from typing import Any
 
@@ -23,18 +24,15 @@ _WEB_ADDRESS = re.compile(
 
 
 def finite_number(name: str, value: object) -> float:
-    """Return a real, finite number; numpy's and torch's scalars are numbers, texts and truth values are not.
+    """Return a real, finite number; raises ObjectFolderError if it is anything else.
 
-    Raises ObjectFolderError if it is anything else.
+    Numpy's and torch's scalars are numbers, texts and truth values are not.
     """
     given = _scalar(value)
     if isinstance(given, Real) and not isinstance(given, bool):
-        try:
-            number = float(given)
-        except OverflowError:
-            number = math.inf
-        if math.isfinite(number):
-            return number
+        with suppress(OverflowError):
+            if math.isfinite(number := float(given)):
+                return number
     raise ObjectFolderError(f"{name} is {quoted(value)}, expected a finite number")
 
 
@@ -89,10 +87,7 @@ def holds_tensors(values: object) -> bool:
 
 
 def whole_number(name: str, value: object, least: int = 0) -> int:
-    """Return a whole number of an integer type.
-
-    Raises ObjectFolderError if it is of another type, less than ``least``, or beyond 64 bits.
-    """
+    """Return a whole number of an integer type; ObjectFolderError if below ``least``, or beyond 64 bits."""
     given = _scalar(value)
     if isinstance(given, Integral) and not isinstance(given, bool) and least <= int(given) < 2**63:
         return int(given)
@@ -100,10 +95,7 @@ def whole_number(name: str, value: object, least: int = 0) -> int:
 
 
 def one_of(name: str, value: object, choices: Sequence[str]) -> str:
-    """Return a text that is one of a few.
-
-    Raises ObjectFolderError if it is another, or no text.
-    """
+    """Return a text that is one of a few; raises ObjectFolderError if it is another, or no text."""
     if isinstance(value, str) and value in choices:
         return value
     raise ObjectFolderError(f"{name} {quoted(value)} is not one of {', '.join(choices)}")
@@ -115,22 +107,17 @@ def is_web_address(text: str) -> bool:
 
 
 def one_line(name: str, value: str, most: int = 200) -> str:
-    """Return a text that people will read: not blank, one line, without control characters.
-
-    Raises ObjectFolderError if it is another, or longer.
-    """
+    """Return a line that people will read; ObjectFolderError if blank, longer, or with control characters."""
     if not value.strip() or len(value) > most or visible(value) != value:
-        raise ObjectFolderError(
-            f"{name} {quoted(value)}, expected a line of 1 to {most} characters without control characters"
-        )
+        expected = f"a line of 1 to {most} characters without control characters"
+        raise ObjectFolderError(f"{name} {quoted(value)}, expected {expected}")
     return value
 
 
 def require_memory(what: str, needed: int, remedy: str) -> None:
-    """Refuse work that does not fit into the memory of this machine.
+    """Raise ObjectFolderError if work does not fit into the memory of this machine.
 
     ``what``: name of the work, for the message; ``needed``: bytes; ``remedy``: what to ask for instead.
-    Raises ObjectFolderError if the machine has less memory.
     """
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > memory:

@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 from objectfolder.base.disk import is_shortage
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.installation import installed_version
-from objectfolder.base.terminal import Terminal, guard_stderr
+from objectfolder.base.terminal import Terminal, guard_streams
 from objectfolder.base.text import visible
 from objectfolder.cli import (
     bench,
@@ -93,24 +93,9 @@ def _options(
 
 
 for command in (
-    creation.init,
-    workspace.build,
-    upkeep.status,
-    upkeep.verify,
-    upkeep.prune,
-    creation.upgrade,
-    objects.add,
-    objects.fetch,
-    workspace.preset,
-    workspace.inspect,
-    objectfile.info,
-    view.view,
-    report.report,
-    release.release,
-    video.video,
-    simulate.simulate,
-    reconstruct.reconstruct,
-    doctor.doctor,
+    *(creation.init, workspace.build, upkeep.status, upkeep.verify, upkeep.prune, creation.upgrade),
+    *(objects.add, objects.fetch, workspace.preset, workspace.inspect, objectfile.info, view.view),
+    *(report.report, release.release, video.video, simulate.simulate, reconstruct.reconstruct, doctor.doctor),
 ):
     app.command()(command)
 app.command("import")(released.import_released)
@@ -125,7 +110,7 @@ app.add_typer(listening.listening_app, name="listening")
 
 def main() -> None:
     """Run the command line; print user errors in one line without a traceback."""
-    guard_stderr()
+    guard_streams()
     try:
         try:
             typer.main.get_command(app)()  # calling `app` would replace the hook for uncaught errors

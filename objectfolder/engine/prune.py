@@ -86,7 +86,8 @@ def _survey(repository: OpenRepository) -> Waste:
 
     runs: list[Path] = []
     dead_outs = [(_key(address), entry) for address, entry in dead.items()]
-    kept = {*hashes_in([*alive.values(), *_other_records(repository)])}
+    others = (path for path in dvc_files(repository) if path != repository.root / LOCK and path.exists())
+    kept = {*hashes_in([*alive.values(), *map(read_entry, others)])}
     for path in saved_runs(repository.repo) if keys else ():
         entry = read_entry(path)
         owner = _owner(entry, keys)
@@ -140,7 +141,6 @@ def _files(root: Path, key: str, dead: list[dict[str, Any]]) -> tuple[Path, ...]
 
 
 def _samples(key: str, root: Path) -> tuple[Path, ...]:
-    """Return the folders of an object's samples that stages write."""
     benchmarks = Benchmarks(root / BENCHMARKS)
     return benchmarks.observations(key), benchmarks.close_ups(key), benchmarks.grasps(key)
 
@@ -155,12 +155,6 @@ def _left(root: Path, key: str, files: tuple[Path, ...]) -> Iterator[str]:
     if others:
         names = ", ".join(os.path.relpath(path, root) for path in others[:3])
         yield f"{names}{' ...' if len(others) > 3 else ''}: not written by the pipeline"
-
-
-def _other_records(repository: OpenRepository) -> list[Any]:
-    """Read the .dvc files and lock files, except the lock file of the workspace."""
-    lock = repository.root / LOCK
-    return [read_entry(path) for path in dvc_files(repository) if path != lock and path.exists()]
 
 
 def _owner(entry: Any, keys: set[str]) -> str:
@@ -185,7 +179,6 @@ def _object_of(path: PurePosixPath) -> str:
 
 
 def _with_members(repository: OpenRepository, oids: Iterable[str]) -> Iterator[str]:
-    """Yield hashes, and those of the files in directories."""
     for oid in oids:
         yield oid
         if oid.endswith(".dir"):
@@ -197,7 +190,6 @@ def _with_members(repository: OpenRepository, oids: Iterable[str]) -> Iterator[s
 
 
 def _remove_empty(folder: Path) -> None:
-    """Remove empty folders, the deepest first."""
     for path in sorted((folder, *folder.rglob("*")), reverse=True):
         if path.is_dir() and not any(path.iterdir()):
             path.rmdir()

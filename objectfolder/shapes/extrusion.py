@@ -48,6 +48,15 @@ def area(outline: np.ndarray) -> float:
     return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
 
 
+def deepest_inset(outline: np.ndarray) -> float:
+    """Return the distance, m, at which `inset` would let the first side of an outline (N, 2) vanish."""
+    side = np.roll(outline, -1, axis=0) - outline
+    heading = np.arctan2(side[:, 1], side[:, 0])
+    turn = np.tan((heading - np.roll(heading, 1) + np.pi) % (2 * np.pi) / 2 - np.pi / 2)
+    shrinks = turn + np.roll(turn, -1)
+    return float(np.min(np.linalg.norm(side, axis=1)[shrinks > 0] / shrinks[shrinks > 0]))
+
+
 def inset(outline: np.ndarray, distance: float) -> np.ndarray:
     """Offset the sides of an outline (N, 2) by ``distance``, m, into the solid, with mitred corners.
 
@@ -68,12 +77,9 @@ def inset(outline: np.ndarray, distance: float) -> np.ndarray:
 
 
 def prism(
-    outlines: Sequence[np.ndarray],
-    height: float,
-    spacing: float,
-    bevel: float = 0.0,
+    outlines: Sequence[np.ndarray], height: float, spacing: float, bevel: float = 0.0,
     steps: int = ROUND_STEPS,
-) -> manifold3d.Manifold:
+) -> manifold3d.Manifold:  # fmt: skip
     """Extrude a plate from z = 0 to ``height``, m, with an even mesh on its flats.
 
     The first outline is the outer one, others are holes. Neighbouring vertices are at most about ``spacing``

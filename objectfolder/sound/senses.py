@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Callable, Iterator
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -17,7 +16,7 @@ from objectfolder.sound.bank import Bank
 from objectfolder.sound.click import SOUND_SPEED, recoil_pressure
 from objectfolder.sound.contact import Striker, contact_time, load_striker
 from objectfolder.sound.far_field import Radiation
-from objectfolder.sound.query import SoundSense, SoundSettings, Strikes
+from objectfolder.sound.query import SoundSense, SoundSettings, Strikes, no_modes
 from objectfolder.sound.spectrogram import DURATION, SAMPLE_RATE, invert_spectrogram
 from objectfolder.sound.synthesis import force_factors, gains, half_sine, response_at
 from objectfolder.sound.tuning import Tuning, retune, stored_modes
@@ -30,30 +29,9 @@ _BANKS = 4  # sounds whose mode responses are kept
 log = logging.getLogger(__name__)
 
 
-class ModalNet(Protocol):
-    """Net from a point to mode shapes."""
-
-    damped_frequency: torch.Tensor
-    damping: torch.Tensor
-
-    def shapes(self, points: torch.Tensor) -> torch.Tensor:
-        """Mode shapes (N, 3, M), kg^-1/2, at (N, 3) points of the unit frame."""
-
-
 def sound_sense(stored: StoredNet) -> SoundSense:
-    """Load an audio net. The code of a kind is imported when a file holds it."""
-    if stored.kind == "gains":
-        from objectfolder.sound.gains_net import GainsNet
-
-        return ModalSense(stored.load(GainsNet), stored)
-    if stored.kind == "spectrogram":
-        from objectfolder.sound.spectrogram_net import SpectrogramNet
-
-        return SpectrogramSense(stored.load(SpectrogramNet), stored)
-    from objectfolder.stored.released import released_net
-
-    net = stored.load(released_net(stored.kind))
-    return ModalSense(net, stored) if stored.kind == "released_gains" else SpectrogramSense(net, stored)
+    """Load an audio net."""
+    return SENSES[stored.answers](stored)
 
 
 class ModalSense(SoundSense):
@@ -61,16 +39,10 @@ class ModalSense(SoundSense):
 
     has_modes = True
 
-    def __init__(self, net: ModalNet, stored: StoredNet):
-        self.net = net
-        self._stored, self._surface = stored, stored.surface
+    def __init__(self, stored: StoredNet):
+        super().__init__(stored)
         self._banks: Recent[tuple[Tuning, Bank]] = Recent(_BANKS)
         self._said: set[str] = set()
-
-    @property
-    @override
-    def damped_frequency(self) -> torch.Tensor:
-        return self.net.damped_frequency.cpu()
 
     @override
     def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
@@ -108,7 +80,7 @@ class ModalSense(SoundSense):
 
         Raises ObjectFolderError if the file does not say.
         """
-        header, key = self._stored.header, self._stored.key
+        header, key = self._stored.header, self._key
         if not self._described:
             raise ObjectFolderError(
                 f"{key}: the file stores no material properties (imported files do not); it "
@@ -125,7 +97,7 @@ class ModalSense(SoundSense):
 
     def _band(self) -> tuple[float, float]:
         """Band of natural frequencies (Hz) in which every mode is stored; all of them if it is not known."""
-        with report_damage(self._stored.key, "description of the sound"):
+        with report_damage(self._key, "description of the sound"):
             low, high = self._stored.header["audio"].get("band_hz", (0.0, math.inf))
             return float(low), float(high)
 
@@ -137,7 +109,7 @@ class ModalSense(SoundSense):
         """Return mode shapes (N, 3, M), kg^-1/2, at points (N, 3) of the surface, metres."""
         shapes = self.net.shapes(torch.from_numpy(self._surface.to_unit(points))).cpu().numpy()
         if not np.isfinite(shapes).all():
-            raise damaged_net(self._stored.key, "audio")
+            raise damaged_net(self._key, "audio")
         return shapes
 
     @override
@@ -206,14 +178,14 @@ class ModalSense(SoundSense):
         lasting = self.contact_time(striker or load_striker("steel"), material, scale)
         if lasting is None and striker is not None:
             raise ObjectFolderError(
-                f"{self._stored.key}: the file does not say what its modes are of, so how long a striker "
+                f"{self._key}: the file does not say what its modes are of, so how long a striker "
                 "touches is not known; leave striker out, which gives an ideal impulse, or give contact_time "
                 "instead"
             )
         return lasting or 0.0
 
     def _check_wavelengths(self, radiation: Radiation, tuning: Tuning, size: float) -> None:
-        key, own = self._stored.key, self.damped_frequency
+        key, own = self._key, self.damped_frequency
         if radiation.modes != len(own):
             raise ObjectFolderError(
                 f"{key}: the file holds the radiation of {radiation.modes} modes of {len(own)}; rebuild it"
@@ -234,7 +206,7 @@ class ModalSense(SoundSense):
         for note in tuning.notes:
             if note not in self._said:  # once, not at every strike
                 self._said.add(note)
-                log.warning("%s: %s", self._stored.key, note)
+                log.warning("%s: %s", self._key, note)
         surface = self._surface.resized(settings.scale)
         places = torch.from_numpy(surface.to_unit(surface.snap(strikes.points, strikes.tolerance)))
         for start in range(0, len(places), _BATCH):
@@ -295,42 +267,11 @@ def _report_inaudible(heard: int, modes: int, nyquist: float, outcome: str = "si
         log.info("%d of %d modes lie above the Nyquist frequency", modes - heard, modes)
 
 
-class SpectralNet(Protocol):
-    """Net from a point to spectrograms."""
-
-    damped_frequency: torch.Tensor
-
-    def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
-        """Complex spectrograms (N, 3, 257, 201) of unit impulses at (N, 3) points of the unit frame."""
-
-
 class SpectrogramSense(SoundSense):
-    """Sounds inverted from spectrograms of unit impulses: two seconds of displacement at 16 kHz."""
+    """Sounds inverted from spectrograms of unit impulses: two seconds of displacement at 16 kHz.
 
-    has_modes = False
-
-    def __init__(self, net: SpectralNet, stored: StoredNet):
-        self.net = net
-        self._key, self._surface = stored.key, stored.surface
-
-    @property
-    @override
-    def damped_frequency(self) -> torch.Tensor:
-        return self.net.damped_frequency.cpu()
-
-    @override
-    def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
-        raise no_modes(self._key)
-
-    @override
-    def contact_time(
-        self, striker: Striker, material: str | Material | None, scale: float | None
-    ) -> float | None:
-        return None  # the spectrograms are those of ideal impulses
-
-    @override
-    def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
-        raise no_modes(self._key)
+    The impulses are ideal, so no contact time is known.
+    """
 
     @override
     def impact(
@@ -367,13 +308,6 @@ class SpectrogramSense(SoundSense):
         return finite_sounds(sounds, strikes.impulses)
 
 
-def no_modes(key: str) -> ObjectFolderError:
-    """Return the error of what needs modes, of a file that stores spectrograms."""
-    return ObjectFolderError(
-        f"{key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
-    )
-
-
 def finite_sounds(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
     """Return sounds, or raise ObjectFolderError if impulses are too large for single precision."""
     if not np.isfinite(sounds).all():
@@ -382,3 +316,9 @@ def finite_sounds(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
             "the sound is linear in them: scale them down"
         )
     return sounds
+
+
+#: By what a net answers at (N, 3) points of the unit frame. Modes: by ``shapes``, (N, 3, M) kg^-1/2, of
+#: ``damped_frequency`` and ``damping``, (M,). Spectrograms: by ``spectrograms`` of unit impulses, (N, 3, 257,
+#: 201) complex, of modes with some ``damped_frequency``.
+SENSES: dict[str, type[SoundSense]] = {"modes": ModalSense, "spectrograms": SpectrogramSense}

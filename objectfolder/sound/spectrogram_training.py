@@ -5,7 +5,7 @@ import torch
 
 from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
 from objectfolder.sound.gains_training import ModeSamples
-from objectfolder.sound.net_settings import SpectrogramConfig
+from objectfolder.sound.net_settings import AudioConfig, SpectrogramConfig
 from objectfolder.sound.spectrogram import spectrogram
 from objectfolder.sound.spectrogram_net import SpectrogramNet
 from objectfolder.sound.synthesis import sinusoid_bank
@@ -13,6 +13,13 @@ from objectfolder.sound.synthesis import sinusoid_bank
 RANGE_POINTS = 256  # training points that define the range of values
 VAL_SAMPLES = 1 << 14
 _PART = 1 << 12  # bins whose activations are kept for a gradient
+
+
+def train(
+    samples: ModeSamples, settings: AudioConfig, session: Session
+) -> tuple[SpectrogramNet, list[CurvePoint]]:
+    """Train a net of this kind, as the stage asks."""
+    return train_spectrogram(samples, settings.spectrogram, session)
 
 
 def train_spectrogram(
@@ -68,11 +75,8 @@ def train_spectrogram(
     cumulative = chance.cumsum(0)
     held_out = draw(torch.from_numpy(samples.val), VAL_SAMPLES)
     part = choose_part_size(_PART, config.batch, device)
-    curve = fit_papers_net(
-        net,
-        lambda: sum_in_parts(loss, part, *draw(rows, config.batch)),
-        lambda: loss(*held_out).item(),
-        config,
-        session,
-    )
-    return net, curve
+
+    def batch_loss() -> torch.Tensor:
+        return sum_in_parts(loss, part, *draw(rows, config.batch))
+
+    return net, fit_papers_net(net, batch_loss, lambda: loss(*held_out).item(), config, session)

@@ -16,21 +16,12 @@ from objectfolder.touch.simulate import Touches
 
 if TYPE_CHECKING:
     from objectfolder.touch.geometric_net import GeometricTouch
-    from objectfolder.touch.released_net import ReleasedDepth
+    from objectfolder.touch.released_images import ReleasedDepth
 
 
 def touch_sense(stored: StoredNet) -> TouchSense:
-    """Load a touch net. The code of a kind is imported when a file holds it."""
-    if stored.kind == "geometric":
-        return GeometricSense(stored)
-    if stored.kind == "image":
-        from objectfolder.touch.image_net import ImageTouch
-
-        return ImageSense(stored.load(ImageTouch), stored)
-    from objectfolder.stored.released import released_net
-
-    net = stored.load(released_net(stored.kind))
-    return ImageSense(net, stored) if stored.kind == "released_image" else DepthMapSense(net, stored)
+    """Load a touch net."""
+    return SENSES[stored.answers](stored)
 
 
 class GeometricSense(TouchSense):
@@ -86,10 +77,11 @@ class ImageNet(Protocol):
 class ImageSense(TouchSense):
     """Touch by a net that stores the images of one press."""
 
-    def __init__(self, net: ImageNet, stored: StoredNet):
+    def __init__(self, stored: StoredNet):
         fixed = FixedContact.of(stored.config)
         assert fixed is not None
-        self.net, self._fixed = net, fixed
+        self.net: ImageNet = stored.load()
+        self._fixed = fixed
         self.key, self._surface = stored.key, stored.surface
 
     @override
@@ -122,8 +114,9 @@ class ImageSense(TouchSense):
 class DepthMapSense(TouchSense):
     """Touch by pressing a sensor's gel into the depth maps that a released net stores."""
 
-    def __init__(self, net: "ReleasedDepth", stored: StoredNet):
-        self.net, self.key, self._surface = net, stored.key, stored.surface
+    def __init__(self, stored: StoredNet):
+        self.net: ReleasedDepth = stored.load()
+        self.key, self._surface = stored.key, stored.surface
 
     @override
     def touches(self, contacts: ContactPoses, profile: SensorProfile | None) -> Iterator[Touches]:
@@ -148,3 +141,11 @@ class DepthMapSense(TouchSense):
         self.net.require(contacts.depth, contacts.tilt)
         points = self._surface.to_unit(self._surface.snap(contacts.points, contacts.tolerance))
         return points, contacts.depth, contacts.tilt, contacts.azimuth
+
+
+#: By what a net answers.
+SENSES: dict[str, type[GeometricSense | ImageSense | DepthMapSense]] = {
+    "contacts": GeometricSense,
+    "images": ImageSense,
+    "depth maps": DepthMapSense,
+}

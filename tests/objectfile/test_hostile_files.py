@@ -16,6 +16,7 @@ from objectfolder import ObjectFile
 from objectfolder.base.arrays import read_rows, read_safetensors, write_safetensors
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.stored.header import checked_header
+from objectfolder.stored.kinds import checked_nets
 
 quick = settings(deadline=None, suppress_health_check=list(HealthCheck))
 
@@ -65,7 +66,7 @@ def refused_or_finite(path):
 @given(JSON)
 def test_any_header_is_refused_or_one(value):
     try:
-        found = checked_header(value, "x")
+        found = checked_nets(checked_header(value, "x"), "x")
     except ObjectFolderError:
         return
     assert found == value

@@ -24,7 +24,8 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.featurecodec import COUNTED, pack_features
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.topology import signed_volume
-from objectfolder.stored.header import PARTS, format_name, schema
+from objectfolder.stored.header import PARTS, format_name
+from objectfolder.stored.kinds import schema
 
 CAMERA, LIGHT = [2.0, 1.0, 1.0], [0.5, 0.5, 0.9]
 ABSENT = object()
@@ -126,7 +127,7 @@ def edit(brick_path, tmp_path):
         ("format", "one", f"has format 'one', expected text like '{format_name()}'"),
         ("format", "", f"has format '', expected text like '{format_name()}'"),
         ("format", 1.0, "format: 1.0 is not of type 'string'"),
-        ("vision", {"kind": "mesh"}, "vision of kind 'mesh', expected 'surface' or 'osf'"),
+        ("vision", {"kind": "mesh"}, "vision of kind 'mesh', expected 'osf' or 'osf_hull' or 'surface'"),
         ("vision", {"kind": "surface"}, "vision: 'net' is a required property"),
         ("audio", {}, "audio: 'kind' is a required property"),
         ("touch", "image", "touch: 'image' is not of type 'object'"),
@@ -176,7 +177,7 @@ def test_a_value_outside_its_range_is_refused_at_once(edit, path, value):
         *places, name = path.split(".")
         reduce(getitem, places, header)[name] = value
 
-    with pytest.raises(ObjectFolderError, match=rf"edited\.safetensors: {path}.*objectfile\.schema\.json"):
+    with pytest.raises(ObjectFolderError, match=rf"edited\.safetensors: {path}.*objectfolder\.stored\.kinds"):
         edit(change)
 
 
@@ -188,8 +189,9 @@ def test_the_schema_is_a_valid_one_that_describes_every_field_of_a_file(brick):
         rules = schema()["properties"][part]["allOf"]
         rules = {rule["if"]["properties"]["kind"]["const"]: rule["then"]["properties"] for rule in rules}
         rule = rules[brick.header[part]["kind"]]
-        optional = {"truncated", *COUNTED}
-        assert brick.header[part].keys() - {"kind"} == rule.keys() - optional
+        rule |= schema()["properties"][part]["properties"]
+        optional = {"truncated", "frequency_uncertainty", "frequency_uncertainty_unknown", *COUNTED}
+        assert brick.header[part].keys() == rule.keys() - optional
         if "net" in rule:
             assert brick.header[part]["net"].keys() == rule["net"]["properties"].keys()
 

@@ -52,7 +52,9 @@ def test_a_sound_of_many_modes_does_not_depend_on_its_batch(brick, modes, rng):
     net = GainsNet(damped, damping, torch.rand(modes), used, shape)
     points, forces = brick.sample_surface(50) / SCALE, rng.standard_normal((50, 3))
     surface = ObjectSurface(lambda: brick.surface, 1.0)
-    sense = ModalSense(net, StoredNet("audio", brick.header, {}, surface, torch.device("cpu")))
+    tensors, config = net.to_tensors()
+    header = brick.header | {"audio": {"kind": "gains", "net": config}}
+    sense = ModalSense(StoredNet("audio", header, tensors, surface, torch.device("cpu")))
     played = SoundSettings(16000, 0.1, "velocity", 0.0, None, None)
 
     def sounds(p, f):

@@ -13,18 +13,8 @@ from objectfolder.sound.spectrogram_net import SpectrogramNet
 from objectfolder.sound.spectrogram_training import train_spectrogram
 from objectfolder.sound.synthesis import sinusoid_bank
 
-CONFIG = SpectrogramConfig(
-    width=32,
-    depth=3,
-    point_octaves=1,
-    bin_octaves=7,
-    steps=400,
-    batch=1024,
-    learning_rate=1e-2,
-    final_rate=0.01,
-    loud=0.5,
-    precision="float32",
-)
+SHAPE_OF_NET = {"width": 32, "depth": 3, "point_octaves": 1, "bin_octaves": 7}
+CONFIG = SpectrogramConfig(**SHAPE_OF_NET, steps=400, batch=1024, learning_rate=1e-2, loud=0.5)
 FREQUENCY = 2 * np.pi * np.array([400.0, 1500])
 DAMPING = np.array([3.0, 4])
 
@@ -87,9 +77,7 @@ def test_each_axis_has_its_own_range(bar, trained):
     for axis in (0, 1):
         assert float((high - low)[axis] / (high - low)[2]) == pytest.approx(0.2, rel=1e-5)
     values = torch.stack([low, high], 1)[None].expand(1, 3, 2)
-    torch.testing.assert_close(
-        trained[0].scaled(values)[0], torch.tensor([[0.0, 1]] * 3, dtype=torch.float64)
-    )
+    torch.testing.assert_close(trained[0].scaled(values)[0], torch.tensor([[0.0, 1]] * 3).double())
 
 
 def test_files_with_one_range_for_all_axes_answer_as_before(bar, trained):

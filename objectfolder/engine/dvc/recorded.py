@@ -1,15 +1,20 @@
 """Files that the lock files describe, in the workspace and in the cache."""
 
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import dvc
 import networkx as nx
+from dvc.dependency import Dependency, ParamsDependency
 from dvc.exceptions import DvcException
-from dvc.stage import PipelineStage
+from dvc.lock import Lock
+from dvc.output import Output
+from dvc.stage import PipelineStage, Stage
 from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.hash_info import HashInfo
 from dvc_data.hashfile.meta import Meta
@@ -21,6 +26,7 @@ from objectfolder.engine.dvc.repository import OpenRepository
 
 #: Permissions by which DVC marks a cached object whose hash is known.
 READ_ONLY = 0o444
+KINDS = {Dependency, Output, ParamsDependency}  #: whose state is that of a file or folder
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,33 @@ def recorded_outputs(repository: OpenRepository, targets: Sequence[str]) -> Iter
                 oid = out.hash_info.value
                 cached = Path(out.cache.oid_to_path(oid)) if out.use_cache else None
                 yield RecordedFile(address, out, Path(out.fs_path), oid, out.hash_name, cached)
+
+
+def other_files(repository: OpenRepository, stages: Iterable[Stage]) -> list[str] | None:
+    """Return the paths outside the folders of a workspace on which the state of stages depends.
+
+    They are settings, cached objects, and the folder of the installed libraries. None if the state depends on
+    more than local files, or on what is elsewhere.
+    """
+    repo, root = repository.repo, repository.root
+    if Path(repo.root_dir) != root or not isinstance(repo.lock, Lock):
+        return None
+    found = {*repo.config.files.values(), str(Path(dvc.__file__).parents[1])}
+    for stage in stages:
+        items = (*stage.deps, *stage.outs)
+        kinds = {ParamsDependency if isinstance(item, ParamsDependency) else type(item) for item in items}
+        if not kinds <= KINDS or any(item.protocol != "local" for item in items):
+            return None
+        paths = [os.path.relpath(path, root) for path in (stage.path, *(item.fs_path for item in items))]
+        if any(path.startswith(".") for path in paths):  # hidden, or not in the workspace
+            return None
+        for out in stage.outs:
+            if out.use_cache and out.hash_info:
+                tree = out.get_obj() if out.hash_info.isdir else ()
+                members = [info.value for _, _, info in tree] if isinstance(tree, Tree) else []
+                found |= {out.cache.oid_to_path(oid) for oid in (out.hash_info.value, *members)}
+    folders = [repository.cache, *repository.cache.glob("[0-9a-f][0-9a-f]")]  # what is left there goes
+    return [*found, *map(str, folders)]
 
 
 def records(repository: OpenRepository, targets: Sequence[str]) -> Iterator[tuple[str, Path, dict[str, Any]]]:

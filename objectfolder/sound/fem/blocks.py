@@ -53,17 +53,12 @@ def merge_full_blocks(cells: CutCells) -> CutCells:
     )
 
 
-def halve_cells(cells: CutCells) -> CutCells | None:
-    """Return the same solid on a grid of half the resolution, its moments computed from the fine ones.
+def halve_cells(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
+    """Return the same solid on a grid of half the resolution, and the coarse element of each one (E,), or -1.
 
-    None if the resolution is odd or the coarse elements are not connected.
+    Its moments are computed from the fine ones. None if the resolution is odd or the coarse elements are not
+    connected.
     """
-    found = halve_with_parents(cells)
-    return None if found is None else found[0]
-
-
-def halve_with_parents(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
-    """Return the solid as `halve_cells`, and the coarse element of each fine one, (E,), or -1."""
     if cells.resolution % 2:
         return None
     count, resolution = len(cells.index), cells.resolution // 2
@@ -82,9 +77,8 @@ def halve_with_parents(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
     rules = _halving()
     for corner in _CHILDREN:
         small = np.flatnonzero((cells.width == 1) & (cells.index % 2 == corner).all(1))
-        turned = np.einsum(
-            "eabc,ia,jb,kc->eijk", cells.occupancy[small], *(rules[side] for side in corner), optimize=True
-        )
+        turns = (rules[side] for side in corner)
+        turned = np.einsum("eabc,ia,jb,kc->eijk", cells.occupancy[small], *turns, optimize=True)
         np.add.at(moments, part[small], turned)
     large = np.flatnonzero(cells.width == 2)
     moments[part[large]] = cells.occupancy[large]

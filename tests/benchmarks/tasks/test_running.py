@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from encoding import encoding
+from refusals import refused
 from threadpoolctl import threadpool_info
 
 from objectfolder.base.errors import ObjectFolderError
@@ -24,19 +25,7 @@ from objectfolder.benchmarks.tasks.running import KnownObject, Run
 from objectfolder.benchmarks.tasks.task import TaskParams
 from objectfolder.workspace.layout import Benchmarks
 
-SETTINGS = RetrieveConfig(
-    seeds=1,
-    epochs=1,
-    batch=8,
-    learning_rate=0.1,
-    weight_decay=0.0,
-    patience=1,
-    margin=0.5,
-    embedding=4,
-    pretrain_epochs=0,
-    schedule="cosine",
-)
-PARAMS = TaskParams(SETTINGS, encoding(), 0)
+PARAMS = TaskParams(RetrieveConfig(seeds=1, epochs=1, embedding=4), encoding(), 0)
 
 
 def run_of(inputs, part="seen", params=PARAMS, task=retrieve.TASK, **more):
@@ -131,8 +120,9 @@ def test_a_second_run_waits_and_says_so(tmp_path):
 
 def fail_if_odd(number, folder):
     if number % 2:
-        raise ObjectFolderError(f"object {number}: odd")
+        return f"object {number}: odd"
     (folder / str(number)).touch()
+    return None
 
 
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -140,22 +130,32 @@ def test_an_object_that_fails_does_not_stop_the_others(tmp_path, jobs):
     with pytest.raises(ObjectFolderError, match=r"^object 1: odd\nobject 3: odd\nThe other 2 ran"):
         run._call_all(fail_if_odd, [(number, tmp_path) for number in (1, 2, 3, 4)], jobs)
     assert {path.name for path in tmp_path.iterdir()} == {"2", "4"}
-    with pytest.raises(ObjectFolderError, match=r"^object 5: odd$"):
-        run._call_all(fail_if_odd, [(5, tmp_path)], jobs)
+    refused(r"^object 5: odd$", run._call_all, fail_if_odd, [(5, tmp_path)], jobs)
+
+
+@pytest.fixture
+def run_part(monkeypatch, tmp_path):
+    """Runs a part of a task in a folder, with something instead of the benchmark."""
+
+    def call(task, threads, inputs, benchmark):
+        monkeypatch.setattr(run, "run_benchmark", benchmark)
+        monkeypatch.setitem(run.SAMPLES, "observations", lambda folders: None)
+        shared = {"task": task, "params": PARAMS, "folder": Benchmarks(tmp_path), "device": "cpu"}
+        assert run._run_part("part", inputs, None, print, {**shared, "threads": threads}) is None
+
+    return call
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_threads_are_those_of_every_pool(monkeypatch, brick_path, threads):
+def test_threads_are_those_of_every_pool(run_part, brick_path, threads):
     before, found = torch.get_num_threads(), []
 
     def look(*given):
         found.append({pool["num_threads"] for pool in threadpool_info()} | {torch.get_num_threads()})
+        return running.RunTime(1.0, 1.0)
 
-    monkeypatch.setattr(run, "_run_timed", look)
-    monkeypatch.setitem(run.SAMPLES, "observations", lambda folders: None)
-    rest = PARAMS, Benchmarks("out"), None, threads, "cpu", print
-    run._run_part(retrieve.TASK, "seen", {}, *rest)
-    run._run_part(localize.TASK, "brick", (brick_path, 0), *rest)
+    run_part(retrieve.TASK, threads, {}, look)
+    run_part(localize.TASK, threads, (brick_path, 0), look)
     torch.set_num_threads(before)
     assert found == [{threads}] * 2
 
@@ -163,8 +163,7 @@ def test_threads_are_those_of_every_pool(monkeypatch, brick_path, threads):
 def test_a_device_that_torch_cannot_use_is_named():
     assert running.training_device("cpu") == "cpu"
     assert running.training_device() == ("cuda" if torch.cuda.is_available() else "cpu")
-    with pytest.raises(ObjectFolderError, match=r"--device gpu: .*; expected cpu, or cuda with a GPU"):
-        running.training_device("gpu")
+    refused(r"--device gpu: .*; expected cpu, or cuda with a GPU", running.training_device, "gpu")
 
 
 def test_a_run_on_another_device_is_another_run(monkeypatch):
@@ -196,13 +195,10 @@ def test_a_run_with_another_module_of_its_own_encoder_is_another_run(monkeypatch
     assert all(one != other for one, other in zip(*found[:2]))
 
 
-def test_the_cost_of_a_finished_run_stays_as_it_was(tmp_path, monkeypatch):
-    spec = SimpleNamespace(task=SimpleNamespace(name="small"), part="seen", folder=Benchmarks(tmp_path))
-    costs = iter([running.RunTime(100.0, 90.0), running.RunTime(100.0, 91.0), running.RunTime(200.0, 185.0)])
-    monkeypatch.setattr(run, "run_benchmark", lambda spec, report: next(costs))
-    path, found = spec.folder.machine("small", "seen"), []
-    for threads in (8, 1, 2):
-        run._run_timed(spec, print, threads, "cpu")
+def test_the_cost_of_a_finished_run_stays_as_it_was(tmp_path, run_part):
+    path, found = Benchmarks(tmp_path).machine("retrieve", "part"), []
+    for threads, seconds, cpu_seconds in ((8, 100.0, 90.0), (1, 100.0, 91.0), (2, 200.0, 185.0)):
+        run_part(retrieve.TASK, threads, {}, lambda *given: running.RunTime(seconds, cpu_seconds))  # noqa: B023
         found.append((read_json(path)["threads"], read_json(path)["cpu_seconds"]))
     assert found == [(8, 90.0), (8, 90.0), (2, 185.0)]
 

@@ -34,9 +34,8 @@ def test_displacements_are_continuous_where_sizes_meet(merged, rng):
     """From both sides of a face between a large element and a small one."""
     values = rng.standard_normal((merged.degrees_of_freedom // 3, 2))
     large = merged.index[merged.width == 2]
-    face = (large[:, None] + np.concatenate([rng.random((20, 2)) * 2, np.full((20, 1), 2.0)], 1)).reshape(
-        -1, 3
-    )
+    on_top = np.concatenate([rng.random((20, 2)) * 2, np.full((20, 1), 2.0)], 1)
+    face = (large[:, None] + on_top).reshape(-1, 3)
     places = face * merged.cell_size + merged.lower
     step = np.array([0, 0, 1e-9])
     below, above = merged.interpolate(values, places - step), merged.interpolate(values, places + step)
@@ -68,7 +67,7 @@ def test_a_thin_solid_has_nothing_to_merge():
 
 @pytest.mark.parametrize("merge", [False, True])
 def test_halving_gives_the_moments_of_the_coarse_grid(ball, merged, merge):
-    coarse = halve_cells(merged if merge else ball)
+    coarse = halve_cells(merged if merge else ball)[0]
     direct = cut_cells(*sphere(0.5, 4), 4, 8)
     order = [np.lexsort(c.index.T) for c in (coarse, direct)]
     np.testing.assert_array_equal(coarse.index[order[0]], direct.index[order[1]])
@@ -80,5 +79,5 @@ def test_halving_gives_the_moments_of_the_coarse_grid(ball, merged, merge):
 def test_a_rod_thinner_than_the_coarse_cells_cannot_be_halved():
     rod = cut_cells(*box((1, 1 / 200, 1 / 200)), 32, 8)
     while rod is not None:
-        size, rod = rod.resolution, halve_cells(rod)
+        size, rod = rod.resolution, (halve_cells(rod) or (None,))[0]
     assert size == 16

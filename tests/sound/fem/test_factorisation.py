@@ -11,11 +11,8 @@ from objectfolder.sound.fem.cutcell import cut_cells
 from objectfolder.sound.fem.eigen import solve_modes
 from objectfolder.sound.fem.factorisation import Cholmod, Pardiso, SuperLU, factorise, nested_dissection
 
-INSTALLED = {
-    Pardiso: factorisation.PyPardisoSolver is not None,
-    Cholmod: factorisation.cholmod is not None,
-    SuperLU: True,
-}
+INSTALLED = {Pardiso: factorisation.PyPardisoSolver is not None, Cholmod: factorisation.cholmod is not None}
+INSTALLED |= {SuperLU: True}
 
 
 def library(kind):
@@ -35,13 +32,17 @@ def plate():
 
 @every
 @pytest.mark.parametrize("columns", [(), (1,), (5,)])
-def test_it_solves(kind, columns, plate, rng):
-    fem, _ = plate
-    matrix = (fem.stiffness + 1e6 * fem.mass).tocsr()
+@pytest.mark.parametrize(("definite", "tolerance"), [(True, 1e-9), (False, 1e-6)])
+def test_it_solves(kind, columns, definite, tolerance, plate, rng):
+    if kind is Cholmod and not definite:
+        pytest.skip("it takes definite matrices only")
+    fem, values = plate
+    shift = -1e6 if definite else values[40:42].mean()
+    matrix = (fem.stiffness - shift * fem.mass).tocsr()
     right = rng.standard_normal((matrix.shape[0], *columns))
-    solution = kind(matrix, nested_dissection(fem.nodal_mass), definite=True).solve(right)
+    solution = kind(matrix, nested_dissection(fem.nodal_mass), definite).solve(right)
     assert solution.shape == right.shape
-    assert np.linalg.norm(matrix @ solution - right) < 1e-9 * np.linalg.norm(right)
+    assert np.linalg.norm(matrix @ solution - right) < tolerance * np.linalg.norm(right)
 
 
 @indefinite
@@ -51,19 +52,9 @@ def test_negative_pivots_count_the_eigenvalues_below(kind, plate):
     assert len(gaps) > 20
     for below in gaps[::5]:
         shift = values[below : below + 2].mean()
-        factor = kind(
-            (fem.stiffness - shift * fem.mass).tocsr(), nested_dissection(fem.nodal_mass), definite=False
-        )
+        shifted = (fem.stiffness - shift * fem.mass).tocsr()
+        factor = kind(shifted, nested_dissection(fem.nodal_mass), definite=False)
         assert factor.negative_pivots() == below + 1
-
-
-@indefinite
-def test_an_indefinite_matrix_is_solved_too(kind, plate, rng):
-    fem, values = plate
-    matrix = (fem.stiffness - values[40:42].mean() * fem.mass).tocsr()
-    right = rng.standard_normal((matrix.shape[0], 3))
-    solution = kind(matrix, nested_dissection(fem.nodal_mass), definite=False).solve(right)
-    assert np.linalg.norm(matrix @ solution - right) < 1e-6 * np.linalg.norm(right)
 
 
 @every

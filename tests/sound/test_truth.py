@@ -1,5 +1,6 @@
 import dataclasses
 import json
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -7,9 +8,10 @@ from solids import box
 
 from objectfolder.base.materials import material
 from objectfolder.sound.fem.cutcell import cut_cells
-from objectfolder.sound.fem.modal import modal_analysis, solved_band
-from objectfolder.sound.fem.reuse import Request, problem_digest, rescaled, solution_record
+from objectfolder.sound.fem.modal import Request, modal_analysis, solved_band
+from objectfolder.sound.fem.settings import ModalConfig
 from objectfolder.sound.fem.similarity import similarity
+from objectfolder.sound.truth import compute_modes, problem_digest, rescaled
 
 SOLID = box((1, 0.55, 0.3))
 GLASS = material("glass")
@@ -25,7 +27,7 @@ def solve():
 
     def modes(request):
         if request not in done:
-            done[request] = modal_analysis(cells, SOLID[0], *vars(request).values())
+            done[request] = modal_analysis(cells, SOLID[0], request)
         return done[request]
 
     return modes
@@ -33,13 +35,12 @@ def solve():
 
 def stored(solve, request, task="task"):
     """What the stage keeps of a solve."""
-    data = solve(request)
-    band = solved_band(data, request.material, request.max_frequency, request.max_modes)
-    return {
-        **data.arrays(),
-        "band_hz": np.array(band),
-        "solution": np.array(solution_record(task, request, data)),
-    }
+    return computed(solve, request, task, None)[0]
+
+
+def computed(solve, request, task, earlier):
+    with patch("objectfolder.sound.truth.refined_analysis", lambda *_, **__: solve(request)):
+        return compute_modes(None, None, None, request, None, task, earlier, "box")
 
 
 @pytest.mark.parametrize(
@@ -71,8 +72,7 @@ def test_it_is_what_a_solve_finds(solve, changes):
         exact = value is None or isinstance(value, str)
         assert data.report[name] == (value if exact else pytest.approx(value, **loose)), name
     assert data.report["residual_max"] < 1e-8
-    bounds = wanted.material, wanted.max_frequency, wanted.max_modes
-    assert solved_band(data, *bounds) == pytest.approx(solved_band(fresh, *bounds))
+    assert solved_band(data, wanted) == pytest.approx(solved_band(fresh, wanted))
 
 
 def test_the_lowest_modes_of_a_truncated_solve_serve_again(solve):
@@ -82,7 +82,7 @@ def test_the_lowest_modes_of_a_truncated_solve_serve_again(solve):
     np.testing.assert_allclose(data.eigenvalues, fresh.eigenvalues, rtol=1e-6)
     assert data.report["truncated"] is fresh.report["truncated"] is True
     assert data.report["count_below_max_frequency"] is None  # it was not counted
-    assert solved_band(data, GLASS, 20000.0, 6) == pytest.approx(solved_band(fresh, GLASS, 20000.0, 6))
+    assert solved_band(data, wanted) == pytest.approx(solved_band(fresh, wanted))
 
 
 @pytest.mark.parametrize(
@@ -102,9 +102,11 @@ def test_it_takes_a_solve(solve, changes, why):
 
 
 def test_another_solid_or_solver_takes_a_solve(solve):
-    wanted = dataclasses.replace(BASE, scale=0.1)
-    assert rescaled(stored(solve, BASE), "task", wanted) is not None
-    assert rescaled(stored(solve, BASE), "another", wanted) is None
+    wanted, solved = dataclasses.replace(BASE, scale=0.1), stored(solve, BASE)
+    for task, earlier, reused in (("task", solved, True), ("another", solved, False), ("task", None, False)):
+        arrays, report = computed(solve, wanted, task, earlier)
+        assert report["reused"] is reused
+        assert json.loads(str(arrays["solution"]))["problem"] == task
 
 
 def test_a_solve_by_a_version_whose_materials_have_other_fields_takes_a_solve(solve):
@@ -134,19 +136,18 @@ def test_modes_that_become_overdamped_are_dropped(solve):
 
 
 def test_the_band_ends_where_modes_are_overdamped(solve):
-    stuff = dataclasses.replace(GLASS, beta=2e-5)
-    dull = dataclasses.replace(BASE, material=stuff)
-    low, high = solved_band(solve(dull), stuff, 20000.0, 100)
+    def band(**damping):
+        request = dataclasses.replace(BASE, material=dataclasses.replace(GLASS, **damping))
+        return solved_band(solve(request), request), len(solve(request).damping)
+
+    (low, high), count = band(beta=2e-5)
     natural = np.sqrt(solve(BASE).eigenvalues) / (2 * np.pi)
     assert low == 20
     assert high == pytest.approx(2 / 2e-5 / (2 * np.pi), rel=1e-4)
-    assert ((natural > low) & (natural < high)).sum() == len(solve(dull).damping)
+    assert ((natural > low) & (natural < high)).sum() == count
     # Damped by its mass alone, the low ones are.
-    heavy = dataclasses.replace(GLASS, alpha=1e5, beta=0.0)
-    low, high = solved_band(solve(dataclasses.replace(BASE, material=heavy)), heavy, 20000.0, 100)
-    assert (low, high) == (pytest.approx(1e5 / 4 / np.pi), 20000)
-    gone = dataclasses.replace(GLASS, alpha=1e5, beta=1e-3)
-    low, high = solved_band(solve(dataclasses.replace(BASE, material=gone)), gone, 20000.0, 100)
+    assert band(alpha=1e5, beta=0.0)[0] == [pytest.approx(1e5 / 4 / np.pi), 20000]
+    (low, high), _ = band(alpha=1e5, beta=1e-3)
     assert low == high
 
 
@@ -154,20 +155,20 @@ def test_the_band_ends_where_modes_are_overdamped(solve):
 def test_the_band_of_an_object_that_is_not_heard(solve):
     small = dataclasses.replace(BASE, scale=0.01)
     assert len(solve(small).damping) == 0  # all above 20 kHz
-    assert solved_band(solve(small), GLASS, 20000.0, 100) == [0, 20000]
+    assert solved_band(solve(small), small) == [0, 20000]
     again = rescaled(stored(solve, BASE), "task", small)
     assert again.shapes.shape == (8, 3, 0)
     assert again.report["lowest_hz"] == []
     # All modes that were kept are below hearing: nothing is known.
     large = Request(GLASS, 200.0, 60.0, 1)
     assert solve(large).report["modes"] == 0
-    low, high = solved_band(solve(large), GLASS, 60.0, 1)
+    low, high = solved_band(solve(large), large)
     assert low == high
     # With a loss factor only those are missing, however large alpha and beta.
     slack = dataclasses.replace(GLASS, alpha=1e5, beta=2e-5, loss_factor=((1000.0, 0.01),))
-    deep = solve(Request(slack, 200.0, 60.0, 1000))
-    assert 0 < deep.report["modes"] < deep.report["count_below_max_frequency"]
-    assert solved_band(deep, slack, 60.0, 1000) == [20, 60]
+    deep = Request(slack, 200.0, 60.0, 1000)
+    assert 0 < solve(deep).report["modes"] < solve(deep).report["count_below_max_frequency"]
+    assert solved_band(solve(deep), deep) == [20, 60]
 
 
 def test_similarity_is_that_of_the_wave_equation():
@@ -177,20 +178,17 @@ def test_similarity_is_that_of_the_wave_equation():
     assert shape == pytest.approx((8000 / 2600 * 8) ** -0.5)
 
 
-def test_a_problem_is_all_that_scaling_leaves(tmp_path):
-    points = np.arange(6.0).reshape(2, 3)
-    solid, code = tmp_path / "solid.npz", tmp_path / "modal.sha256"
-    solid.write_text("solid")
-    code.write_text("sources")
-    files, hexahedra = (solid, code), {"element": "hex20"}
-    first = problem_digest(files, "code", points, 0.2, hexahedra)
-    assert first == problem_digest(files, "code", points.copy(), 0.2, hexahedra)
+def test_a_problem_is_all_that_scaling_leaves():
+    points, config = np.arange(6.0).reshape(2, 3), ModalConfig()
+    first = ("solid", "surface"), "code", points, 0.2, config
     others = [
-        problem_digest((solid,), "code", points, 0.2, hexahedra),
-        problem_digest(files, "code", points + 1e-9, 0.2, hexahedra),
-        problem_digest(files, "code", points, 0.21, hexahedra),
-        problem_digest(files, "code", points, 0.2, {"element": "tet10"}),
+        (("solid",), *first[1:]),
+        (first[0], "other code", *first[2:]),
+        (*first[:2], points + 1e-9, *first[3:]),
+        (*first[:3], 0.21, config),
+        (*first[:4], dataclasses.replace(config, surface_points=7)),
+        (*first[:4], dataclasses.replace(config, fine=dataclasses.replace(config.fine, max_error=0.5))),
     ]
-    code.write_text("other sources, of meshes, too")
-    others.append(problem_digest(files, "code", points, 0.2, hexahedra))
-    assert len({first, *others}) == 6
+    assert len({problem_digest(*problem) for problem in (first, *others)}) == 7
+    harmless = dataclasses.replace(config, max_modes=7, damping="loss_factor")
+    assert problem_digest(*first) == problem_digest(*first[:2], points.copy(), 0.2, harmless)
