@@ -133,7 +133,9 @@ class _Reader:
         corners = np.arange(count)
         if "indices" in primitive:
             corners = self.file.accessor(primitive["indices"], 1)[:, 0].astype(np.int64)
-        faces = _triangles(corners, primitive.get("mode", TRIANGLES))
+        mode = primitive.get("mode", TRIANGLES)
+        self.left_out["corners of no whole triangle left out"] += len(corners) % 3 if mode == TRIANGLES else 0
+        faces = _triangles(corners, mode)
         material, texture = self._material(primitive.get("material"))
         uv = None
         transform_uv = texture.get("extensions", {}).get("KHR_texture_transform", {})
