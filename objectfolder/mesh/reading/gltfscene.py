@@ -15,9 +15,11 @@ ROUNDING = 1e-4  # of a quaternion's length in single precision, or few digits
 OUTSIDE, COARSE = "mesh outside the default scene left out", "mesh of a lower level of detail left out"
 INVISIBLE, FLAT = "invisible mesh left out", "mesh of scale 0 left out"
 # Values of an application's own properties that hide a node or mesh; names without case, "_" and "is".
-HIDING = {"visible": ("false", "0"), "visibility": ("false", "0", "hidden")} | dict.fromkeys(
-    ("hidden", "hide", "invisible", "hiderender", "hideviewport"), ("true", "1")
-)
+HIDING: dict[str, tuple[Any, ...]] = {
+    "visible": (False, "false"),
+    "visibility": (False, "false", "hidden"),
+    **dict.fromkeys(("hidden", "hide", "invisible", "hiderender", "hideviewport"), (True, "true")),
+}
 
 
 @dataclass(frozen=True)
@@ -132,8 +134,11 @@ def _hides(item: dict[str, Any]) -> bool:
     """Whether an application's own properties hide a node or mesh."""
     extras = item.get("extras")
     said = extras.items() if isinstance(extras, dict) else ()
-    names = [(name.lower().replace("_", "").removeprefix("is"), str(value).lower()) for name, value in said]
-    return any(value in HIDING.get(name, ()) for name, value in names)
+    return any(
+        (value.lower() if isinstance(value, str) else value)
+        in HIDING.get(name.lower().replace("_", "").removeprefix("is"), ())
+        for name, value in said
+    )
 
 
 def _joints(file: GltfFile, index: int, worlds: dict[int, np.ndarray]) -> np.ndarray:
