@@ -32,7 +32,10 @@ from objectfolder.base.io import (
     write_json,
 )
 from objectfolder.base.locks import private_path, remove_abandoned
+from objectfolder.hub.importer.checkpoint import read_released
+from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.nets.fit import CurvePoint
+from objectfolder.sound.recordings import read_recording
 from objectfolder.workspace.layout import Build
 
 ARRAYS = {"a": np.arange(12.0).reshape(3, 4), "b": np.int8([1, 2]), "c": np.float64(0.5)}
@@ -40,6 +43,29 @@ ARRAYS = {"a": np.arange(12.0).reshape(3, 4), "b": np.int8([1, 2]), "c": np.floa
 
 def names(folder):
     return sorted(p.name for p in folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"\xef\xbb\xbf\n<!DOCTYPE html>\n<html>", "XML or HTML"),
+        (b"version https://git-lfs.github.com/spec/v1\noid", "a Git LFS pointer, not the file itself"),
+        (b"\x1f\x8b" + bytes(99), "a .gz archive"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("read", "name"),
+    [
+        (read_released, "a.pth"),
+        (read_safetensors, "a.safetensors"),
+        (load_mesh, "a.ply"),
+        (read_recording, "a.wav"),
+    ],
+)
+def test_what_servers_leave_in_place_of_a_file_is_named(tmp_path, read, name, content, words):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ObjectFolderError, match=words):
+        read(tmp_path / name)
 
 
 @pytest.mark.parametrize("before", [None, "old"])

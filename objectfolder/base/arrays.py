@@ -15,7 +15,14 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.base.io import atomic_stream, existing_file, parse_json, unique_names, write_bytes
+from objectfolder.base.io import (
+    atomic_stream,
+    content_hint,
+    existing_file,
+    parse_json,
+    unique_names,
+    write_bytes,
+)
 
 MAX_BYTES = 2**30  #: size limit of a safetensors file; a thousand times that of an Object File
 MAX_HEADER = 2**20  #: length limit of its JSON header, characters
@@ -146,7 +153,7 @@ def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
             raise ValueError(f"its header has {len(header):,} characters, expected at most {MAX_HEADER:,}")
         return StoredTensors(path, stored), {} if header is None else parse_json(header)
     except Exception as error:
-        reason = str(error).removeprefix("Error while deserializing: ")
+        reason = str(error).removeprefix("Error while deserializing: ") + content_hint(path)
         raise ObjectFolderError(
             f"{path} is neither an Object File nor another readable safetensors file: {reason}"
         ) from error

@@ -4,13 +4,14 @@ All writers use `atomic`, so a file is either absent or complete. All readers ch
 file in errors.
 """
 
+import codecs
 import errno
 import hashlib
 import json
 import os
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,6 +19,27 @@ from typing import Any, BinaryIO
 from objectfolder.base.disk import FULL_BELOW, free_bytes, is_shortage
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.base.locks import claim_file, private_path
+
+#: First bytes of what servers and checkouts leave in place of a file.
+STRAY = {
+    b"<": "XML or HTML",
+    b"version https://git-lfs": "a Git LFS pointer, not the file itself: run `git lfs pull`",
+    b"\x1f\x8b": "a .gz archive",
+}
+
+
+def content_hint(path: str | Path, kinds: Mapping[bytes, str] = STRAY) -> str:
+    """Return what a file looks like that its reader refuses, for the error's message; or nothing.
+
+    ``kinds``: words for the bytes that files may begin with, after spaces.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            head = stream.read(64).removeprefix(codecs.BOM_UTF8).lstrip()
+    except OSError:
+        return ""
+    found = [kind for start, kind in kinds.items() if head.startswith(start)]
+    return f" (its content looks like {found[0]})" if found else ""
 
 
 @contextmanager

@@ -121,7 +121,22 @@ def _yaml_problem(events: Any) -> str:
     return ""
 
 
+def merge_conflict(path: str | Path) -> str:
+    """Return what to do about the first conflict of Git in a file; empty if there is none."""
+    try:
+        lines = Path(path).read_bytes().split(b"\n")
+    except OSError:
+        return ""
+    marked = [number for number, line in enumerate(lines, 1) if line.startswith((b"<<<<<<< ", b">>>>>>> "))]
+    if not marked:
+        return ""
+    remedy = f"keep one side, such as with `git checkout --ours {path}` or `--theirs`, then `git add {path}`"
+    return f"{path}, line {marked[0]} has a merge conflict of Git; {remedy}"
+
+
 def _no_yaml(path: str | Path, error: Exception) -> ObjectFolderError:
+    if conflict := merge_conflict(path):
+        return ObjectFolderError(conflict)
     mark = getattr(error, "problem_mark", None)
     line = f", line {mark.line + 1}" if mark is not None else ""
     problem = shortened(str(getattr(error, "problem", None) or error), 300)

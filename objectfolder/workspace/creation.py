@@ -22,7 +22,7 @@ from objectfolder.workspace.installed import (
     package_digests,
     read_record,
 )
-from objectfolder.workspace.params import PARAMS_FILE, ObjectEntry, outside_workspace
+from objectfolder.workspace.params import PARAMS_FILE, ObjectEntry, check_root, outside_workspace
 
 #: What a folder may hold before: what a new repository on a server begins with.
 ALLOWED = {".git", "LICENSE", "README.md"}
@@ -107,6 +107,7 @@ def _create(root: Path, start: Callable[[Path], None], made: bool) -> None:
 
 
 def _check_place(root: Path) -> None:
+    check_root(root)
     if root.exists() and not root.is_dir():
         raise ObjectFolderError(f"{root} is a file, expected a folder to make; choose another name")
     held = sorted(path.name for path in root.iterdir() if path.name not in ALLOWED) if root.is_dir() else []

@@ -176,6 +176,15 @@ def outside_workspace(path: Path) -> ObjectFolderError:
     )
 
 
+def check_root(root: Path) -> None:
+    """Raise ObjectFolderError if a workspace cannot be in a folder: DVC fills in what is in braces."""
+    path = root.resolve()
+    if braced := [part for part in path.parts if "{" in part or "}" in part]:
+        raise ObjectFolderError(
+            f"{path} has braces in the name {braced[0]!r}, which DVC reads as a template; rename the folder"
+        )
+
+
 def check_slug(key: Any, where: str = "object key") -> str:
     """Return a slug, as object keys are; see `objectfolder.workspace.stages.check_key`.
 

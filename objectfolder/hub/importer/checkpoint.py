@@ -12,6 +12,7 @@ import torch
 
 from objectfolder.base.arrays import torch_problem
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import content_hint
 
 _KINDS = ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8")
 _ORDERS = ("<", ">", "=", "|")
@@ -250,9 +251,9 @@ def read_released(path: str | Path) -> ReleasedDict:
     except MemoryError as error:
         raise ObjectFolderError(f"{path} needs more memory than is available: the file is damaged") from error
     except Exception as error:
+        problem = f"({torch_problem(error)}){content_hint(path)}"
         raise ObjectFolderError(
-            f"{path} is not a file of tensors and numbers ({torch_problem(error)}); expected a released "
-            "ObjectFile.pth"
+            f"{path} is not a file of tensors and numbers {problem}; expected a released ObjectFile.pth"
         ) from error
     if not isinstance(values, Mapping):
         raise ObjectFolderError(f"{path} holds {_describe(values)}; expected a dictionary")

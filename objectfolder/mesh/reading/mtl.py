@@ -12,7 +12,13 @@ from PIL import Image
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
-from objectfolder.mesh.reading.files import decode_text, read_image, read_referenced, referenced_path
+from objectfolder.mesh.reading.files import (
+    decode_text,
+    find_referenced,
+    read_image,
+    read_referenced,
+    referenced_path,
+)
 from objectfolder.mesh.reading.parts import SurfaceMaterial
 
 MAP = re.compile(r"map_\w+|bump|disp|decal|norm", re.I)
@@ -68,7 +74,7 @@ class MaterialLibraries:
         self.folders: dict[str, PurePosixPath] = {}  # of its library, relative to the mesh's
         self.image = cache(self._image)
         for library in libraries:
-            path = referenced_path(mesh, library)
+            path = find_referenced(mesh, library)
             current: dict[str, str] = {}
             for keyword, rest in _statements(read_library(mesh, path)):
                 if keyword.lower() == "newmtl":
@@ -119,13 +125,13 @@ def read_library(mesh: Path, path: PurePosixPath) -> str:
 def texture_path(mesh: Path, beside: PurePosixPath, name: str) -> PurePosixPath:
     """Return the path of a texture relative to the mesh's folder: beside its library, or else the mesh.
 
-    The name counts as it is written, or as `strip_comment` if only that file exists. Raises
-    `ObjectFolderError` if it lies outside the mesh's folder, or its name is too long.
+    The name counts as it is written, or as `strip_comment` if only that file exists. It is looked up as
+    `find_referenced` does. Raises `ObjectFolderError` if it lies elsewhere, or its name is too long.
     """
     for folder in dict.fromkeys((beside, PurePosixPath())):
         for written in dict.fromkeys((name, strip_comment(name))):
             with suppress(ObjectFolderError, OSError):  # outside, or too long
-                path = referenced_path(mesh, written, folder, ".mtl")
+                path = find_referenced(mesh, written, folder, ".mtl")
                 if (mesh.parent / path).is_file():
                     return path
     return referenced_path(mesh, name, beside, ".mtl")
