@@ -37,17 +37,6 @@ def referenced_path(mesh: Path, name: str, beside: PurePosixPath = HERE, said_in
     return path
 
 
-def decode_text(data: bytes) -> str:
-    """Decode the text of a mesh file: UTF-8, or else Latin-1, in which any bytes are characters.
-
-    Names in an unknown encoding stay apart this way, and those in Latin-1 are right.
-    """
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
-
-
 def _size(name: str) -> int:
     return len(name.encode(errors="replace"))
 

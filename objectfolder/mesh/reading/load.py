@@ -17,15 +17,16 @@ from objectfolder.mesh.reading.mtl import read_library, texture_path, textures
 from objectfolder.mesh.reading.obj import mtl_names, read_obj
 from objectfolder.mesh.reading.off import read_off
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart
-from objectfolder.mesh.reading.polygons import ply_textures, read_polygons
+from objectfolder.mesh.reading.ply import ply_textures, read_ply
+from objectfolder.mesh.reading.stl import read_stl
 from objectfolder.mesh.textured import TexturedMesh, z_up
 
 READERS: dict[str, Callable[[Path], MeshContent]] = {
     ".obj": read_obj,
     ".glb": read_gltf,
     ".gltf": read_gltf,
-    ".ply": read_polygons,
-    ".stl": read_polygons,
+    ".ply": read_ply,
+    ".stl": read_stl,
     ".off": read_off,
 }
 FORMATS = tuple(READERS)  #: suffixes of supported mesh files

@@ -12,8 +12,9 @@ from PIL import Image
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
-from objectfolder.mesh.reading.files import decode_text, read_image, read_referenced, referenced_path
+from objectfolder.mesh.reading.files import read_image, read_referenced, referenced_path
 from objectfolder.mesh.reading.parts import SurfaceMaterial
+from objectfolder.mesh.reading.text import decode_text
 
 MAP = re.compile(r"map_\w+|bump|disp|decal|norm", re.I)
 LINE_END = re.compile(r"[\r\n]+")

@@ -11,7 +11,7 @@ from trimesh.visual.texture import unmerge_faces
 
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.mesh.polygon import split
+from objectfolder.mesh.polygon import split_loops
 from objectfolder.mesh.reading.mtl import MaterialLibraries, MtlMaterial, strip_comment
 from objectfolder.mesh.reading.objlines import COORDINATE, NORMAL, NOT_NUMBERS, VERTEX, ObjLines
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial, color_unit
@@ -45,7 +45,7 @@ def read_obj(path: Path) -> MeshContent:
     held = (corners > 0) & (corners <= [len(positions), len(coordinates), len(normals)])
     held = np.logical_and.reduceat(held, np.cumsum(sizes) - sizes)
     corners -= 1
-    triangles, face = _triangles(corners[:, 0], sizes, positions)
+    triangles, face = split_loops(positions, corners[:, 0], sizes)
     used = np.zeros(len(positions), bool)
     used[corners[triangles, 0]] = True
     colors /= color_unit(np.fmax.reduce(colors[used], None, initial=0))
@@ -133,21 +133,6 @@ def _choose_colors(
         return surface, None, ["white vertex colours beside Kd left out"]
     plain = PLAIN if surface.color is None else surface.color
     return replace(surface, color=None), np.where(uncolored, plain, colors), []
-
-
-def _triangles(vertex: np.ndarray, sizes: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split faces, given the vertices (C,) of their corners; the triangles' corners (T, 3) and faces (T,)."""
-    first = np.cumsum(sizes) - sizes
-    triangles, face = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
-    for size in np.unique(sizes):
-        chosen = np.flatnonzero(sizes == size)
-        polygons = first[chosen, None] + np.arange(size)
-        local = split(positions[vertex[polygons]])
-        triangles.append(np.take_along_axis(polygons[:, None], local, 2).reshape(-1, 3))
-        face.append(np.repeat(chosen, size - 2))
-    owner = np.concatenate(face)
-    order = np.argsort(owner, kind="stable")
-    return np.concatenate(triangles)[order], owner[order]
 
 
 def _groups(material: np.ndarray, held: np.ndarray) -> list[np.ndarray]:
