@@ -6,7 +6,16 @@ from typing import Any
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.mesh.reading.text import IS_SPACE, between, decode_text, parse_numbers, starts
+from objectfolder.mesh.reading.text import (
+    DECIMAL_COMMAS,
+    IS_SPACE,
+    between,
+    decode_text,
+    find_words,
+    has_decimal_commas,
+    parse_numbers,
+    starts,
+)
 
 #: Keywords of lines of numbers; the corners of a face have the numbers of lines of the first three.
 KEYWORDS = ("v", "vt", "vn", "f")
@@ -23,10 +32,12 @@ class ObjLines:
 
     def __init__(self, path: Path):
         text = decode_text(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
+        text = text.replace("\0", " ").replace("\x1a", " ")  # at the end of some files
         self.path = path
-        self.raw = text.encode() + b"\n\n\n"  # from the start of any word, there are three bytes
+        self.raw = text.encode() + b"\n" * 9  # as long as any keyword, from the start of any word
         self._split(np.frombuffer(self.raw, np.uint8))
         sign = np.flatnonzero(self.data == ord("#"))
+        sign = sign[self.data[sign - 1] != ord(".")]  # 1.#IND is no number, and no comment
         line, first = np.unique(np.searchsorted(self.end, sign), return_index=True)
         numeric = self.kind[line] != OTHER  # names may hold a #
         if numeric.any():
@@ -42,12 +53,9 @@ class ObjLines:
         self.end = end[filled]  #: (L,) place of the newline
         self.words = count[filled]  #: (L,) with the keyword
         self.start = words[np.cumsum(self.words) - self.words]  #: (L,) place of the keyword
-        letters = data[self.start[:, None] + np.arange(3)]
         self.kind = np.full(len(self.end), OTHER)  #: (L,)
         for kind, keyword in enumerate(KEYWORDS):
-            size = len(keyword)
-            same = (letters[:, :size] == list(keyword.encode())).all(1)
-            self.kind[same & IS_SPACE[letters[:, size]]] = kind
+            self.kind[find_words(data, self.start, keyword)] = kind
 
     def line(self, row: int | np.integer[Any]) -> str:
         """Return the text of a line."""
@@ -55,13 +63,8 @@ class ObjLines:
 
     def statements(self, keyword: str) -> tuple[list[int], list[str]]:
         """Return the lines with another keyword, and what follows it, which may be empty."""
-        rows, texts = [], []
-        for row in np.flatnonzero((self.kind == OTHER) & (self.data[self.start] == ord(keyword[0]))):
-            first, *rest = self.line(row).split(None, 1)
-            if first == keyword:
-                rows.append(int(row))
-                texts.append("".join(rest))
-        return rows, texts
+        rows: list[int] = find_words(self.data, self.start, keyword).tolist()
+        return rows, [self.line(row)[len(keyword) :].strip() for row in rows]
 
     def table(self, kind: int, width: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the first numbers of the lines of a kind, (N, width), and how many each has, (N,).
@@ -127,6 +130,8 @@ class ObjLines:
         values = parse_numbers(text, dtype)
         if values is None:
             lines = zip(rows, text.splitlines())
-            self.refuse(np.array([row for row, line in lines if parse_numbers(line, dtype) is None]), problem)
+            row, line = next((row, line) for row, line in lines if parse_numbers(line, dtype) is None)
+            commas = problem == NOT_NUMBERS and has_decimal_commas(line)
+            self.refuse(np.array([row]), f"has {DECIMAL_COMMAS}" if commas else problem)
         assert values is not None
         return values

@@ -15,6 +15,7 @@ from objectfolder.mesh.reading.parts import (
     color_unit,
     split_by_face_color,
 )
+from objectfolder.mesh.reading.text import DECIMAL_COMMAS, decode_text, has_decimal_commas
 from objectfolder.mesh.textured import PLAIN
 
 # Texture coordinates (ST) come last and name no image.
@@ -29,7 +30,7 @@ def read_off(path: Path) -> MeshContent:
     ObjectFolderError
         If it is not such a file, or breaks off.
     """
-    text = path.read_bytes().decode("utf-8-sig", errors="replace")
+    text = decode_text(path.read_bytes().rstrip(b"\0\x1a"))
     lines = [line for line in (line.partition("#")[0].strip() for line in text.splitlines()) if line]
     header = HEADER.fullmatch(lines[0]) if lines else None
     if header is None or "BINARY" in header["rest"]:
@@ -102,6 +103,8 @@ def _numbers(
     try:
         return np.array(rows, dtype).reshape(len(rows), width)
     except (ValueError, OverflowError) as error:
+        commas = has_decimal_commas(" ".join(word for row in rows for word in row).encode())
         raise ObjectFolderError(
-            f"{path}: some of its {what} have words that are no numbers, or too few; export it again"
+            f"{path}: some of its {what} have "
+            + (DECIMAL_COMMAS if commas else "words that are no numbers, or too few; export it again")
         ) from error

@@ -15,6 +15,7 @@ from objectfolder.mesh.reading.text import (
     IS_SPACE,
     between,
     decode_text,
+    find_words,
     has_decimal_commas,
     parse_numbers,
     starts,
@@ -94,9 +95,9 @@ def _read_text(path: Path, text: bytes) -> MeshContent:
     text = NAME.sub(b"", text.lower().replace(b"\r", b"\n")) + b" " * 9
     data = np.frombuffer(text, np.uint8)
     places = starts(IS_SPACE[data])
-    facet, vertex, end = (_find(data, places, word) for word in (b"facet", b"vertex", b"endloop"))
+    facet, vertex, end = (find_words(data, places, word) for word in ("facet", "vertex", "endloop"))
     if not len(facet):
-        facet = _find(data, places, b"outer")
+        facet = find_words(data, places, "outer")
     bounds = np.append(places, [len(data)] * 4)
     values = parse_numbers(data[between(bounds[vertex + 1], bounds[vertex + 4], len(data))].tobytes())
     if values is None or len(values) != 3 * len(vertex):
@@ -113,13 +114,5 @@ def _read_text(path: Path, text: bytes) -> MeshContent:
         )
     vertices = values.reshape(-1, 3)[len(vertex) - sizes.sum() :]
     faces, _ = split_loops(vertices, np.arange(len(vertices)), sizes)
-    notes = ["colours of facets left out"] if len(_find(data, places, b"color")) else []
+    notes = ["colours of facets left out"] if len(find_words(data, places, "color")) else []
     return MeshContent([MeshPart(vertices, faces, SurfaceMaterial())], notes)
-
-
-def _find(data: np.ndarray, places: np.ndarray, word: bytes) -> np.ndarray:
-    """Return which of the words at some places of a text are the given one."""
-    found = np.flatnonzero(data[places] == word[0])
-    for i, letter in enumerate(word[1:], 1):
-        found = found[data[places[found] + i] == letter]
-    return found[IS_SPACE[data[places[found] + len(word)]]]

@@ -70,3 +70,11 @@ def count_words(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     end = np.flatnonzero(data == ord("\n"))
     count = np.diff(np.searchsorted(starts(IS_SPACE[data]), end), prepend=0)
     return end[count > 0], count[count > 0]
+
+
+def find_words(data: np.ndarray, places: np.ndarray, word: str) -> np.ndarray:
+    """Return which of the words that begin at some places of a text, (N,) uint8, are the given one."""
+    found = np.flatnonzero(data[places] == ord(word[0]))
+    for i, letter in enumerate(word[1:], 1):
+        found = found[data[places[found] + i] == ord(letter)]
+    return found[IS_SPACE[data[places[found] + len(word)]]]
