@@ -1,61 +1,34 @@
 """Equirectangular pictures of surroundings, as a few distant lights."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from objectfolder.base.checks import real_array
-from objectfolder.base.errors import ObjectFolderError, shortened
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.vision.lighting import MAX_COLOR, DistantLight, Lamp, choose_lamps
+from objectfolder.vision.radiance import RADIANCE_SUFFIXES, read_radiance
 
 LIGHTS = 64  #: that stand for a picture
 MAX_PIXEL = MAX_COLOR / 10  #: radiance; a light has up to four times that of its pixels
-HDR_SUFFIXES = (".hdr", ".exr", ".pfm")
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709
 
 
 def read_environment(path: str | Path) -> np.ndarray:
     """Read an equirectangular picture; (H, W, 3) linear radiance.
 
-    Radiance, OpenEXR and PFM files are read by mitsuba, others are taken for sRGB. Raises ObjectFolderError
-    if the picture cannot be read, or mitsuba is missing.
+    Radiance, OpenEXR and PFM files are read as `objectfolder.vision.radiance.read_radiance` says, others are
+    taken for sRGB. Raises ObjectFolderError if the picture cannot be read, or mitsuba is missing.
     """
     path = Path(path)
-    if path.suffix.lower() not in HDR_SUFFIXES:
-        from objectfolder.base.pictures import decoded  # loads PIL
+    if path.suffix.lower() in RADIANCE_SUFFIXES:
+        return read_radiance(path)
+    from objectfolder.base.pictures import decoded  # loads PIL
 
-        return srgb.decode(np.asarray(decoded(path, str(path))) / 255)
-    try:
-        import mitsuba
-    except ModuleNotFoundError as error:
-        raise ObjectFolderError(
-            f"{path} needs mitsuba, which the extra objectfolder[build] brings; or pass an array (H, W, 3)"
-        ) from error
-    try:
-        with _workers():
-            bitmap = mitsuba.Bitmap(str(path)).convert(
-                mitsuba.Bitmap.PixelFormat.RGB, mitsuba.Struct.Type.Float32, srgb_gamma=False
-            )
-    except Exception as error:  # the readers raise anything
-        raise ObjectFolderError(f"{path} cannot be read as a picture ({shortened(error, 200)})") from error
-    return np.array(bitmap, np.float64)
-
-
-@contextmanager
-def _workers() -> Iterator[None]:
-    """Give Dr.Jit two threads: with one, as renderers set it, mitsuba waits forever for an EXR file."""
-    import drjit
-
-    before = drjit.thread_count()
-    drjit.set_thread_count(max(before, 2))
-    try:
-        yield
-    finally:
-        drjit.set_thread_count(before)
+    return srgb.decode(np.asarray(decoded(path, str(path), upright=True)) / 255)
 
 
 def environment_lamps(picture: str | Path | np.ndarray, count: int = LIGHTS) -> list[DistantLight]:

@@ -1,10 +1,13 @@
 """Find the meshes in a folder and examine each before it is added to a workspace."""
 
 import csv
+import os
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from objectfolder.base.errors import ObjectFolderError, plural, quoted
+from objectfolder.base.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.base.materials import own_material
 from objectfolder.base.yamlfile import is_yaml_name, read_yaml
 from objectfolder.mesh.normalize import normalize
@@ -46,6 +49,19 @@ UNREAD = (
     ".usdc",
     ".usdz",
 )
+#: Folders inside that of an object, which name no object.
+INNER = {
+    "mesh",
+    "meshes",
+    "model",
+    "models",
+    "visual",
+    "google_16k",
+    "google_64k",
+    "google_512k",
+    "poisson",
+    "tsdf",
+}
 LISTS = ("materials.csv", "materials.yaml", "materials.yml")
 
 
@@ -57,6 +73,7 @@ class Candidate:
     mesh: Path
     material: str | None = None
     refusal: str | None = None  #: reason why its location alone rules it out
+    others: tuple[Path, ...] = ()  #: further meshes in its folder, of which the one with a texture counts
 
 
 @dataclass(frozen=True)
@@ -73,17 +90,30 @@ class Examination:
     refusal: str | None = None
 
 
-def slug(name: str) -> str:
-    """Make an object key from a file or folder name: ``025_Mug (blue)`` gives ``mug_blue``."""
+def slug(name: str, numbered: bool = False) -> str:
+    """Make an object key from a file or folder name: ``025_Mug (blue)`` gives ``mug_blue``.
+
+    Numbers at either end go, unless there is nothing else, or the key is to be numbered: ``obj_000001`` and
+    ``025_mug`` give ``obj_000001`` and ``mug_025`` then.
+    """
     ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
-    return re.sub(r"[^a-z0-9]+", "_", ascii_name).strip("_0123456789") or "object"
+    words = re.sub(r"[^a-z0-9]+", "_", ascii_name).strip("_")
+    key = words.strip("_0123456789")
+    if not key:
+        return f"object_{words}" if words else "object"
+    if not numbered:
+        return key
+    start = words.index(key)
+    return "_".join(part for part in (key + words[start + len(key) :], words[:start].strip("_")) if part)
 
 
 def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     """Find the objects in a folder: each mesh file directly in it, and each subfolder that holds one.
 
-    Keys are made from file or subfolder names. ``materials.csv`` (lines ``name,material``) or
-    ``materials.yaml`` (``name: material``) in the folder assigns materials by file, subfolder or key.
+    Keys are made from file or subfolder names, which keep their numbers where others have the same words.
+    Folders such as ``meshes`` or ``google_16k`` belong to the object of the folder above.
+    ``materials.csv`` (lines ``name,material``) or ``materials.yaml`` (``name: material``) in the folder
+    assigns materials by file, subfolder or key.
 
     Parameters
     ----------
@@ -94,8 +124,7 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     Returns
     -------
     list of Candidate
-        Ordered by name. Candidates with several meshes in their folder, or with a duplicate key, have a
-        refusal.
+        Ordered by name. Candidates with a duplicate key have a refusal.
 
     Raises
     ------
@@ -112,29 +141,32 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
             f"{folder} and its subfolders hold no mesh ({', '.join(FORMATS)}); put each object's mesh there, "
             "or in a subfolder of its own"
         )
-    if len(found) == 1 and found[0][1][0].parent == folder:
-        found = [(folder.resolve().name, found[0][1])]
+    inner = all(name.lower() in INNER and inside[0].parent != folder for name, inside in found)
+    if inner or (len(found) == 1 and found[0][1][0].parent == folder):
+        home = folder.resolve()
+        name = home.parent.name if home.name.lower() in INNER else home.name
+        found = [(name, [mesh for _, inside in found for mesh in inside])]
+    words = Counter(slug(name) for name, _ in found)
+    keys = [slug(name, numbered=words[slug(name)] > 1) for name, _ in found]
     sharing: dict[str, list[str]] = {}  # names of files and subfolders that give a key
-    for name, inside in found:
+    for key, (name, inside) in zip(keys, found, strict=True):
         own_file = inside[0].parent == folder
-        sharing.setdefault(slug(name), []).append(inside[0].name if own_file else f"{name}/")
+        sharing.setdefault(key, []).append(inside[0].name if own_file else f"{name}/")
     candidates, named = [], set()
-    for name, inside in found:
-        key, mesh = slug(name), inside[0]
-        names = (name, mesh.name, mesh.stem, key) if mesh.parent == folder else (name, mesh.name, key)
+    for key, (name, inside) in zip(keys, found, strict=True):
+        mesh = inside[0]
+        own_names = (mesh.stem, folder.resolve().name) if mesh.parent == folder else ()
+        names = (name, mesh.name, key, *own_names)
         named |= {*names}
         refusal = None
-        if len(inside) > 1:
-            kept = ", ".join(str(path.relative_to(folder)) for path in inside[:4])
-            refusal = f"{folder / name} holds {len(inside)} meshes ({kept}); keep one, or add one by its path"
-        elif len(sharing[key]) > 1:
+        if len(sharing[key]) > 1:
             each = "both" if len(sharing[key]) == 2 else "all"
             refusal = (
                 f"{_listed(sharing[key])} in {folder} would {each} be named {key!r}; rename all but one, or "
                 "add one by its path"
             )
         own = next((listed[n] for n in names if n in listed), material)
-        candidates.append(Candidate(key, mesh, own, refusal))
+        candidates.append(Candidate(key, mesh, own, refusal, tuple(inside[1:])))
     unknown = sorted(set(listed) - named)
     if unknown:
         raise ObjectFolderError(
@@ -252,8 +284,20 @@ def examine(
     if candidate.material is None:
         raise ObjectFolderError(f"{key} has no material; give --material, or list it in {LISTS[0]}")
     own_material(candidate.material)
-    object_files(mesh)
-    loaded = load_mesh(mesh, up or default_up(mesh), settings(NormalizeConfig, values).texture_size)
+    texture_size = settings(NormalizeConfig, values).texture_size
+    found = []
+    if candidate.others:
+        mesh = _textured_mesh((mesh, *candidate.others))
+        count = 1 + len(candidate.others)
+        found.append(f"of the {count} meshes in its folder, {mesh.name} alone has a texture or colours")
+        candidate = replace(candidate, mesh=mesh, others=())
+    folders = {source.parent: source for source in object_files(mesh).values()}
+    found += [
+        f"{source.name} is taken from {os.path.relpath(parent, mesh.parent)}"
+        for parent, source in folders.items()
+        if ".." in source.relative_to(mesh.parent).parts
+    ]
+    loaded = load_mesh(mesh, up or default_up(mesh), texture_size)
     lower, upper = loaded.bounds
     own = float((upper - lower).max())
     size = float(f"{own * UNITS[unit]:.6g}") if scale is None else scale
@@ -276,7 +320,7 @@ def examine(
     config = settings(VoxelizeConfig, values)
     voxelize(normalized.select_visible(bridge), normalized.surface.mesh, config, key)  # raises
     report = normalized.report(size, up or default_up(mesh))
-    notes = [*report["warnings"], *report["appearance"].get("notes", [])]
+    notes = [*found, *report["warnings"], *report["appearance"].get("notes", [])]
     if size > LARGE:
         remedy = _size_in_other_units(own, unit) if scale is None else _in_metres(scale)
         notes.insert(0, f"{size:.3g} m is large: {remedy}")
@@ -291,6 +335,32 @@ def examine(
     pieces = welded[0] if welded else report["components"]
     return Examination(
         candidate, size, report["source_up"], pieces, report["rung"], report["volume_m3"], notes
+    )
+
+
+def _textured_mesh(meshes: Sequence[Path]) -> Path:
+    """Return the only mesh of an object that has a texture, or if none has one, vertex colours.
+
+    Raises
+    ------
+    ObjectFolderError
+        If there are several, or none can be told from the others.
+    """
+    ranks: dict[Path, int] = {}
+    for mesh in meshes:
+        with suppress(ObjectFolderError):  # one that cannot be read is not the one
+            loaded = load_mesh(mesh)
+            colors = loaded.vertex_colors
+            textured = loaded.texture is not None and loaded.texture.size > 3
+            ranks[mesh] = 2 if textured else int(colors is not None and bool((colors != colors[0]).any()))
+    best = [mesh for mesh in meshes if ranks.get(mesh) == max(ranks.values(), default=None)]
+    if len(best) == 1:
+        return best[0]
+    home = Path(os.path.commonpath([mesh.parent for mesh in meshes]))
+    kept = ", ".join(str(mesh.relative_to(home.parent)) for mesh in meshes[:4])
+    alike = f"{len(best)} have a texture or colours" if any(ranks.values()) else "none has a texture"
+    raise ObjectFolderError(
+        f"{home} holds {len(meshes)} meshes ({kept}), of which {alike}; keep one, or add one by its path"
     )
 
 
@@ -326,6 +396,9 @@ def examine_all(
             yield examine(candidate, values, None, up, unit, wall, bridge)
         except ObjectFolderError as error:
             yield Examination(candidate, refusal=str(error))
+        except Exception as error:  # whatever one mesh raises, the others are examined
+            reason = f"{candidate.mesh} cannot be examined ({type(error).__name__}: {shortened(error, 200)})"
+            yield Examination(candidate, refusal=reason)
 
 
 def examination_table(examinations: Sequence[Examination], up_given: bool) -> Table:

@@ -163,7 +163,11 @@ def object_files(mesh: Path, attachments: Sequence[Path] = ()) -> dict[PurePosix
     """
     sources: dict[PurePosixPath, Path] = {}
     folded: dict[str, Path] = {}
-    wanted = [(mesh.parent / name, name) for name in references(mesh)]
+    # Those of a neighbouring folder go beside the mesh, where its reader looks for them as well.
+    wanted = [
+        (mesh.parent / name, PurePosixPath(name.name) if ".." in name.parts else name)
+        for name in references(mesh)
+    ]
     for source, target in (
         (mesh, PurePosixPath("mesh" + mesh.suffix.lower())),
         *((path, PurePosixPath(path.name)) for path in attachments),

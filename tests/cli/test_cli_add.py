@@ -250,7 +250,8 @@ def collection(tmp_path):
         ("025_Mug (blue)", "mug_blue"),
         ("Tasse à café", "tasse_a_cafe"),
         ("065-a_cups", "a_cups"),
-        ("-- 42 --", "object"),
+        ("-- 42 --", "object_42"),
+        ("---", "object"),
         ("a__b", "a_b"),
     ],
 )
@@ -360,11 +361,11 @@ def test_an_unknown_material_refuses_that_object_alone(workspace, collection):
 
 
 def test_folders_whose_names_give_one_key_are_both_refused(collection):
-    shutil.copytree(collection / "025_Mug (blue)", collection / "mug-blue")
-    refused = [c for c in discover(collection) if c.key == "mug_blue"]
+    shutil.copytree(collection / "025_Mug (blue)", collection / "025-mug-blue")
+    refused = [c for c in discover(collection) if c.key == "mug_blue_025"]
     assert len(refused) == 2
-    names = "025_Mug (blue)/ and mug-blue/"
-    message = f"{names} in {collection} would both be named 'mug_blue'; rename all but one"
+    names = "025-mug-blue/ and 025_Mug (blue)/"
+    message = f"{names} in {collection} would both be named 'mug_blue_025'; rename all but one"
     assert all(c.refusal.startswith(message) for c in refused)
 
 
@@ -396,12 +397,114 @@ def test_files_that_are_no_mesh_but_a_shape_are_said_to_be_skipped(tmp_path):
     assert "1 can be added" in result.output
 
 
+def test_names_keep_their_numbers_where_others_have_the_same_words(tmp_path):
+    for name in ("obj_000001", "obj_000003", "002_apple", "001_apple", "007_pear", "02876657", "02876658"):
+        trimesh.creation.box([1, 1, 1]).export(tmp_path / f"{name}.ply")
+    keys = [
+        "apple_001",
+        "apple_002",
+        "pear",
+        "object_02876657",
+        "object_02876658",
+        "obj_000001",
+        "obj_000003",
+    ]
+    assert [candidate.key for candidate in discover(tmp_path)] == keys
+    assert not any(candidate.refusal for candidate in discover(tmp_path))
+
+
+def write_textured(folder, picture, names):
+    """Write an OBJ of a box with a texture of one colour, which its library names in the given words."""
+    box = trimesh.creation.box([0.1, 0.06, 0.04])
+    faces = [f"f {a}/1 {b}/1 {c}/1" for a, b, c in box.faces + 1]
+    folder.mkdir(parents=True)
+    lines = ["mtllib model.mtl", *(f"v {x} {y} {z}" for x, y, z in box.vertices), "vt 0.5 0.5", "usemtl m"]
+    (folder / "model.obj").write_text("\n".join([*lines, *faces]))
+    (folder / "model.mtl").write_text(f"newmtl m\nmap_Kd {names}\n")
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", (4, 4), (10, 200, 30)).save(picture)
+
+
+@pytest.mark.parametrize(
+    ("inside", "picture", "names", "note"),
+    [
+        ("meshes", "materials/textures/skin.png", "skin.png", "../materials/textures"),
+        ("models", "images/skin.png", "../images/skin.png", "../images"),
+        ("visual", "textures/skin.png", "C:\\scans\\skin.png", "../textures"),
+        ("", "materials/textures/skin.png", "skin.png", ""),
+    ],
+    ids=["Gazebo Fuel", "ShapeNet", "a path of Windows", "below"],
+)
+@pytest.mark.usefixtures("coarse")
+def test_a_texture_in_another_folder_of_the_object_is_copied_and_noted(
+    workspace, tmp_path, inside, picture, names, note
+):
+    home = tmp_path / "set" / "Tumbler"
+    write_textured(home / inside, home / picture, names)
+    result = run(tmp_path / "set", "--material", "ceramic")
+    assert "1 added" in result.output, result.output
+    assert (f"tumbler: skin.png is taken from {note}" in result.output) == bool(note)
+    copy = load_mesh(workspace / "data" / "objects" / "tumbler" / "mesh.obj")
+    assert (copy.texture == (10, 200, 30)).all()
+
+
+@pytest.mark.usefixtures("coarse")
+def test_of_several_meshes_of_one_object_the_textured_one_is_taken(workspace, tmp_path):
+    inside = tmp_path / "set" / "025_tumbler" / "google_16k"
+    write_textured(inside, inside / "skin.png", "skin.png")
+    for name in ("a_plain.ply", "z_plain.stl", "broken.glb"):
+        trimesh.creation.box([0.1, 0.06, 0.04]).export(inside / name)
+    (inside / "broken.glb").write_bytes(b"glTF")
+    result = run(tmp_path / "set", "--material", "ceramic")
+    assert "tumbler: of the 4 meshes in its folder, model.obj alone has a texture or colours" in result.output
+    assert params.read()["objects"]["tumbler"]["mesh"] == "data/objects/tumbler/mesh.obj"
+    shutil.copytree(inside, inside.parent.parent / "cup" / "poisson")
+    shutil.copytree(inside, inside.parent.parent / "cup" / "tsdf")
+    result = run(inside.parent.parent / "cup", "--material", "ceramic", "--dry-run")
+    assert "poisson/model.obj" in result.output
+    assert "of which 2 have a texture or colours" in result.output
+
+
+@pytest.mark.parametrize("error", [ValueError("odd"), MemoryError(), RecursionError()])
+def test_whatever_one_mesh_raises_the_others_are_examined(workspace, tmp_path, monkeypatch, error):
+    def examine(candidate, *_):
+        if candidate.key == "a":
+            raise error
+        return Examination(candidate)
+
+    monkeypatch.setattr(discovery, "examine", examine)
+    first, second = discovery.examine_all([Candidate("a", Path("a.obj")), Candidate("b", Path("b.obj"))], {})
+    assert first.refusal.startswith(f"a.obj cannot be examined ({type(error).__name__}")
+    assert second.refusal is None
+
+
+@pytest.mark.parametrize(
+    ("case", "keys"),
+    [
+        ("13_gazebo_fuel_layout", ["tumbler"]),
+        ("14_shapenet_layout", ["object_02876657"]),
+        ("30_numbered_instances/bop", ["obj_000001", "obj_000002", "obj_000003"]),
+    ],
+)
+@pytest.mark.usefixtures("coarse")
+def test_folders_from_the_field_are_understood(workspace, tmp_path, case, keys):
+    source, folder = OBJECTS.parent / "cases" / case, tmp_path / "set"
+    if not source.is_dir():
+        pytest.skip("shared/cases is not here")
+    shutil.copytree(source, folder)
+    if (folder / "Mug").is_dir():
+        (folder / "Mug").rename(folder / "Tumbler")  # the workspace has a mug
+    assert f"{len(keys)} added" in run(folder, "--material", "ceramic").output
+    assert set(params.read()["objects"]) == {"mug", "die", "bell", *keys}
+
+
 def test_deeper_folders_and_the_folder_of_one_mesh(tmp_path):
     deep = tmp_path / "set" / "024_bowl" / "google_16k"
     deep.mkdir(parents=True)
     trimesh.creation.box([1, 1, 1]).export(deep / "textured.ply")
     assert [(c.key, c.mesh) for c in discover(tmp_path / "set")] == [("bowl", deep / "textured.ply")]
-    assert [(c.key, c.mesh) for c in discover(deep)] == [("google_16k", deep / "textured.ply")]
+    for folder in (deep, deep.parent):
+        assert [(c.key, c.mesh) for c in discover(folder)] == [("bowl", deep / "textured.ply")]
     for name in ("google_16k", "textured", "textured.ply"):
         (deep / "materials.csv").write_text(f"{name},ceramic\n")
         assert [c.material for c in discover(deep)] == ["ceramic"]

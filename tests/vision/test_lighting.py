@@ -207,6 +207,110 @@ def test_an_environment_is_read_from_disk(tmp_path):
     np.testing.assert_allclose(read_environment(tmp_path / "sky.png"), 0.5029, atol=1e-4)
 
 
+RAMP = np.arange(1.0, 1 + 8 * 16).reshape(8, 16)
+SKY = np.stack([RAMP, RAMP[::-1, ::-1], RAMP[::-1]], -1)  # whole numbers that a shared exponent keeps
+
+
+def rgbe(picture, size, header=b""):
+    """Write (lines, length, 3) as a Radiance file without run lengths."""
+    exponents = np.frexp(picture.max(-1))[1]
+    mantissas = np.ldexp(picture, 8 - exponents[..., None])
+    pixels = np.concatenate([mantissas, exponents[..., None] + 128], -1).astype(np.uint8).tobytes()
+    return b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n" + header + b"\n" + size + b"\n" + pixels
+
+
+@pytest.mark.parametrize(
+    ("size", "turn"),
+    [
+        (b"-Y 8 +X 16", lambda upright: upright),
+        (b"+Y 8 +X 16", lambda upright: upright[::-1]),
+        (b"-Y 8 -X 16", lambda upright: upright[:, ::-1]),
+        (b"+Y 8 -X 16", lambda upright: upright[::-1, ::-1]),
+        (b"+X 16 -Y 8", lambda upright: upright.swapaxes(0, 1)),
+        (b"-X 16 +Y 8", lambda upright: upright[::-1, ::-1].swapaxes(0, 1)),
+    ],
+)
+def test_radiance_files_of_all_orientations_are_upright(tmp_path, size, turn):
+    mitsuba = pytest.importorskip("mitsuba")
+    stored = np.ascontiguousarray(turn(SKY))
+    (tmp_path / "flat.hdr").write_bytes(rgbe(stored, size))
+    np.testing.assert_array_equal(read_environment(tmp_path / "flat.hdr"), SKY)
+    stream = mitsuba.MemoryStream()
+    mitsuba.Bitmap(stored.astype(np.float32)).write(stream, mitsuba.Bitmap.FileFormat.RGBE)
+    runs = stream.raw_buffer()
+    lines, length = stored.shape[:2]
+    plain = b"-Y %d +X %d" % (lines, length)
+    assert plain in runs
+    (tmp_path / "runs.hdr").write_bytes(runs.replace(plain, size))
+    np.testing.assert_allclose(read_environment(tmp_path / "runs.hdr"), SKY, rtol=0.01)
+
+
+def test_exposure_and_colour_correction_of_radiance_files_are_undone(tmp_path):
+    pytest.importorskip("mitsuba")
+    header = b"EXPOSURE=4\nEXPOSURE=  0.5\nCOLORCORR= 1 2 4\n"
+    (tmp_path / "sky.hdr").write_bytes(rgbe(np.full((8, 16, 3), 8.0), b"-Y 8 +X 16", header))
+    np.testing.assert_array_equal(read_environment(tmp_path / "sky.hdr"), np.full((8, 16, 3), [4, 2, 1]))
+
+
+def test_old_run_lengths_of_radiance_files_are_read(tmp_path):
+    pytest.importorskip("mitsuba")
+    half, one = bytes([128, 128, 128, 128]), bytes([128, 0, 0, 129])
+    pixels = half + bytes([1, 1, 1, 44, 1, 1, 1, 1]) + one + bytes([1, 1, 1, 18])  # 1 + 44 + 256, 1 + 18
+    head = b"#?RGBE\n\n-Y 16 +X 20\n"
+    (tmp_path / "old.hdr").write_bytes(head + pixels)
+    picture = read_environment(tmp_path / "old.hdr").reshape(-1, 3)
+    np.testing.assert_array_equal(picture[:301], 0.5)
+    np.testing.assert_array_equal(picture[301:], np.full((19, 3), [1, 0, 0]))
+
+
+def test_a_pfm_is_scaled(tmp_path):
+    pytest.importorskip("mitsuba")
+    values = np.arange(6, dtype="<f4").reshape(1, 2, 3)
+    (tmp_path / "sky.pfm").write_bytes(b"PF\n2 1\n-2.5\n" + values.tobytes())
+    np.testing.assert_array_equal(read_environment(tmp_path / "sky.pfm"), values * 2.5)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"#?RADIANCE\n\n-Y 8 +X 16\n" + b"\x80" * 400, "its pixels are not the 128 of its header"),
+        (b"#?RADIANCE\n\n-Y 8 +Y 16\n", "it has no line of its size"),
+        (b"#?RADIANCE\nGAMMA=2.2\n\n-Y 8 +X 16\n", "its gamma is 2.2, expected linear radiance"),
+        (b"#?RADIANCE\nEXPOSURE=0\n\n-Y 8 +X 16\n", "EXPOSURE or COLORCORR is not a positive number"),
+        (b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 8 +X 16\n", "its colours are XYZ, expected RGB"),
+        (b"#?RADIANCE\n\n-Y 99999 +X 99999\n", "has 99999 x 99999 pixels"),
+        (b"<html>", "it begins like none of Radiance, OpenEXR and PFM files"),
+    ],
+)
+def test_a_picture_of_radiance_is_refused_in_words(tmp_path, data, message):
+    pytest.importorskip("mitsuba")
+    (tmp_path / "sky.hdr").write_bytes(data)
+    with pytest.raises(ObjectFolderError, match=re.escape(message)):
+        read_environment(tmp_path / "sky.hdr")
+
+
+def test_an_exr_fills_its_display_window(tmp_path):
+    """Move the windows of a file: the data window is 4 x 3 pixels."""
+    mitsuba = pytest.importorskip("mitsuba")
+    import drjit
+
+    drjit.set_thread_count(2)  # one that waits for another writes no EXR
+    values = np.arange(1, 37, dtype=np.float32).reshape(3, 4, 3)
+    mitsuba.Bitmap(values).write(str(tmp_path / "sky.exr"))
+    stored = (tmp_path / "sky.exr").read_bytes()
+
+    def read_with(display):
+        start = stored.index(b"displayWindow\0box2i\0") + 24
+        moved = stored[:start] + np.array(display, "<i4").tobytes() + stored[start + 16 :]
+        (tmp_path / "moved.exr").write_bytes(moved)
+        return read_environment(tmp_path / "moved.exr")
+
+    np.testing.assert_array_equal(read_with([0, 0, 3, 2]), values)
+    np.testing.assert_array_equal(read_with([-1, -2, 4, 3]), np.pad(values, ((2, 1), (1, 1), (0, 0))))
+    np.testing.assert_array_equal(read_with([1, 1, 5, 2]), np.pad(values[1:, 1:], ((0, 0), (0, 2), (0, 0))))
+    assert not read_with([10, 10, 12, 11]).any()
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [

@@ -11,7 +11,7 @@ import numpy as np
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.normals import replace_bad_normals
 from objectfolder.mesh.reading.bake import join
-from objectfolder.mesh.reading.files import referenced_path
+from objectfolder.mesh.reading.files import find_referenced
 from objectfolder.mesh.reading.gltf import read_gltf, uris
 from objectfolder.mesh.reading.mtl import read_library, texture_path, textures
 from objectfolder.mesh.reading.obj import mtl_names, read_obj
@@ -180,7 +180,7 @@ def _source_report(parts: Sequence[MeshPart]) -> dict[str, Any]:
 
 
 def references(mesh: Path) -> Iterator[PurePosixPath]:
-    """Yield the paths of the files that a mesh refers to, relative to its folder.
+    """Yield the paths of the files that a mesh refers to, relative to its folder, as `find_referenced` does.
 
     An ``.mtl``, which is read after it was yielded, is followed by the textures that it names, also by those
     that no face needs. They may be missing; one outside the mesh's folder is left out.
@@ -194,14 +194,14 @@ def references(mesh: Path) -> Iterator[PurePosixPath]:
     suffix = mesh.suffix.lower()
     if suffix == ".obj":
         for name in mtl_names(mesh):
-            library = referenced_path(mesh, name)
+            library = find_referenced(mesh, name)
             yield library
             for _, texture in textures(read_library(mesh, library)):
                 with suppress(ObjectFolderError):  # outside: no face may need it, which the reader knows
                     yield texture_path(mesh, library.parent, texture)
     elif suffix == ".ply":
         for name in ply_textures(mesh.read_bytes()):
-            yield referenced_path(mesh, name)
+            yield find_referenced(mesh, name, any_case=True)
     elif suffix in (".gltf", ".glb"):
         for uri in uris(mesh):
-            yield referenced_path(mesh, uri)
+            yield find_referenced(mesh, uri)

@@ -12,7 +12,12 @@ from PIL import Image
 
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.mesh.reading.files import read_image, read_referenced, referenced_path
+from objectfolder.mesh.reading.files import (
+    find_referenced,
+    read_image,
+    read_referenced,
+    referenced_path,
+)
 from objectfolder.mesh.reading.parts import SurfaceMaterial
 from objectfolder.mesh.reading.text import DECIMAL_COMMAS, decode_text, has_decimal_commas
 
@@ -78,7 +83,7 @@ class MaterialLibraries:
         self.folders: dict[str, PurePosixPath] = {}  # of its library, relative to the mesh's
         self.image = cache(self._image)
         for library in libraries:
-            path = referenced_path(mesh, library)
+            path = find_referenced(mesh, library)
             current: dict[str, str] = {}
             for keyword, rest in _statements(read_library(mesh, path)):
                 if keyword.lower() == "newmtl":
@@ -136,8 +141,8 @@ def texture_path(mesh: Path, beside: PurePosixPath, name: str) -> PurePosixPath:
     """Return the path of a texture relative to the mesh's folder: beside its library, or else the mesh.
 
     The name counts as it is written, or else as `strip_comment`, without options that are not of the
-    standard, or in other case, if only that file exists. Raises `ObjectFolderError` if it lies outside the
-    mesh's folder, or its name is too long.
+    standard, or in other case, if only that file exists. It is looked up as `find_referenced` does. Raises
+    `ObjectFolderError` if it lies elsewhere, or its name is too long.
     """
     spellings = [name, strip_comment(name)]
     if name.startswith("-"):
@@ -146,7 +151,7 @@ def texture_path(mesh: Path, beside: PurePosixPath, name: str) -> PurePosixPath:
         for folder in dict.fromkeys((beside, PurePosixPath())):
             for written in dict.fromkeys(spellings):
                 with suppress(ObjectFolderError, OSError):  # outside, or too long
-                    path = referenced_path(mesh, written, folder, ".mtl", any_case)
+                    path = find_referenced(mesh, written, folder, ".mtl", any_case)
                     if (mesh.parent / path).is_file():
                         return path
     return referenced_path(mesh, name, beside, ".mtl")

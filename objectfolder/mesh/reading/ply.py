@@ -17,7 +17,7 @@ from trimesh.visual.texture import unmerge_faces
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import split_loops
-from objectfolder.mesh.reading.files import read_image, read_referenced
+from objectfolder.mesh.reading.files import find_referenced, read_image, read_referenced
 from objectfolder.mesh.reading.parts import (
     MeshContent,
     MeshPart,
@@ -103,7 +103,8 @@ def read_ply(path: Path) -> MeshContent:
         )
     elements = {element.name: element for element in _read_elements(path, data)}
     if textures:
-        image = read_image(read_referenced(path, textures[0]), path.parent / textures[0], path)
+        file = find_referenced(path, textures[0], any_case=True)
+        image = read_image(read_referenced(path, file), path.parent / file, path)
     vertex, face = (elements.get(name, _Element(name, 0)) for name in CARRIERS)
     if not vertex.numbers.keys() >= set("xyz"):
         raise ObjectFolderError(f"{path} cannot be read as a mesh: its vertices have no x, y and z")

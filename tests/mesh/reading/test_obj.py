@@ -378,7 +378,7 @@ def test_a_texture_lies_beside_its_library_or_else_beside_the_mesh(tmp_path):
             Image.new("RGB", (2, 2), (1, 2, 3)).save(tmp_path / name)
         assert [str(name) for name in references(path)] == ["mats/m.mtl", found]
         assert load_mesh(path).texture.max() == 9
-    (tmp_path / "mats/m.mtl").write_text("newmtl a\nmap_Kd ../../t.png\n")
+    (tmp_path / "mats/m.mtl").write_text("newmtl a\nmap_Kd ../../gone.png\n")
     with pytest.raises(ObjectFolderError, match=r"outside its folder; .* edit the path in the \.mtl file"):
         load_mesh(path)
 
@@ -396,7 +396,7 @@ def test_only_textures_that_faces_need_have_to_be_there(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("C:\\x\\m.mtl", r"outside its folder; .* edit the path in the \.obj file"),
+        ("C:\\x\\gone.mtl", r"outside its folder; .* edit the path in the \.obj file"),
         ("gone.mtl", r"m\.obj .*gone\.mtl, which does not exist; put it there, or delete the line mtllib"),
         ("M.MTL", r"M\.MTL, which does not exist \(m\.mtl does: upper and lower case differ\); put"),
     ],
