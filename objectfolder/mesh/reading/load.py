@@ -81,7 +81,10 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     source = _read(path, reader)
     parts = [part for part in source.parts if len(part.faces)]
     if not parts:
-        raise ObjectFolderError(f"{path} holds no faces; expected a triangle mesh{_looks_like(path)}")
+        left_out = f" ({'; '.join(source.notes)})" if source.notes else ""
+        raise ObjectFolderError(
+            f"{path} holds no faces; expected a triangle mesh{left_out}{_looks_like(path)}"
+        )
     for part in parts:
         _check(path, part)
     used = np.concatenate([part.vertices[part.used] for part in parts])
