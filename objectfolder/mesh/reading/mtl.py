@@ -144,9 +144,10 @@ def texture_path(mesh: Path, beside: PurePosixPath, name: str) -> PurePosixPath:
     standard, or in other case, if only that file exists. It is looked up as `find_referenced` does. Raises
     `ObjectFolderError` if it lies elsewhere, or its name is too long.
     """
-    spellings = [name, strip_comment(name)]
+    spellings = [name]
     if name.startswith("-"):
         spellings += [rest for n in range(1, MAX_WORDS) for rest in name.split(maxsplit=n)[n:]]
+    spellings += map(strip_comment, tuple(spellings))
     for any_case in (False, True):
         for folder in dict.fromkeys((beside, PurePosixPath())):
             for written in dict.fromkeys(spellings):
@@ -194,7 +195,7 @@ def _numbers(text: str, default: float) -> np.ndarray:
 def _floats(text: str) -> np.ndarray:
     """Return the numbers of a statement, none if it has other words."""
     try:
-        values = np.array(text.split(), np.float64)
+        values = np.array(text.partition("#")[0].split(), np.float64)
     except ValueError:
         return np.zeros(0)
     return values if np.isfinite(values).all() else np.zeros(0)

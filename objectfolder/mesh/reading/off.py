@@ -30,7 +30,7 @@ def read_off(path: Path) -> MeshContent:
     ObjectFolderError
         If it is not such a file, or breaks off.
     """
-    text = decode_text(path.read_bytes().rstrip(b"\0\x1a"))
+    text = decode_text(path.read_bytes()).rstrip("\0\x1a")
     lines = [line for line in (line.partition("#")[0].strip() for line in text.splitlines()) if line]
     header = HEADER.fullmatch(lines[0]) if lines else None
     if header is None or "BINARY" in header["rest"]:

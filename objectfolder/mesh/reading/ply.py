@@ -166,6 +166,8 @@ def _read_elements(path: Path, data: bytes) -> list[_Element]:
                 place = _fill(element, stored, place)
         else:
             _fill_from_text(path, body, elements)
+    except ObjectFolderError:
+        raise
     except WRONG as error:
         where = f" of element {shortened(element.name)} ({element.rows} rows)" if element else ""
         raise ObjectFolderError(
@@ -221,7 +223,8 @@ def _fill_from_text(path: Path, body: bytes, elements: Sequence[_Element]) -> No
                 row += element.rows
             else:
                 return
-    values, place = _parse(path, body), 0
+    after = re.search(rb"(?<!\S)(?!nan|inf)[a-z]", body, re.I)  # words that follow the data
+    values, place = _parse(path, body[: after.start()] if after else body), 0
     for element in elements:
         place = _fill(element, values, place)
 
@@ -345,12 +348,28 @@ def _triangles(
     if index := _index(elements.get("face")):
         corners = _whole(index.values)
         triangles, owner = split_loops(vertices, corners, index.sizes)
+        first = np.cumsum(index.sizes) - index.sizes
+        whole = (triangles[:, 0] != first[owner]).any() or _color_names(elements["face"]) is not None
+        triangles, owner = _by_sizes(triangles, owner, index.sizes[owner], whole)
     if index := _index(elements.get("tristrips")):
         more, own = _whole(index.values), _strip_triangles(_whole(index.values), index.sizes)
         triangles = np.concatenate([triangles, len(corners) + own])
         corners = np.concatenate([corners, more])
         owner = np.concatenate([owner, np.full(len(own), -1)])
     return corners, triangles, owner
+
+
+def _by_sizes(
+    triangles: np.ndarray, owner: np.ndarray, size: np.ndarray, whole: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Order triangles as built objects have them: by polygon's size, second halves of quadrilaterals last.
+
+    If these stay whole, or have more corners, all triangles of a polygon follow each other.
+    """
+    half = (size == 4) & (np.append(-1, owner[:-1]) == owner) & ~np.bool_(whole)
+    triangles = np.where(half[:, None], np.roll(triangles, -1, 1), triangles)
+    order = np.lexsort((half, size if whole else np.minimum(size, 5)))
+    return triangles[order], owner[order]
 
 
 def _index(element: _Element | None) -> _Property | None:
