@@ -115,7 +115,8 @@ def _read(path: Path, reader: Callable[[Path], MeshContent]) -> MeshContent:
     if path.stat().st_size == 0:
         raise ObjectFolderError(f"{path} cannot be read as a mesh: it is empty")
     try:
-        return reader(path)
+        with np.errstate(all="ignore"):  # values are checked later
+            return reader(path)
     except ObjectFolderError as error:
         hint = _looks_like(path)
         if not hint or hint in str(error):

@@ -58,10 +58,15 @@ def read_off(path: Path) -> MeshContent:
     normals = values[:, 3:6] if header["normals"] else None
     colors = values[:, columns - 3 :] if header["colors"] else None
     faces, face_colors = _faces(path, vertices, face_rows)
-    notes = []
+    alphas = [row[columns] for row in vertex_rows if header["colors"] and len(row) - columns in (1, 3)]
+    alphas += [row[-1] for row in face_rows if len(row) == int(row[0]) + 5]
+    alpha = _numbers(path, [[value] for value in alphas], 1, "colours")
+    notes = [] if np.isin(alpha, (1, 255)).all() else ["alpha of colours left out"]
+    if any(len(row) == int(row[0]) + 2 for row in face_rows):
+        notes.append("numbers of colours in a colour map left out")
     if face_colors is not None and colors is not None:
         notes.append("colours of faces beside those of vertices left out")
-    elif face_colors is not None:
+    elif face_colors is not None and 0 <= faces.min() <= faces.max() < len(vertices):
         uncolored = np.isnan(face_colors).any(1)
         brightest = face_colors[~uncolored].max()
         face_colors[uncolored] = srgb.encode(np.float64(PLAIN)) * color_unit(brightest)

@@ -192,8 +192,9 @@ def _parse_header(path: Path, lines: Sequence[str]) -> tuple[list[_Element], str
                 elements.append(_Element(words[0], int(words[1])))
             elif keyword == "property":
                 *types, name = words
-                declared = [np.dtype(TYPES[one]) for one in types if one != "list"]
-                stored = [one.newbyteorder(order) if order else NUMBER for one in declared]
+                codes = [TYPES[one] for one in types if one != "list"]
+                declared = [np.dtype(code) for code in codes]
+                stored = [np.dtype(order + code) if order else NUMBER for code in codes]
                 count = stored[0] if types[0] == "list" else None
                 item = declared[0 if count is None else 1]
                 elements[-1].properties.append(_Property(name, item, stored[-1], count))
