@@ -18,15 +18,16 @@ from objectfolder.mesh.reading.mtl import read_library, texture_path, textures
 from objectfolder.mesh.reading.obj import mtl_names, read_obj
 from objectfolder.mesh.reading.off import read_off
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart
-from objectfolder.mesh.reading.polygons import ply_textures, read_polygons
+from objectfolder.mesh.reading.ply import ply_textures, read_ply
+from objectfolder.mesh.reading.stl import read_stl
 from objectfolder.mesh.textured import TexturedMesh, z_up
 
 READERS: dict[str, Callable[[Path], MeshContent]] = {
     ".obj": read_obj,
     ".glb": read_gltf,
     ".gltf": read_gltf,
-    ".ply": read_polygons,
-    ".stl": read_polygons,
+    ".ply": read_ply,
+    ".stl": read_stl,
     ".off": read_off,
 }
 FORMATS = tuple(READERS)  #: suffixes of supported mesh files
@@ -114,7 +115,8 @@ def _read(path: Path, reader: Callable[[Path], MeshContent]) -> MeshContent:
     if path.stat().st_size == 0:
         raise ObjectFolderError(f"{path} cannot be read as a mesh: it is empty")
     try:
-        return reader(path)
+        with np.errstate(all="ignore"):  # values are checked later
+            return reader(path)
     except ObjectFolderError as error:
         hint = _looks_like(path)
         if not hint or hint in str(error):
@@ -201,7 +203,7 @@ def references(mesh: Path) -> Iterator[PurePosixPath]:
                     yield texture_path(mesh, library.parent, texture)
     elif suffix == ".ply":
         for name in ply_textures(mesh.read_bytes()):
-            yield find_referenced(mesh, name)
+            yield find_referenced(mesh, name, any_case=True)
     elif suffix in (".gltf", ".glb"):
         for uri in uris(mesh):
             yield find_referenced(mesh, uri)

@@ -15,6 +15,7 @@ from objectfolder.mesh.reading.parts import (
     color_unit,
     split_by_face_color,
 )
+from objectfolder.mesh.reading.text import DECIMAL_COMMAS, decode_text, has_decimal_commas
 from objectfolder.mesh.textured import PLAIN
 
 # Texture coordinates (ST) come last and name no image.
@@ -29,7 +30,7 @@ def read_off(path: Path) -> MeshContent:
     ObjectFolderError
         If it is not such a file, or breaks off.
     """
-    text = path.read_bytes().decode("utf-8-sig", errors="replace")
+    text = decode_text(path.read_bytes()).rstrip("\0\x1a")
     lines = [line for line in (line.partition("#")[0].strip() for line in text.splitlines()) if line]
     header = HEADER.fullmatch(lines[0]) if lines else None
     if header is None or "BINARY" in header["rest"]:
@@ -57,10 +58,15 @@ def read_off(path: Path) -> MeshContent:
     normals = values[:, 3:6] if header["normals"] else None
     colors = values[:, columns - 3 :] if header["colors"] else None
     faces, face_colors = _faces(path, vertices, face_rows)
-    notes = []
+    alphas = [row[columns] for row in vertex_rows if header["colors"] and len(row) - columns in (1, 3)]
+    alphas += [row[-1] for row in face_rows if len(row) == int(row[0]) + 5]
+    alpha = _numbers(path, [[value] for value in alphas], 1, "colours")
+    notes = [] if np.isin(alpha, (1, 255)).all() else ["alpha of colours left out"]
+    if any(len(row) == int(row[0]) + 2 for row in face_rows):
+        notes.append("numbers of colours in a colour map left out")
     if face_colors is not None and colors is not None:
         notes.append("colours of faces beside those of vertices left out")
-    elif face_colors is not None:
+    elif face_colors is not None and 0 <= faces.min() <= faces.max() < len(vertices):
         uncolored = np.isnan(face_colors).any(1)
         brightest = face_colors[~uncolored].max()
         face_colors[uncolored] = srgb.encode(np.float64(PLAIN)) * color_unit(brightest)
@@ -102,6 +108,8 @@ def _numbers(
     try:
         return np.array(rows, dtype).reshape(len(rows), width)
     except (ValueError, OverflowError) as error:
+        commas = has_decimal_commas(" ".join(word for row in rows for word in row).encode())
         raise ObjectFolderError(
-            f"{path}: some of its {what} have words that are no numbers, or too few; export it again"
+            f"{path}: some of its {what} have "
+            + (DECIMAL_COMMAS if commas else "words that are no numbers, or too few; export it again")
         ) from error

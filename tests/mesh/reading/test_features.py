@@ -3,12 +3,14 @@
 import re
 from pathlib import Path
 
+import gltf_features
 import pytest
-from gltf_features import ROWS
+import text_features
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.reading.load import default_up, load_mesh
 
+ROWS = gltf_features.ROWS | text_features.ROWS
 PAGE = Path(__file__).parents[3] / "docs" / "meshes.md"
 SECTION = (
     PAGE.read_text(encoding="utf-8").partition("### What each format may contain")[2].partition("\n#")[0]
