@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.mesh.reading.files import MAX_NAME, read_image, read_referenced
+from objectfolder.mesh.reading.files import MAX_NAME, find_referenced, read_image, read_referenced
 
 DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -120,7 +120,8 @@ class GltfFile:
             header, _, content = uri.partition(",")
             data = unquote_to_bytes(content)
             return base64.b64decode(data + b"==") if header.lower().endswith(";base64") else data
-        return read_referenced(self.path, file_name(self.path, uri))
+        name = find_referenced(self.path, file_name(self.path, uri), any_case=True)
+        return read_referenced(self.path, name)
 
     def _view(self, index: int, offset: int, dtype: np.dtype, count: int, columns: int) -> np.ndarray:
         view = self.document["bufferViews"][index]
