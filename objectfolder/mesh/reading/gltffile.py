@@ -164,7 +164,8 @@ def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
     version, least = asset.get("version", "2.0"), asset.get("minVersion", "2.0")
     if not str(version).startswith("2.") or least != "2.0":
         raise ObjectFolderError(
-            f"{path} cannot be read as a mesh: glTF version {shortened(version)}, expected 2.0"
+            f"{path} cannot be read as a mesh: glTF version {shortened(version)}, expected 2.0; export it "
+            "again"
         )
     return document, binary
 
@@ -174,7 +175,9 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
         raise ObjectFolderError(f"{path} cannot be read as a mesh: it has no binary glTF header")
     version, length, size, kind = struct.unpack("<III4s", data[4:20])
     if version != 2:
-        raise ObjectFolderError(f"{path} cannot be read as a mesh: glTF version {version}, expected 2")
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: glTF version {version}, expected 2; export it again"
+        )
     if len(data) < length or kind != b"JSON" or 20 + size > length:
         raise ObjectFolderError(
             f"{path} cannot be read as a mesh: it holds {len(data)} bytes, its header says {length}: cut off?"

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -81,13 +82,8 @@ def _note_rest(file: GltfFile) -> None:
     file.left_out["mesh of no node left out"] += unused
     file.left_out["animation left out"] += len(document.get("animations", []))
     file.left_out["camera left out"] += sum("camera" in node for node in nodes)
-    for item in (
-        document,
-        document["asset"],
-        *document.get("scenes", []),
-        *nodes,
-        *document.get("meshes", []),
-    ):
+    parts = (document.get(name, []) for name in ("scenes", "nodes", "meshes"))
+    for item in (document.get("asset", {}), *chain(*parts)):
         file.note_extensions(item)
 
 
