@@ -331,7 +331,7 @@ def _(scene):
     scene.document["nodes"][0]["extras"] = {"visible": True, "hide_select": True, "hidden": "no"}
 
 
-@noted("nodes of scale 0, with which animations hide")
+@noted("nodes and copies of scale 0, with which animations hide")
 def _(scene):
     put_box(scene, at=(9, 0, 0), scale=[0, 0, 0], translation=[99, 0, 0])
 

@@ -87,8 +87,9 @@ class _Reader:
             key = one.mesh, one.weights
             if key not in meshes:
                 meshes[key] = self._shapes(*key)
-            copies = 1 if one.joints is not None else len(one.transforms)
-            elements += copies * sum(len(shape.vertices) + shape.faces.size for shape, _ in meshes[key])
+            elements += len(one.transforms) * sum(
+                len(shape.vertices) + shape.faces.size for shape, _ in meshes[key]
+            )
             self._check_size(elements)
             for shape, influences in meshes[key]:
                 if one.joints is not None and influences is not None:

@@ -56,21 +56,24 @@ def place_meshes(file: GltfFile) -> tuple[list[Placed], list[str]]:
         if "mesh" not in node:
             continue
         mesh = document["meshes"][node["mesh"]]
-        if "skin" in node and node["skin"] not in skins:
-            skins[node["skin"]] = _joints(file, node["skin"], worlds)
-        joints = skins.get(node.get("skin"))
         reason = hidden[index] or (INVISIBLE if _hides(mesh) else "")
-        if not reason and not (world if joints is None else joints)[..., :3, :3].any():
-            reason = FLAT
         if reason:
             file.left_out[reason] += 1
             continue
-        transforms = [world]
-        if INSTANCING in node.get("extensions", {}):
-            transforms = [world @ copy for copy in _copies(file, node["extensions"][INSTANCING])]
-            file.left_out["copies of a skinned mesh left out"] += joints is not None
+        if "skin" in node and node["skin"] not in skins:
+            skins[node["skin"]] = _joints(file, node["skin"], worlds)
+        joints = skins.get(node.get("skin"))
+        copies = _copies(file, node, world)
+        if joints is None:
+            transforms = [copy for copy in copies if copy[:3, :3].any()]
+        else:
+            file.left_out["copies of a skinned mesh left out"] += len(copies) - 1
+            copies = [world]
+            transforms = copies if joints[:, :3, :3].any() else []
+        file.left_out[FLAT] += len(copies) - len(transforms)
         weights = tuple(node.get("weights", mesh.get("weights", ())))
-        placed.append(Placed(node["mesh"], weights, transforms, joints))
+        if transforms:
+            placed.append(Placed(node["mesh"], weights, transforms, joints))
     _note_rest(file)
     return placed, notes
 
@@ -155,12 +158,14 @@ def _joints(file: GltfFile, index: int, worlds: dict[int, np.ndarray]) -> np.nda
     return joints @ inverse[: len(joints)]
 
 
-def _copies(file: GltfFile, extension: dict[str, Any]) -> list[np.ndarray]:
-    """Return the transforms (4, 4) of ``EXT_mesh_gpu_instancing`` in the frame of its node."""
-    names = [name for name in ("TRANSLATION", "ROTATION", "SCALE") if name in extension["attributes"]]
-    columns = [file.accessor(extension["attributes"][name], None) for name in names]
+def _copies(file: GltfFile, node: dict[str, Any], world: np.ndarray) -> list[np.ndarray]:
+    """Return the transforms (4, 4) of a node's mesh to the scene: its own, or those of its copies."""
+    attributes = node.get("extensions", {}).get(INSTANCING, {}).get("attributes", {})
+    names = [name for name in ("TRANSLATION", "ROTATION", "SCALE") if name in attributes]
+    columns = [file.accessor(attributes[name], None) for name in names]
     keys = [name.lower() for name in names]
-    return [_transform(dict(zip(keys, row))) for row in zip(*columns, strict=True)] or [np.eye(4)]
+    copies = (_transform(dict(zip(keys, row))) for row in zip(*columns, strict=True))
+    return [world @ copy for copy in copies] if names else [world]
 
 
 def move(part: MeshPart, transform: np.ndarray) -> MeshPart:
