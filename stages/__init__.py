@@ -12,7 +12,7 @@ from rich.progress import track
 from threadpoolctl import threadpool_limits
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.terminal import Terminal, guard_stderr
+from objectfolder.base.terminal import Terminal, guard_streams
 from objectfolder.workspace.installed import check_installed
 
 _console = Terminal(stderr=True)
@@ -29,7 +29,7 @@ def run(
     parser.add_argument("key", help=of)
     key = parser.parse_args().key
     logging.basicConfig(level=logging.INFO)
-    guard_stderr()
+    guard_streams()
     try:
         check_installed()
         with threadpool_limits(1):

@@ -54,18 +54,15 @@ def download(console):
     print_result(FetchResult("a", FetchStatus.FAILED, ALL), console)
 
 
-@pytest.mark.parametrize(
-    "show",
-    [
-        lambda console: console.print(ALL),
-        lambda console: console.print(Text(ALL), soft_wrap=True),
-        lambda console: console.print(table(ALL)),
-        lambda console: print_wide(table(ALL), console),
-        live,
-        build,
-        download,
-    ],
+SHOWS = (
+    lambda console: console.print(ALL),
+    lambda console: console.print(Text(ALL), soft_wrap=True),
+    lambda console: console.print(table(ALL)),
+    lambda console: print_wide(table(ALL), console),
 )
+
+
+@pytest.mark.parametrize("show", [*SHOWS, live, build, download])
 @pytest.mark.parametrize("terminal", [False, True])
 def test_nothing_printed_is_obeyed(show, terminal):
     console = Terminal(file=io.StringIO(), force_terminal=terminal, width=2000, color_system="truecolor")
@@ -130,9 +127,9 @@ def test_a_file_of_such_a_name_is_reported(tmp_path):
 
 UNCAUGHT = """
 import logging, sys, threading, warnings
-from objectfolder.base.terminal import guard_stderr
+from objectfolder.base.terminal import guard_streams
 evil = sys.argv[1]
-guard_stderr()
+guard_streams()
 warnings.warn("warned " + evil)
 logging.getLogger("a").warning("logged %s", evil)
 thread = threading.Thread(target=lambda: {}[evil])
@@ -148,6 +145,31 @@ def test_logs_warnings_and_tracebacks():
         assert f"{name} {SHOWN}" in shown
     assert "KeyError" in shown
     assert shown.count("Traceback") == 2
+
+
+PLAIN = """
+import sys
+from rich.progress import track
+from rich.table import Table
+from objectfolder.base.terminal import Terminal, guard_streams
+guard_streams()
+table = Table("cm³", title="Tasse à café")
+table.add_row("2 · 3 − 1 °")
+for stderr in (False, True):
+    Terminal(stderr=stderr).print(table)
+    list(track([1, 2], "café", console=Terminal(stderr=stderr)))
+print("cm³ ✓ 杯", file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp437", "latin-1"])
+def test_a_terminal_that_is_not_utf_8_gets_plain_characters(monkeypatch, encoding):
+    monkeypatch.setenv("PYTHONIOENCODING", encoding)
+    process = subprocess.run([sys.executable, "-c", PLAIN], capture_output=True, check=True)
+    for text in (process.stdout.decode(encoding), process.stderr.decode(encoding)):
+        assert ("cm³" if encoding == "latin-1" else "cm3") in text
+        assert ("Tasse a cafe" if encoding == "ascii" else "Tasse à café") in text
+    assert process.stderr.decode(encoding).splitlines()[-1] == f"cm{'³' if encoding == 'latin-1' else 3} + ?"
 
 
 def test_no_module_prints_around_it():

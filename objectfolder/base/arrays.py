@@ -15,7 +15,14 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.base.io import atomic_stream, existing_file, parse_json, unique_names, write_bytes
+from objectfolder.base.io import (
+    atomic_stream,
+    content_hint,
+    existing_file,
+    parse_json,
+    unique_names,
+    write_bytes,
+)
 
 MAX_BYTES = 2**30  #: size limit of a safetensors file; a thousand times that of an Object File
 MAX_HEADER = 2**20  #: length limit of its JSON header, characters
@@ -59,12 +66,8 @@ def safetensors_bytes(tensors: Mapping[str, Any], header: dict[str, Any]) -> byt
     from safetensors.numpy import save
 
     contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-    return save(contiguous, metadata=_metadata(header))
-
-
-def _metadata(header: dict[str, Any]) -> dict[str, str]:
-    """Return the metadata that hold a header; `read_safetensors` refuses NaN and infinity."""
-    return {"objectfolder": json.dumps(header, sort_keys=True, allow_nan=False)}
+    text = json.dumps(header, sort_keys=True, allow_nan=False)  # `read_safetensors` refuses NaN and infinity
+    return save(contiguous, metadata={"objectfolder": text})
 
 
 def write_png(path: str | Path, image: np.ndarray) -> None:
@@ -146,7 +149,7 @@ def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
             raise ValueError(f"its header has {len(header):,} characters, expected at most {MAX_HEADER:,}")
         return StoredTensors(path, stored), {} if header is None else parse_json(header)
     except Exception as error:
-        reason = str(error).removeprefix("Error while deserializing: ")
+        reason = str(error).removeprefix("Error while deserializing: ") + content_hint(path)
         raise ObjectFolderError(
             f"{path} is neither an Object File nor another readable safetensors file: {reason}"
         ) from error
@@ -191,9 +194,7 @@ def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
             return np.load(stream, allow_pickle=False).astype(np.float64)
     except ObjectFolderError:
         raise
-    except (
-        Exception
-    ) as error:  # numpy parses the header as Python literals, which raises many types of errors
+    except Exception as error:  # numpy parses the header as Python literals, which raises many types
         raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
 
 

@@ -4,13 +4,14 @@ All writers use `atomic`, so a file is either absent or complete. All readers ch
 file in errors.
 """
 
+import codecs
 import errno
 import hashlib
 import json
 import os
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,6 +19,27 @@ from typing import Any, BinaryIO
 from objectfolder.base.disk import FULL_BELOW, free_bytes, is_shortage
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.base.locks import claim_file, private_path
+
+#: First bytes of what servers and checkouts leave in place of a file.
+STRAY = {
+    b"<": "XML or HTML",
+    b"version https://git-lfs": "a Git LFS pointer, not the file itself: run `git lfs pull`",
+    b"\x1f\x8b": "a .gz archive",
+}
+
+
+def content_hint(path: str | Path, kinds: Mapping[bytes, str] = STRAY) -> str:
+    """Return what a file looks like that its reader refuses, for the error's message; or nothing.
+
+    ``kinds``: words for the bytes that files may begin with, after spaces.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            head = stream.read(64).removeprefix(codecs.BOM_UTF8).lstrip()
+    except OSError:
+        return ""
+    found = [kind for start, kind in kinds.items() if head.startswith(start)]
+    return f" (its content looks like {found[0]})" if found else ""
 
 
 @contextmanager
@@ -95,8 +117,8 @@ def _claim(path: Path) -> tuple[Path, int]:
             return claim_file(path)
     except OSError as error:
         folder = shortened(path.parent, 300)
-        full = is_shortage(error)
-        advice = f"make space on the disk of {folder}" if full else f"make the directory {folder} writable"
+        writable = f"make the directory {folder} writable"
+        advice = f"make space on the disk of {folder}" if is_shortage(error) else writable
         raise ObjectFolderError(
             f"cannot write {shortened(path, 300)}: {error.strerror}; {advice}, or choose another name"
         ) from error
@@ -125,10 +147,7 @@ def write_table(path: str | Path, columns: list[str], rows: list[list[Any]]) -> 
 
 
 def write_curve(path: str | Path, curve: list[Any]) -> None:
-    """Write a training curve (`objectfolder.nets.fit.CurvePoint`) as CSV.
-
-    Wall-clock times are omitted: equal inputs must give equal bytes.
-    """
+    """Write a training curve (`nets.fit.CurvePoint`) as CSV, without times: equal inputs give equal bytes."""
     rows = [[p.step, p.train_loss, p.val_loss] for p in curve]
     write_table(path, ["step", "train_loss", "val_loss"], rows)
 
@@ -154,10 +173,7 @@ def file_digest(path: str | Path) -> str:
 
 
 def read_json(path: str | Path) -> Any:
-    """Read a JSON file.
-
-    Raises ObjectFolderError if the file is missing or damaged.
-    """
+    """Read a JSON file; raises ObjectFolderError if it is missing or damaged."""
     path = existing_file(path)
     try:
         return json.loads(path.read_text())

@@ -1,11 +1,14 @@
 """The terminal: what commands and stages print shows the control characters in it, and no markup is read."""
 
+import codecs
 import logging
 import sys
 import threading
 import traceback
+import unicodedata
 import warnings
 from collections.abc import Iterable
+from io import TextIOWrapper
 from types import TracebackType
 from typing import Any
 
@@ -30,14 +33,33 @@ class Terminal(Console):
             yield segment if segment.control else segment._replace(text=visible(segment.text, lines=True))
 
 
-def guard_stderr() -> None:
-    """Let Python itself show control characters: in log records, warnings, and uncaught errors."""
+def guard_streams() -> None:
+    """Let Python itself show control characters: in log records, warnings, and uncaught errors.
+
+    Streams that are not UTF-8 get the nearest plain characters: ``cm3`` for cm and a superscript.
+    """
+    codecs.register_error("plain", _plain)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="plain")
     for handler in (logging.lastResort, *logging.root.handlers):
         if handler is not None:
             handler.setFormatter(_Formatter("%(message)s"))
     warnings.formatwarning = _warning
     sys.excepthook = _uncaught
     threading.excepthook = lambda args: _uncaught(args.exc_type, args.exc_value, args.exc_traceback)
+
+
+_PLAIN = str.maketrans("·−✓°", ".-+ ")
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    """Replace what an encoding lacks by letters and signs of ASCII, or question marks."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    wanted = error.object[error.start : error.end].translate(_PLAIN)
+    plain = (unicodedata.normalize("NFKD", char).encode("ascii", "ignore").decode() for char in wanted)
+    return "".join(char or "?" for char in plain), error.end
 
 
 class _Formatter(logging.Formatter):

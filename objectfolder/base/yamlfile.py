@@ -43,10 +43,10 @@ def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
     from ruamel.yaml import YAML
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
-    written: dict[str, Any] = {}
-    for name, value in values.items():
-        value = DoubleQuotedScalarString(visible(value)) if name in in_quotes else inline_lists(value)
-        written[name] = value
+    written = {
+        name: DoubleQuotedScalarString(visible(value)) if name in in_quotes else inline_lists(value)
+        for name, value in values.items()
+    }
     yaml, stream = YAML(), io.StringIO()
     yaml.width = MAX_YAML  # a line is never broken
     yaml.dump(written, stream)
@@ -71,7 +71,6 @@ def check_yaml(path: str | Path) -> str:
     """Return the text of a YAML file that is safe to load.
 
     Loading descends into nested collections, and what is loaded may be written out: a copy for each alias.
-
     Raises ObjectFolderError if it cannot be read, is not YAML, is nested too deeply, has a very long value,
     refers to itself, or would be too large with a copy for each alias.
     """
@@ -121,7 +120,22 @@ def _yaml_problem(events: Any) -> str:
     return ""
 
 
+def merge_conflict(path: str | Path) -> str:
+    """Return what to do about the first conflict of Git in a file; empty if there is none."""
+    try:
+        lines = Path(path).read_bytes().split(b"\n")
+    except OSError:
+        return ""
+    marked = [number for number, line in enumerate(lines, 1) if line.startswith((b"<<<<<<< ", b">>>>>>> "))]
+    if not marked:
+        return ""
+    remedy = f"keep one side, such as with `git checkout --ours {path}` or `--theirs`, then `git add {path}`"
+    return f"{path}, line {marked[0]} has a merge conflict of Git; {remedy}"
+
+
 def _no_yaml(path: str | Path, error: Exception) -> ObjectFolderError:
+    if conflict := merge_conflict(path):
+        return ObjectFolderError(conflict)
     mark = getattr(error, "problem_mark", None)
     line = f", line {mark.line + 1}" if mark is not None else ""
     problem = shortened(str(getattr(error, "problem", None) or error), 300)

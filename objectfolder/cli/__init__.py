@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 from objectfolder.base.disk import is_shortage
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.installation import installed_version
-from objectfolder.base.terminal import Terminal, guard_stderr
+from objectfolder.base.terminal import Terminal, guard_streams
 from objectfolder.base.text import visible
 from objectfolder.cli import (
     bench,
@@ -125,7 +125,7 @@ app.add_typer(listening.listening_app, name="listening")
 
 def main() -> None:
     """Run the command line; print user errors in one line without a traceback."""
-    guard_stderr()
+    guard_streams()
     try:
         try:
             typer.main.get_command(app)()  # calling `app` would replace the hook for uncaught errors

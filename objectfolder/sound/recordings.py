@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import content_hint
 
 if TYPE_CHECKING:
     import soundfile
@@ -85,7 +86,7 @@ def open_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
             yield file
     except (soundfile.LibsndfileError, OSError) as error:
         raise ObjectFolderError(
-            f"{path} is not a readable audio file ({error}); expected WAV, FLAC or OGG"
+            f"{path} is not a readable audio file ({error}){content_hint(path)}; expected WAV, FLAC or OGG"
         ) from error
 
 

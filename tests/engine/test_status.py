@@ -316,3 +316,13 @@ def test_a_directory_of_outputs_that_come_back_is_predicted(template, tmp_path):
     assert {said[address] for address in stages} == {Outlook.RESTORE}
     assert {did[address] for address in stages} == {StageOutcome.RESTORED}
     assert said["normalize@mug"] == Outlook.SKIP
+
+
+@pytest.mark.parametrize("name", ["dvc.lock", "dvc.yaml", "params.yaml"])
+def test_a_merge_conflict_is_named_with_its_line_and_a_remedy(workspace, name):
+    assert build(root=workspace.root).ok
+    lines = (workspace.root / name).read_text().splitlines(keepends=True)
+    (workspace.root / name).write_text("".join([*lines[:2], "<<<<<<< HEAD\n", *lines[2:]]))
+    message = rf"{name}, line 3 has a merge conflict of Git; keep one side, .*git checkout --ours \S*{name}"
+    with pytest.raises(ObjectFolderError, match=message):
+        status((), workspace.root)

@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.installation import requirement
 from objectfolder.cli import app
-from objectfolder.engine.dvc.repository import start_repository
+from objectfolder.engine.dvc.repository import open_repository, start_repository
 from objectfolder.engine.status import Outlook, status
 from objectfolder.workspace import creation, installed, template
 from objectfolder.workspace.check import check_all
@@ -140,6 +140,16 @@ def test_a_folder_that_holds_files_is_refused(tmp_path, held):
     with pytest.raises(ObjectFolderError, match=rf"x is not empty: it holds {held}"):
         create_workspace(tmp_path / "x", start_repository)
     assert [path.name for path in (tmp_path / "x").iterdir()] == [held]
+
+
+def test_a_path_with_braces_is_refused_wherever_a_workspace_is_opened(tmp_path, made):
+    braced = tmp_path / "br{a}ce"
+    with pytest.raises(ObjectFolderError, match=r"has braces in the name 'br\{a\}ce'.*rename the folder"):
+        create_workspace(braced / "x", start_repository)
+    assert not braced.exists()
+    shutil.copytree(made, braced)
+    with pytest.raises(ObjectFolderError, match="has braces in the name"), open_repository(braced):
+        pass
 
 
 def test_an_empty_repository_is_taken(tmp_path):

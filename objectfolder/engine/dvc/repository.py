@@ -31,11 +31,11 @@ from voluptuous import Invalid
 from objectfolder.base.disk import free_bytes
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.locks import remove_abandoned
-from objectfolder.base.yamlfile import check_yaml, read_yaml
+from objectfolder.base.yamlfile import check_yaml, merge_conflict, read_yaml
 from objectfolder.engine.dvc.lockfile import COPIES, LockFiles
 from objectfolder.engine.dvc.replacements import replacements
 from objectfolder.engine.dvc.runcache import RunCache
-from objectfolder.workspace.params import outside_workspace
+from objectfolder.workspace.params import check_root, outside_workspace
 
 LOGGERS = ("dvc", "dvc_data", "dvc_objects")
 PARAMS = "params.yaml"
@@ -146,6 +146,7 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
         raise ObjectFolderError(f"{root} is not a directory; expected the one that holds dvc.yaml")
     if not (root / "dvc.yaml").is_file() and not (root / PARAMS).is_file():
         raise outside_workspace(root / PARAMS)
+    check_root(root)
     if (root / PARAMS).exists():  # before DVC reads it, which has no limits
         check_yaml(root / PARAMS)
     for name in (*OUTPUT_FOLDERS, *_links_in(root / "build", root)):
@@ -172,11 +173,16 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
                 try:
                     yield OpenRepository(repo, root, lockfiles)
                 except DvcException as error:
-                    raise ObjectFolderError(f"DVC cannot read the workspace {root}: {error}") from error
+                    unread = re.search("unable to read: '(.+?)'", str(error))  # a path from here
+                    conflict = merge_conflict(unread[1]) if unread else ""
+                    if conflict and unread and unread[1].endswith("dvc.lock"):
+                        conflict += "; the next build writes the rest"
+                    raise ObjectFolderError(
+                        conflict or f"DVC cannot read the workspace {root}: {error}"
+                    ) from error
 
 
 def _links_in(folder: Path, root: Path) -> list[str]:
-    """List the links to folders in a folder of a workspace."""
     with suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
         links = [entry.path for entry in entries if entry.is_symlink() and entry.is_dir()]
         return sorted(os.path.relpath(path, root) for path in links)

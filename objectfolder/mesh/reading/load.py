@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import STRAY, content_hint
 from objectfolder.mesh.normals import replace_bad_normals
 from objectfolder.mesh.reading.bake import join
 from objectfolder.mesh.reading.files import find_referenced
@@ -38,9 +39,7 @@ BEGINNINGS = {
     b"ply": "a .ply",
     b"OFF": "an .off",
     b"PK\x03\x04": "a .zip archive",
-    b"\x1f\x8b": "a .gz archive",
-    b"<": "XML or HTML",
-    b"version https://git-lfs": "a Git LFS pointer, not the file itself",
+    **STRAY,
 }
 
 
@@ -128,10 +127,8 @@ def _read(path: Path, reader: Callable[[Path], MeshContent]) -> MeshContent:
 
 
 def _looks_like(path: Path) -> str:
-    with path.open("rb") as stream:
-        head = stream.read(32).lstrip()
-    kinds = [kind for start, kind in BEGINNINGS.items() if head.startswith(start)]
-    return f" (its content looks like {kinds[0]})" if kinds and path.suffix not in kinds[0] else ""
+    others = {start: kind for start, kind in BEGINNINGS.items() if not kind.endswith(path.suffix.lower())}
+    return content_hint(path, others)
 
 
 def _check(path: Path, part: MeshPart) -> None:
