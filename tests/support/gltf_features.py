@@ -4,6 +4,8 @@ import base64
 import io
 import json
 import struct
+import unicodedata
+from urllib.parse import quote
 
 import numpy as np
 from gltf_scene import Scene, checker, colors_at, square
@@ -11,6 +13,7 @@ from PIL import Image
 from solids import box
 
 from objectfolder.mesh import srgb
+from objectfolder.mesh.reading.load import references
 
 ROWS = {}  #: functions of a folder, by format and feature
 SIDES = np.array([1.0, 2.0, 3.0])
@@ -106,30 +109,50 @@ def _(scene, folder):
 
 @row("buffers and images in the binary chunk of a `.glb`, in files, in `data:` URIs")
 def _(scene, folder):
-    material = scene.material(scene.texture([[SAND]]))
-    put_box(scene, material, attributes={"TEXCOORD_0": np.zeros((8, 2))})
-    document = {name: value for name, value in scene.document.items() if value != []}
-    inside = scene.data + b"\0" * (-len(scene.data) % 4)
-    (folder / "größe 1.bin").write_bytes(scene.data)
-    (folder / "100%25 sand.png").write_bytes(picture("png"))
-    view = {"byteOffset": 0, "byteLength": 12}
-    uri = "DATA:application/octet-stream;base64," + base64.b64encode(b"\0" * 12).decode().replace("A", "%41")
+    """Positions from the chunk, indices from a file, coordinates from an address, the picture from a file."""
+    (folder / "a.bin").write_bytes(data := put_sand(scene, folder / "sand.png", "sand.png"))
+    coded = base64.b64encode(data).decode().replace("A", "%41")
+    document = scene.document
     document["buffers"] = [
-        {"byteLength": len(scene.data)},
-        {"byteLength": len(scene.data), "uri": "gr%C3%B6%C3%9Fe%201.bin"},
-        {"byteLength": 12, "uri": uri},
+        {"byteLength": len(data)},
+        {"byteLength": len(data), "uri": "a.bin"},
+        {"byteLength": len(data), "uri": f"DATA:application/octet-stream;base64,{coded}"},
     ]
-    # Positions from the chunk, indices from the file, a corner of the texture from the address itself.
-    document["bufferViews"] = [dict(v, buffer=int(i % 2)) for i, v in enumerate(document["bufferViews"])]
-    document["bufferViews"].append({"buffer": 2, **view})
-    document["images"][0] = {"uri": "100%2525 sand.png"}
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
+    for name, number in (("POSITION", 0), ("indices", 1), ("TEXCOORD_0", 2)):
+        primitive = document["meshes"][0]["primitives"][0]
+        accessor = document["accessors"][(primitive | primitive["attributes"])[name]]
+        document["bufferViews"][accessor["bufferView"]]["buffer"] = number
+    text = json.dumps({name: value for name, value in document.items() if value != []}).encode()
+    text, data = text + b" " * (-len(text) % 4), data + b"\0" * (-len(data) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(data), len(text), b"JSON")
     path = folder / "scene.glb"
-    length = 28 + len(text) + len(inside)
-    head = struct.pack("<4sIII4s", b"glTF", 2, length, len(text), b"JSON")
-    path.write_bytes(head + text + struct.pack("<I4s", len(inside), b"BIN\0") + inside)
+    path.write_bytes(head + text + struct.pack("<I4s", len(data), b"BIN\0") + data)
     return path, shows_box(color=SAND)
+
+
+def put_sand(scene, picture_path, uri):
+    """Put a box with a picture of a file; return the data of the rest."""
+    picture_path.parent.mkdir(exist_ok=True)
+    picture_path.write_bytes(picture("png"))
+    material = scene.material(scene.append("textures", {"source": scene.append("images", {"uri": uri})}))
+    put_box(scene, material, attributes={"TEXCOORD_0": np.zeros((8, 2))})
+    return scene.data
+
+
+@row("file names that are percent-encoded, with backslashes, of either form of Unicode")
+def _(scene, folder):
+    composed, apart = (unicodedata.normalize(form, "größe") for form in ("NFC", "NFD"))
+    names = {f"{quote(composed)}%201.png": f"{apart} 1.png", f"t\\{apart}.png": f"t/{composed}.png"}
+    names |= {"100%25.png": "100%.png", "as%20written.png": "as%20written.png"}
+    for uri, name in names.items():
+        put_sand(scene, folder / name, uri)
+
+    def check(mesh):
+        assert len(mesh.faces) == 48
+        np.testing.assert_allclose(colors_at(mesh), np.tile(SAND, (48, 1)))
+        assert {str(path) for path in references(folder / "scene.gltf")} == {*names.values()}
+
+    return None, check
 
 
 @row("interleaved, sparse and normalized accessors; `KHR_mesh_quantization`")
@@ -338,6 +361,19 @@ def _(scene):
     scene.document["meshes"][0]["primitives"].append(primitive)
 
 
+def put_material(scene, extension=None, content=None, **material):
+    if extension is not None:
+        material["extensions"] = {extension: content or {}}
+    scene.document["materials"].append(
+        {"pbrMetallicRoughness": {"baseColorFactor": linear(SAND, [1])}, **material}
+    )
+    scene.document["meshes"][0]["primitives"][0]["material"] = 0
+
+
+def put_map(scene, kind):
+    put_material(scene, **{f"{kind}Texture": {"index": 99}})  # nothing reads it
+
+
 @row("base colour, as a factor and a texture")
 def _(scene, folder):
     half = np.array([0.5, 0.25, 1.0])
@@ -395,6 +431,35 @@ def has_surface(roughness, metallic):
     return check
 
 
+@noted("several of these in one file")
+def _(scene):
+    """Two parts of equal area."""
+    put_material(scene, pbrMetallicRoughness={"roughnessFactor": 0.2})
+    (primitive,) = scene.document["meshes"][0]["primitives"]
+    halves = [scene.accessor(half.ravel(), "u4") for half in np.split(box(SIDES)[1], 2)]
+    other = {"pbrMetallicRoughness": {"roughnessFactor": 0.8}}
+    primitives = [{**primitive, "indices": half, "material": n} for n, half in enumerate(halves)]
+    scene.document["materials"].append(other)
+    scene.document["meshes"][0]["primitives"] = primitives
+
+
+@row("vertex normals")
+def _(scene, folder):
+    outward = np.sign(box(SIDES)[0])
+    put_box(scene, attributes={"NORMAL": scene.accessor(outward * 2)})
+
+    def check(mesh):
+        back = mesh.normals[:, [0, 2, 1]] * [1, 1, -1]  # y up
+        np.testing.assert_allclose(back, outward / np.sqrt(3), atol=1e-6)
+
+    return None, check
+
+
+@noted("a texture, but a mesh without its coordinates")
+def _(scene):
+    put_material(scene, pbrMetallicRoughness={"baseColorTexture": {"index": scene.texture([[SAND]])}})
+
+
 @row("a map of roughness and metallic")
 def _(scene, folder):
     maps = {"index": scene.texture(checker([[[0, 51, 0], [0, 153, 102]]], 2))}
@@ -402,21 +467,15 @@ def _(scene, folder):
     return None, has_surface(0.2, 0.2)
 
 
-def put_material(scene, extension=None, content=None, **material):
-    if extension is not None:
-        material["extensions"] = {extension: content or {}}
-    scene.document["materials"].append(
-        {"pbrMetallicRoughness": {"baseColorFactor": linear(SAND, [1])}, **material}
-    )
-    scene.document["meshes"][0]["primitives"][0]["material"] = 0
+@noted("a normal map, with tangents")
+def _(scene):
+    put_map(scene, "normal")
+    attributes = scene.document["meshes"][0]["primitives"][0]["attributes"]
+    attributes["TANGENT"] = scene.accessor(np.ones((8, 4)))
 
 
-def put_map(scene, kind):
-    put_material(scene, **{f"{kind}Texture": {"index": 99}})  # nothing reads it
-
-
-for kind in ("normal", "occlusion", "emissive"):
-    noted(f"{'a' if kind == 'normal' else 'an'} {kind} map")(lambda scene, kind=kind: put_map(scene, kind))
+for kind in ("occlusion", "emissive"):
+    noted(f"an {kind} map")(lambda scene, kind=kind: put_map(scene, kind))
 
 
 @noted("emission without a map")

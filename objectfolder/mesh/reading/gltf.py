@@ -5,13 +5,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 from PIL import Image, ImageStat
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.mesh.reading.gltffile import DRACO, REMEDIES, GltfFile, is_data, read_document
+from objectfolder.mesh.reading.gltffile import DRACO, REMEDIES, GltfFile, file_name, is_data, read_document
 from objectfolder.mesh.reading.gltfscene import Influences, bend, move, place_meshes
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 
@@ -21,6 +20,7 @@ WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 NEAREST = 9728
 TRIANGLES, STRIP, FAN = 4, 5, 6
 READ_ATTRIBUTES = ("POSITION", "NORMAL", "TANGENT", "COLOR_0", "TEXCOORD_", "JOINTS_", "WEIGHTS_")
+MAX_SETS = 16  # of four joints that move a vertex
 MAX_ELEMENTS = 50_000_000  # vertices and corners of faces; nodes may repeat a mesh
 
 
@@ -50,7 +50,8 @@ def uris(path: Path) -> list[str]:
     with _valid(path):
         document, _ = read_document(path)
         items = [*document.get("buffers", []), *document.get("images", [])]
-        return [unquote(item["uri"]) for item in items if item.get("uri") and not is_data(item["uri"])]
+        found = [item["uri"] for item in items if item.get("uri")]
+        return [file_name(path, uri) for uri in found if not is_data(uri)]
 
 
 @contextmanager
@@ -115,7 +116,7 @@ class _Reader:
             self.file.note_extensions(primitive, {DRACO})
             if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
                 self.left_out["points or lines left out"] += 1
-            elif "POSITION" not in primitive["attributes"]:
+            elif "POSITION" not in primitive.get("attributes", {}):
                 self.left_out["faces without positions left out"] += 1
             else:
                 shapes.append((self._shape(primitive, morphs), self._influences(primitive)))
@@ -175,6 +176,11 @@ class _Reader:
         sets = [n for n in range(len(attributes)) if {f"JOINTS_{n}", f"WEIGHTS_{n}"} <= attributes.keys()]
         if not sets:
             return None
+        if len(sets) > MAX_SETS:
+            raise ObjectFolderError(
+                f"{self.path}: a mesh has {len(sets)} sets of joints, expected at most {MAX_SETS}; export it "
+                "again"
+            )
         joints, weights = (
             np.hstack([self.file.accessor(attributes[f"{name}_{n}"], 4) for n in sets])
             for name in ("JOINTS", "WEIGHTS")
@@ -257,7 +263,7 @@ def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
     if mode == TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
     if mode == FAN:
-        return np.stack([corners[1:-1], corners[2:], np.full(max(len(corners) - 2, 0), corners[0])], 1)
+        return np.stack([corners[1:-1], corners[2:], np.repeat(corners[:1], max(len(corners) - 2, 0))], 1)
     strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], 1)
     strip[1::2] = strip[1::2, [1, 0, 2]]
     return strip

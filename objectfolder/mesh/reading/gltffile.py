@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.mesh.reading.files import read_image, read_referenced
+from objectfolder.mesh.reading.files import MAX_NAME, read_image, read_referenced
 
 DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -23,8 +23,7 @@ DRACO = "KHR_draco_mesh_compression"
 READ = {"KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp", VISIBILITY, INSTANCING, LOD}
 # Extensions that a file may require: those that are read, those of textures, which are refused only if a
 # texture that counts has no other image, and those that change neither shape nor base colour.
-ALLOWED = (*READ, "KHR_texture_basisu", "MSFT_texture_dds", "EXT_texture_avif", "KHR_animation_pointer")
-HARMLESS = ("_materials_", "_lights_", "_xmp")
+HARMLESS = ("_materials_", "_texture_", "_lights_", "_xmp", "KHR_animation_", "KHR_node_")
 REMEDIES = {
     DRACO: "export it without compression, or run `npx @gltf-transform/cli copy IN.glb OUT.glb`",
     "EXT_meshopt_compression": "export it without compression",
@@ -39,7 +38,7 @@ class GltfFile:
         self.path = path
         self.document, self.binary = read_document(path)
         for name in self.document.get("extensionsRequired", []):
-            if name not in ALLOWED and not any(part in name for part in HARMLESS):
+            if name not in READ and not any(part in name for part in HARMLESS):
                 remedy = REMEDIES.get(name, "export it without")
                 raise ObjectFolderError(
                     f"{path} needs the glTF extension {shortened(name)}, which is not supported; {remedy}"
@@ -75,7 +74,7 @@ class GltfFile:
             if count > held:
                 raise ObjectFolderError(
                     f"{self.path}: accessor {index} has {shortened(count)} values, more than the {held} "
-                    "bytes of the file's buffers; export it again"
+                    "bytes of the file's buffers; export it again, uncompressed"
                 )
             values = np.zeros((count, columns), dtype)
         if "sparse" in accessor:
@@ -102,7 +101,7 @@ class GltfFile:
             data = self.buffers[view["buffer"]][start : start + view["byteLength"]]
         else:
             data = self._fetch(image["uri"])
-            name = name if is_data(image["uri"]) else unquote(image["uri"])
+            name = name if is_data(image["uri"]) else file_name(self.path, image["uri"])
         return read_image(data, name, self.path, mode)
 
     def _buffer(self, index: int, buffer: dict[str, Any]) -> bytes:
@@ -121,7 +120,7 @@ class GltfFile:
             header, _, content = uri.partition(",")
             data = unquote_to_bytes(content)
             return base64.b64decode(data + b"==") if header.lower().endswith(";base64") else data
-        return read_referenced(self.path, unquote(uri))
+        return read_referenced(self.path, file_name(self.path, uri))
 
     def _view(self, index: int, offset: int, dtype: np.dtype, count: int, columns: int) -> np.ndarray:
         view = self.document["bufferViews"][index]
@@ -139,6 +138,14 @@ class GltfFile:
 def is_data(uri: str) -> bool:
     """Whether a URI holds its data itself."""
     return uri[:5].lower() == "data:"
+
+
+def file_name(path: Path, uri: str) -> str:
+    """Return the file name that a URI of a glTF file stands for; as written if only that file exists."""
+    name = unquote(uri)
+    if name == uri or len(uri.encode(errors="replace")) > MAX_NAME:
+        return name
+    return uri if (path.parent / uri).is_file() and not (path.parent / name).is_file() else name
 
 
 def read_document(path: Path) -> tuple[dict[str, Any], bytes]:

@@ -49,12 +49,15 @@ def place_meshes(file: GltfFile) -> tuple[list[Placed], list[str]]:
     roots, notes = _choose_scene(document)
     worlds, hidden = _descend(file, roots)
     placed = []
+    skins: dict[int, np.ndarray] = {}
     for index, world in worlds.items():
         node = document["nodes"][index]
         if "mesh" not in node:
             continue
         mesh = document["meshes"][node["mesh"]]
-        joints = _joints(file, node["skin"], worlds) if "skin" in node else None
+        if "skin" in node and node["skin"] not in skins:
+            skins[node["skin"]] = _joints(file, node["skin"], worlds)
+        joints = skins.get(node.get("skin"))
         reason = hidden[index] or (INVISIBLE if _hides(mesh) else "")
         if not reason and not (world if joints is None else joints)[..., :3, :3].any():
             reason = FLAT
@@ -161,7 +164,7 @@ def _copies(file: GltfFile, extension: dict[str, Any]) -> list[np.ndarray]:
     names = [name for name in ("TRANSLATION", "ROTATION", "SCALE") if name in extension["attributes"]]
     columns = [file.accessor(extension["attributes"][name], None) for name in names]
     keys = [name.lower() for name in names]
-    return [_transform(dict(zip(keys, row))) for row in zip(*columns, strict=True)]
+    return [_transform(dict(zip(keys, row))) for row in zip(*columns, strict=True)] or [np.eye(4)]
 
 
 def move(part: MeshPart, transform: np.ndarray) -> MeshPart:

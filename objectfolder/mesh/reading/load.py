@@ -32,6 +32,7 @@ READERS: dict[str, Callable[[Path], MeshContent]] = {
 }
 FORMATS = tuple(READERS)  #: suffixes of supported mesh files
 AS_STORED = 1 << 16  #: texture size of a mesh that `normalize` wrote: no texture is larger
+MAX_REPEATS = 1e9  # of a texture, from its origin to a corner; single precision holds no place beyond
 MAX_REACH = 1e30  # largest coordinate in any unit; keeps products finite
 # First bytes of files that carry a wrong suffix.
 BEGINNINGS = {
@@ -151,7 +152,7 @@ def _check(path: Path, part: MeshPart) -> None:
 
 def _finite(part: MeshPart) -> MeshPart:
     """Replace values that are not finite by zeros, and clip vertex colours to [0, 1]."""
-    uv = None if part.uv is None else np.where(np.isfinite(part.uv), part.uv, 0)
+    uv = None if part.uv is None else np.where(np.abs(part.uv) < MAX_REPEATS, part.uv, 0)
     vertices = np.where(np.isfinite(part.vertices).all(1, keepdims=True), part.vertices, 0)
     colors = None if part.colors is None else np.nan_to_num(np.clip(part.colors, 0, 1))
     normals = None

@@ -607,10 +607,9 @@ def test_an_unlit_material_states_neither_roughness_nor_metallic(tmp_path):
     assert (mesh.roughness, mesh.metallic) == (None, None)
 
 
-def test_repeated_instances_are_refused(tmp_path):
+def test_copies_of_no_place_are_one(tmp_path):
     scene = box_scene(extensions={"EXT_mesh_gpu_instancing": {"attributes": {}}})
-    with pytest.raises(ObjectFolderError, match="node 0 repeats its mesh with EXT_mesh_gpu_instancing"):
-        load_mesh(scene.write(tmp_path / "m.gltf"))
+    assert len(load_mesh(scene.write(tmp_path / "m.gltf")).faces) == 12
 
 
 def test_an_empty_list_of_scenes_shows_all_nodes(tmp_path):

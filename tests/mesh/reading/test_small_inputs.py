@@ -271,8 +271,8 @@ def test_a_mesh_that_nodes_repeat_is_read_once(tmp_path, monkeypatch):
     for x in range(50):
         scene.node(mesh, translation=[x, 0, 0])
     read = []
-    real = gltf._File._accessor
-    monkeypatch.setattr(gltf._File, "_accessor", lambda self, *a: read.append(a) or real(self, *a))
+    real = gltf.GltfFile.accessor
+    monkeypatch.setattr(gltf.GltfFile, "accessor", lambda self, *a: read.append(a) or real(self, *a))
     loaded = load_mesh(scene.write(tmp_path / "m.gltf"))
     assert len(read) == 2  # positions and indices
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
@@ -306,6 +306,18 @@ def whole_document(folder):
     scene.quads(0, material, [square(0.5, 0.5, 0.5)], COLOR_0=np.full((1, 4, 3), 0.5))
     scene.node(0, rotation=[0, 0, 0, 1], scale=[1, 1, 1], translation=[0, 1, 0], children=[])
     scene.document |= {"extensionsRequired": ["KHR_texture_transform"]}
+    scene.document["meshes"][0] |= {"weights": [0.5], "extras": {"visible": True}}
+    primitive = scene.document["meshes"][0]["primitives"][0]
+    primitive["targets"] = [{"POSITION": primitive["attributes"]["POSITION"]}]
+    primitive["attributes"] |= {
+        "JOINTS_0": scene.accessor(np.zeros((4, 4)), "u1"),
+        "WEIGHTS_0": scene.accessor(np.ones((4, 4))),
+    }
+    matrices = scene.accessor(np.eye(4).reshape(1, 16))
+    scene.document["skins"] = [{"joints": [1], "inverseBindMatrices": matrices}]
+    copies = {"attributes": {"TRANSLATION": scene.accessor(np.eye(3))}}
+    hidden = {"KHR_node_visibility": {"visible": True}, "MSFT_lod": {"ids": []}}
+    scene.node(0, skin=0, extensions={"EXT_mesh_gpu_instancing": copies, **hidden}, camera=0)
     scene.document["images"].append({"uri": "other.png", "name": "other"})
     return json.loads(scene.write(folder / "m.gltf").read_text())
 
