@@ -16,11 +16,11 @@ from objectfolder.nets.released_network import Frame, ReleasedNetwork
 from objectfolder.sound.released_gains import ReleasedGains
 from objectfolder.sound.released_spectrogram import ReleasedSpectrogram
 from objectfolder.touch.profiles import load_profile
-from objectfolder.touch.released_net import APEX, DEPTH_SIZE, ReleasedDepth, ReleasedImage
+from objectfolder.touch.released_images import APEX, DEPTH_SIZE, ReleasedDepth, ReleasedImage
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.osf_net import ScatteringFunction
 from objectfolder.vision.released_kilo import ReleasedKilo
-from objectfolder.vision.released_net import March, ReleasedNerf
+from objectfolder.vision.released_nerf import March, ReleasedNerf
 
 WIDTH, DEPTH = 256, 8
 MODES = 100

@@ -28,7 +28,7 @@ from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.models.classifier import Classifier
 from objectfolder.benchmarks.models.inputs import encoder_inputs, shift_each
 from objectfolder.benchmarks.models.settings import InputSizes
-from objectfolder.benchmarks.run import BenchmarkOptions, LoadedFile, collect_observations, load_object_files
+from objectfolder.benchmarks.run import BenchmarkOptions, LoadedFile, collect_samples, load_object_files
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognize import TASK, RecognizeConfig
 from objectfolder.benchmarks.tasks.recognize_training import FLAT, recognize
@@ -169,7 +169,8 @@ def main() -> None:
     params = options.params(TASK, values, path)
     sources = load_object_files(options.files)
     observe = workspace.settings(ObserveConfig, values, path)
-    folders = collect_observations(sources, observe, params.seed, options.folder, 2, track)
+    asked = (observe.observations, observe.resolution, params.seed)
+    folders = collect_samples("observations", sources, asked, options.folder, 2, track)
     whole = Run(
         **{"task": TASK, "training": recognize, "part": "seen", "inputs": Observations(folders)},
         **{"params": params, "folder": options.folder, "device": "cpu"},

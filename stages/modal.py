@@ -1,11 +1,10 @@
 """modal: solid, surface, material, scale -> modes.npz, modal.json."""
 
 from contextlib import suppress
-from dataclasses import asdict
 
 from objectfolder.base.arrays import read_npz, write_npz
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.io import keep, write_json
+from objectfolder.base.io import file_digest, keep, write_json
 from objectfolder.base.materials import own_material
 from objectfolder.base.seeding import numpy_generator
 from objectfolder.base.text import visible
@@ -13,13 +12,9 @@ from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import split_rows
 from objectfolder.sound.fem.certainty import solver_warning, uncertainty_warning
 from objectfolder.sound.fem.elements import solid_from_arrays
-from objectfolder.sound.fem.modal import (
-    refined_analysis,
-    shape_points,
-    solved_band,
-)
-from objectfolder.sound.fem.reuse import Request, problem_digest, rescaled, solution_record
+from objectfolder.sound.fem.modal import refined_analysis, shape_points
 from objectfolder.sound.fem.settings import ModalConfig
+from objectfolder.sound.truth import Request, compute_modes, problem_digest
 from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params
@@ -33,37 +28,20 @@ def main(key: str) -> None:
     points = shape_points(*read_surface(build.surface), settings.surface_points, rng)
     material = own_material(params.entry.material, settings.damping)
     request = Request(material, params.entry.scale, settings.max_frequency, settings.max_modes)
-    options = {"fine": asdict(settings.fine), "surface_points": settings.surface_points}
-    inputs = (build.solid, build.solid_surface)
-    task = problem_digest(inputs, code_digest(refined_analysis), points, material.poisson_ratio, options)
-    data = None
+    solid, surface = solid_from_arrays(read_npz(build.solid, "kind")), read_surface(build.solid_surface)
+    files = map(file_digest, (build.solid, build.solid_surface))
+    problem = problem_digest(files, code_digest(refined_analysis), points, material.poisson_ratio, settings)
+    earlier = None
     with suppress(ObjectFolderError):  # no earlier solve, or not a readable one
-        data = rescaled(read_npz(build.solved_modes, "solution", "band_hz"), task, request)
-    reused = data is not None
-    if data is None:
-        data = refined_analysis(
-            solid_from_arrays(read_npz(build.solid, "kind")),
-            read_surface(build.solid_surface),
-            settings.fine,
-            points,
-            **vars(request),
-            name=key,
-        )
-    uncertain = uncertainty_warning(data.report, settings.allow_uncertain, key)
-    for warning in filter(None, (uncertain, solver_warning(data.report, key))):
+        earlier = read_npz(build.solved_modes, "solution", "band_hz")
+    modes, report = compute_modes(solid, surface, points, request, settings.fine, problem, earlier, key)
+    uncertain = uncertainty_warning(report, settings.allow_uncertain, key)
+    for warning in filter(None, (uncertain, solver_warning(report, key))):
         print(f"warning: {visible(warning)}")
-    write_npz(
-        build.modes,
-        points=points,
-        split=split_rows(len(points), rng),
-        **data.arrays(),
-        truncated=data.report["truncated"],
-        band_hz=solved_band(data, material, settings.max_frequency, settings.max_modes),
-        solution=solution_record(task, request, data),
-    )
-    if not reused:
+    write_npz(build.modes, points=points, split=split_rows(len(points), rng), **modes)
+    if not report["reused"]:
         keep(build.modes, build.solved_modes)
-    write_json(build.modal, data.report | {"reused": reused})
+    write_json(build.modal, report)
 
 
 if __name__ == "__main__":

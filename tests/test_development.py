@@ -1,10 +1,14 @@
-"""docs/development.md describes the package as it is."""
+"""docs/development.md describes the package as it is, and docs/reference lists every module."""
 
 import re
+import sys
 import tomllib
-from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from own_workspace import ROOT
+
+sys.path.insert(0, str(ROOT / "docs"))
+from conf import modules
+
 PAGE = (ROOT / "docs" / "development.md").read_text()
 
 
@@ -33,3 +37,12 @@ def test_every_file_that_the_page_names_exists():
     named = re.findall(r"`((?:objectfolder|stages|tests|perf|docs|params)/[\w./]*)`", PAGE)
     assert len(named) > 30
     assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
+
+
+def test_every_module_is_on_a_page_of_the_reference():
+    pages = "\n".join(page.read_text() for page in (ROOT / "docs" / "reference").glob("*.rst"))
+    listed = set(re.findall(r"automodule:: (\S+)", pages))
+    for package, skipped in re.findall(r"package:: (\S+)(?:\n +:skip: (.*))?", pages):
+        elsewhere = tuple(f"{package}.{name}." for name in skipped.split())
+        listed |= {name for name in modules(package) if not f"{name}.".startswith(elsewhere)}
+    assert set(modules("objectfolder")) - listed == set()

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from index_rows import BELL
 from markdown_it import MarkdownIt
 from typer.main import get_command
 
@@ -76,14 +77,11 @@ def workspace(brick_path, tmp_path, monkeypatch):
     """A folder with build/mug/ObjectFile.safetensors, which is the brick, and a release of the bell."""
     (tmp_path / "build" / "mug").mkdir(parents=True)
     (tmp_path / "build" / "mug" / "ObjectFile.safetensors").symlink_to(brick_path)
-    bell = IndexEntry(
-        **{"key": "bell", "path": "objects/bell.safetensors", "category": "household", "material": "steel"},
-        **{"size": 0.1, "split": "train", "modes": 12, "lowest_hz": None, "vision_psnr": None},
-        **{"gain_error": None, "touch_psnr": None, "bytes": sample_path("bell").stat().st_size},
-        **{"sha256": file_digest(sample_path("bell")), "licence": "CC0-1.0", "source": ""},
-    )
+    sample = sample_path("bell")
+    held = {"category": "household", "bytes": sample.stat().st_size, "sha256": file_digest(sample)}
+    bell = IndexEntry(**BELL | held)
     (tmp_path / "kitchen" / "objects").mkdir(parents=True)
-    shutil.copyfile(sample_path("bell"), tmp_path / "kitchen" / bell.path)
+    shutil.copyfile(sample, tmp_path / "kitchen" / bell.path)
     (tmp_path / "kitchen" / INDEX).write_text(index_text([bell]))
     monkeypatch.chdir(tmp_path)
 

@@ -61,27 +61,20 @@ def test_a_clone_or_wheel_on_this_machine_is_named_while_it_is_there(recorded, t
 
 def test_without_a_record_the_clone_is_left_to_the_reader(recorded):
     recorded({})
-    assert (
-        install_command("rl") == "pip install 'CLONE[rl]' (CLONE: a clone of the repository of objectfolder)"
-    )
+    unknown = "pip install 'CLONE[rl]' (CLONE: a clone of the repository of objectfolder)"
+    assert install_command("rl") == unknown
     assert requirement("build") == f"objectfolder[build]=={version('objectfolder')}"
 
 
 def test_no_message_names_a_package_that_no_index_has():
-    found = [
-        path
-        for path in (ROOT / "objectfolder").rglob("*.py")
-        if re.search(r"pip install (-\S+ )*['\"]?objectfolder", path.read_text())
-    ]
-    assert found == []
+    named = re.compile(r"pip install (-\S+ )*['\"]?objectfolder")
+    assert [path for path in ROOT.glob("objectfolder/**/*.py") if named.search(path.read_text())] == []
 
 
 def test_the_version_is_at_hand_without_imports_that_take_time():
     assert objectfolder.__version__ == installed_version() == version("objectfolder")
     assert CliRunner().invoke(app, ["--version"]).output == f"objectfolder {version('objectfolder')}\n"
-    code = (
-        "import sys, objectfolder; print(objectfolder.__version__, *dir(objectfolder)); print(*sys.modules)"
-    )
+    code = "import sys, objectfolder as o; print(o.__version__, *dir(o)); print(*sys.modules)"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     (found, *names), modules = (line.split() for line in ran.stdout.splitlines())
     assert found == version("objectfolder")

@@ -10,6 +10,7 @@ import sys
 import harness
 import pytest
 import results
+from folders import contents
 from harness import encoded, rewrite, write_record
 
 from objectfolder.base.io import read_json, write_json
@@ -17,31 +18,18 @@ from objectfolder.benchmarks.tasks import grasp_policy, localize
 
 #: Records of rows that never fail, as their scripts stop at the first failure.
 WITHOUT_FAILURES = ("faithful", "faithful_cpu", "real_photographs", "query", "grasp_speed")
+ROWS = {"train": 80, "val": 10, "test": 10}
 RECOGNITION = {
-    "keys": ["blue_vase", "scan"],
-    "objects": 2,
-    "V": {"accuracy": 0.5, "seeds": [0.4, 0.6], "interval_95": 0.1},
-    "chance": {"majority": 0.5},
-    "rows": {"train": 80, "val": 10, "test": 10},
-    "duplicates": {"train": {"test": 0}},
+    **{"keys": ["blue_vase", "scan"], "objects": 2, "rows": ROWS, "duplicates": {"train": {"test": 0}}},
+    **{"V": {"accuracy": 0.5, "seeds": [0.4, 0.6], "interval_95": 0.1}, "chance": {"majority": 0.5}},
 }
-MATERIALS = RECOGNITION | {
-    "materials": ["steel", "wood"],
-    "left_out": [],
-    "chance": {"majority": 0.6, "uniform": 0.5},
-}
+MATERIALS = RECOGNITION | {"materials": ["steel", "wood"], "left_out": []}
+MATERIALS |= {"chance": {"majority": 0.6, "uniform": 0.5}}
 BELIEF = {"mean": 0.1, "median": 0.08, "together": 0.02, "interval_95": None, "seeds": [0.1]}
-LOCALIZATION = {key: {"net": BELIEF, "nearest": BELIEF} for key in localize.SENSES} | {
-    "constant": 0.4,
-    "random": 0.5,
-    "contacts": {"train": 80, "val": 10, "test": 10},
-}
+LOCALIZATION = {key: {"net": BELIEF, "nearest": BELIEF} for key in localize.SENSES}
+LOCALIZATION |= {"constant": 0.4, "random": 0.5, "contacts": ROWS}
 RATE = {"rate": 0.5, "interval_95": [0.4, 0.6], "seeds": [0.5]}
-GRASPING = dict.fromkeys(grasp_policy.GRASP_POLICIES, RATE) | {
-    "rollouts": 20,
-    "episodes": 300,
-    "presses": 40,
-}
+GRASPING = dict.fromkeys(grasp_policy.GRASP_POLICIES, RATE) | {"rollouts": 20, "episodes": 300, "presses": 40}
 DOCS = results.ROOT / "docs"
 RUN = {"seconds": 120.0, "cpu_seconds": 180.0, "threads": 2, "machine": "a processor"}
 
@@ -72,10 +60,13 @@ def test_every_page_of_measurements_has_its_template():
     assert found == {page for page in results.PAGES if page.startswith("measurements/")}
 
 
-def test_every_record_is_on_a_page():
+def test_every_record_is_on_a_page_as_it_is_written_and_says_what_missed_its_targets():
     templates = "".join(path.read_text() for path in results.TEMPLATES.rglob("*.j2"))
     for path in results.RECORDS.glob("*.json"):
+        record = json.loads(path.read_text())
         assert re.search(rf"\b{path.stem}\b[.)]", templates), path.name
+        assert path.read_text() == encoded(record) + "\n", path.name
+        assert ("targets" in record) == ("missed" in record), path.name
 
 
 def test_the_first_page_is_short_and_lists_all_that_is_missed():
@@ -84,11 +75,6 @@ def test_the_first_page_is_short_and_lists_all_that_is_missed():
     records = [read_json(path) for path in results.RECORDS.glob("*.json")]
     assert sum(bool(record.get("missed")) for record in records) > 10
     assert not [text for record in records for text in record.get("missed", []) if text not in page]
-
-
-def test_records_are_encoded_as_they_are_written():
-    for path in results.RECORDS.glob("*.json"):
-        assert path.read_text() == encoded(json.loads(path.read_text())) + "\n", path.name
 
 
 def test_a_failed_object_is_printed_with_its_reason_in_every_table(repository):
@@ -111,32 +97,21 @@ def test_what_missed_its_target_is_printed(repository):
     rewrite(results.RECORDS / "audio.json", record | {"targets": "1 %", "missed": ["mug: 2 %", "die: 3 %"]})
     page = results.render("measurements/sound.md", results.RECORDS)
     assert "Targets: 1 %. **Missed**: mug: 2 %; die: 3 %." in page
-    assert "sound.md#audionet-gains): mug: 2 %; die: 3 %. *Why*:" in results.render(
-        "results.md", results.RECORDS
-    )
-
-
-def test_every_record_with_targets_says_what_missed_them():
-    for path in results.RECORDS.glob("*.json"):
-        record = read_json(path)
-        assert ("targets" in record) == ("missed" in record), path.name
+    first = results.render("results.md", results.RECORDS)
+    assert "sound.md#audionet-gains): mug: 2 %; die: 3 %. *Why*:" in first
 
 
 def test_a_run_is_recorded_and_printed(repository, monkeypatch):
-    monkeypatch.setattr(
-        sys, "argv", [str(harness.ROOT / "perf/audio.py"), "mug", "--workspace", "/a/b/place"]
-    )
+    words = [str(harness.ROOT / "perf/audio.py"), "mug", "--workspace", "/a/b/place"]
+    monkeypatch.setattr(sys, "argv", words)
     path = results.RECORDS / "audio.json"
-    record = {name: value for name, value in read_json(path).items() if name != "run"}
-    write_record(path, record)
+    write_record(path, {name: value for name, value in read_json(path).items() if name != "run"})
     run = read_json(path)["run"]
     assert run["command"] == "python perf/audio.py mug --workspace place"
     assert re.fullmatch(r"([0-9a-f]{7,}|unknown)\+?", run["commit"])
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", run["date"])
-    assert (
-        f"Run: `{run['command']}`; commit {run['commit']}; {run['machine']}; {run['date']}."
-        in results.render("measurements/sound.md", results.RECORDS)
-    )
+    said = f"Run: `{run['command']}`; commit {run['commit']}; {run['machine']}; {run['date']}."
+    assert said in results.render("measurements/sound.md", results.RECORDS)
 
 
 def test_means_are_over_the_objects_that_have_a_score(repository):
@@ -150,19 +125,15 @@ def test_means_are_over_the_objects_that_have_a_score(repository):
     assert results.spread([*accuracy, {"x": None}], "x", "less") == {"mean": 4.0, "median": 3.0, "worst": 8.0}
 
 
-@pytest.mark.parametrize(
-    "script",
-    sorted(
-        path.stem
-        for path in (harness.ROOT / "perf").glob("*.py")
-        if path.stem not in ("harness", "results", "radiation", "recordings", "workspaces")
-    ),
-)
+SCRIPTS = {path.stem for path in harness.ROOT.glob("perf/*.py")}
+SCRIPTS -= {"harness", "results", "radiation", "recordings", "workspaces"}
+
+
+@pytest.mark.parametrize("script", sorted(SCRIPTS))
 @pytest.mark.slow
 def test_a_script_without_arguments_prints_its_usage(script):
-    done = subprocess.run(
-        [sys.executable, harness.ROOT / "perf" / f"{script}.py"], capture_output=True, text=True, timeout=120
-    )
+    command = [sys.executable, harness.ROOT / "perf" / f"{script}.py"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
     assert done.stderr.startswith(f"usage: {script}.py")
 
@@ -220,28 +191,27 @@ def test_unknown_optional_figures_are_dashes(repository):
     del record["peers"][0]["deepmodal_s"], record["objects"][0]["synthesis_ms_per_sound"]
     rewrite(path, record)
     page = results.render("measurements/modal.md", results.RECORDS)
-    assert re.search(
-        r"\| gso_salad_plate \| 32,697 \| 71 \| [\d.]+ \| fails \| - \| [\d.]+ \| [\d.]+ \|", page
-    )
-    assert re.search(r"\| gso_salad_plate \| 32\^3 \| 32,697 \| 71 \| [\d.]+ \| \d+ \| - \| - \| - \|", page)
+    for row in (
+        r"\| 32,697 \| 71 \| [\d.]+ \| fails \| - \| [\d.]+ \| [\d.]+ \|",
+        r"\| 32\^3 \| 32,697 \| 71 \| [\d.]+ \| \d+ \| - \| - \| - \|",
+    ):
+        assert re.search(rf"\| gso_salad_plate {row}", page)
 
 
 def test_collecting_nothing_changes_nothing(repository):
-    before = {path: path.read_bytes() for path in results.RECORDS.glob("*.json")}
+    before = contents(results.RECORDS)
     results.collect(repository)
-    assert {path: path.read_bytes() for path in results.RECORDS.glob("*.json")} == before
+    assert contents(results.RECORDS) == before
 
 
 def test_scores_and_benchmarks_are_collected(repository):
     scores = read_json(results.RECORDS / "scores.json")["objects"]
     write_json(repository / "metrics/cup.json", scores["mug"])
     folder = results.Benchmarks(repository / "benchmarks/quick")
-    write_json(folder.result("localize", "cup"), LOCALIZATION)
-    write_json(folder.machine("localize", "cup"), RUN)
-    folder.curve("localize", "cup").write_text("")
-    write_json(folder.result("grasp_policy", "cup"), GRASPING)
-    write_json(folder.machine("grasp_policy", "cup"), RUN)
-    folder.curve("grasp_policy", "cup").write_text("")
+    for task, found in (("localize", LOCALIZATION), ("grasp_policy", GRASPING)):
+        write_json(folder.result(task, "cup"), found)
+        write_json(folder.machine(task, "cup"), RUN)
+        folder.curve(task, "cup").write_text("")
     results.collect(repository)
     page = results.render("measurements/scores.md", results.RECORDS)
     vision = scores["mug"]["vision"]

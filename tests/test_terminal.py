@@ -54,18 +54,15 @@ def download(console):
     print_result(FetchResult("a", FetchStatus.FAILED, ALL), console)
 
 
-@pytest.mark.parametrize(
-    "show",
-    [
-        lambda console: console.print(ALL),
-        lambda console: console.print(Text(ALL), soft_wrap=True),
-        lambda console: console.print(table(ALL)),
-        lambda console: print_wide(table(ALL), console),
-        live,
-        build,
-        download,
-    ],
+SHOWS = (
+    lambda console: console.print(ALL),
+    lambda console: console.print(Text(ALL), soft_wrap=True),
+    lambda console: console.print(table(ALL)),
+    lambda console: print_wide(table(ALL), console),
 )
+
+
+@pytest.mark.parametrize("show", [*SHOWS, live, build, download])
 @pytest.mark.parametrize("terminal", [False, True])
 def test_nothing_printed_is_obeyed(show, terminal):
     console = Terminal(file=io.StringIO(), force_terminal=terminal, width=2000, color_system="truecolor")

@@ -8,14 +8,10 @@ import pytest
 
 def scored(decibel):
     """Return scores as `evaluate` writes them."""
+    audio = {"gain_error": 0.01, "baseline_silence": 52.0, "baseline_nearest": 0.2}
     return {
         "vision": {"psnr": decibel, "psnr_lit_foreground": 20.0, "baseline_white": 9.0},
-        "audio": {
-            "psnr": decibel + 20,
-            "gain_error": 0.01,
-            "baseline_silence": 52.0,
-            "baseline_nearest": 0.2,
-        },
+        "audio": {"psnr": decibel + 20, **audio},
         "touch": {"psnr": decibel + 1, "baseline_mean_image": 27.0},
     }
 
@@ -40,20 +36,15 @@ def test_a_mean_over_objects_ends_each_sense_and_stands_beside_the_papers():
     vision, audio, touch = (row for row in rows if row["object"] == "mean")
     assert (vision["paper_net"], vision["default_net"], vision["trivial"]) == (10, 41, 9)
     assert vision["hours"] == pytest.approx(0.25)
-    shares = np.array(
-        [[row[f"of_papers_{what}"] for row in (vision, audio, touch)] for what in ("steps", "drawn")]
-    )
+    shares = [[row[f"of_papers_{what}"] for row in (vision, audio, touch)] for what in ("steps", "drawn")]
     np.testing.assert_allclose(shares, [[0.01, 0.1, 1], [0.01 / 8, 0.1 / 8, 1]], rtol=1e-12)
     assert vision["drawn"] == 640_000
     assert [row["paper"] for row in (vision, audio, touch)] == [39.8, 53.6, 29.4]
 
 
 def test_families_differ_by_their_nets_alone():
-    assert faithful.family_nets("paper") == {
-        "train_vision.net": "osf",
-        "train_audio.net": "spectrogram",
-        "train_touch.net": "image",
-    }
+    paper = {"vision": "osf", "audio": "spectrogram", "touch": "image"}
+    assert faithful.family_nets("paper") == {f"train_{sense}.net": net for sense, net in paper.items()}
     assert set(faithful.family_nets("default").values()) == {"surface", "gains", "geometric"}
 
 

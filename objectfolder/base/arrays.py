@@ -66,12 +66,8 @@ def safetensors_bytes(tensors: Mapping[str, Any], header: dict[str, Any]) -> byt
     from safetensors.numpy import save
 
     contiguous = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
-    return save(contiguous, metadata=_metadata(header))
-
-
-def _metadata(header: dict[str, Any]) -> dict[str, str]:
-    """Return the metadata that hold a header; `read_safetensors` refuses NaN and infinity."""
-    return {"objectfolder": json.dumps(header, sort_keys=True, allow_nan=False)}
+    text = json.dumps(header, sort_keys=True, allow_nan=False)  # `read_safetensors` refuses NaN and infinity
+    return save(contiguous, metadata={"objectfolder": text})
 
 
 def write_png(path: str | Path, image: np.ndarray) -> None:
@@ -198,9 +194,7 @@ def read_rows(path: str | Path, width: int, hint: str = "") -> np.ndarray:
             return np.load(stream, allow_pickle=False).astype(np.float64)
     except ObjectFolderError:
         raise
-    except (
-        Exception
-    ) as error:  # numpy parses the header as Python literals, which raises many types of errors
+    except Exception as error:  # numpy parses the header as Python literals, which raises many types
         raise ObjectFolderError(f"{path} is not a .npy file of numbers: {error}") from error
 
 

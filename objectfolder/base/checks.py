@@ -4,6 +4,7 @@ import math
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from numbers import Integral, Real
 from typing import Any
 
@@ -23,18 +24,15 @@ _WEB_ADDRESS = re.compile(
 
 
 def finite_number(name: str, value: object) -> float:
-    """Return a real, finite number; numpy's and torch's scalars are numbers, texts and truth values are not.
+    """Return a real, finite number; raises ObjectFolderError if it is anything else.
 
-    Raises ObjectFolderError if it is anything else.
+    Numpy's and torch's scalars are numbers, texts and truth values are not.
     """
     given = _scalar(value)
     if isinstance(given, Real) and not isinstance(given, bool):
-        try:
-            number = float(given)
-        except OverflowError:
-            number = math.inf
-        if math.isfinite(number):
-            return number
+        with suppress(OverflowError):
+            if math.isfinite(number := float(given)):
+                return number
     raise ObjectFolderError(f"{name} is {quoted(value)}, expected a finite number")
 
 
@@ -69,6 +67,18 @@ def real_array(name: str, values: Any) -> np.ndarray:
         raise ObjectFolderError(f"{name} is not an array of numbers: {error}") from error
 
 
+def refuse_rows(name: str, wrong: np.ndarray, values: np.ndarray, expected: str) -> None:
+    """Raise ObjectFolderError about the first of N rows that is wrong, if any is.
+
+    The message goes on after its value, one of numbers (N,) or rows (N, K), with ``expected``.
+    """
+    rows = np.flatnonzero(wrong)
+    if len(rows):
+        value = values[rows[0]]
+        shown = value.tolist() if np.ndim(value) else f"{value:g}"
+        raise ObjectFolderError(f"{name}: row {rows[0]} is {shown}{expected}")
+
+
 def holds_tensors(values: object) -> bool:
     """Return whether they are a list, also of lists, that holds a tensor."""
     return isinstance(values, list | tuple) and any(
@@ -77,10 +87,7 @@ def holds_tensors(values: object) -> bool:
 
 
 def whole_number(name: str, value: object, least: int = 0) -> int:
-    """Return a whole number of an integer type.
-
-    Raises ObjectFolderError if it is of another type, less than ``least``, or beyond 64 bits.
-    """
+    """Return a whole number of an integer type; ObjectFolderError if below ``least``, or beyond 64 bits."""
     given = _scalar(value)
     if isinstance(given, Integral) and not isinstance(given, bool) and least <= int(given) < 2**63:
         return int(given)
@@ -88,10 +95,7 @@ def whole_number(name: str, value: object, least: int = 0) -> int:
 
 
 def one_of(name: str, value: object, choices: Sequence[str]) -> str:
-    """Return a text that is one of a few.
-
-    Raises ObjectFolderError if it is another, or no text.
-    """
+    """Return a text that is one of a few; raises ObjectFolderError if it is another, or no text."""
     if isinstance(value, str) and value in choices:
         return value
     raise ObjectFolderError(f"{name} {quoted(value)} is not one of {', '.join(choices)}")
@@ -103,10 +107,7 @@ def is_web_address(text: str) -> bool:
 
 
 def one_line(name: str, value: str, most: int = 200) -> str:
-    """Return a text that people will read: not blank, one line, without control characters.
-
-    Raises ObjectFolderError if it is another, or longer.
-    """
+    """Return a line that people will read; ObjectFolderError if blank, longer, or with control characters."""
     if not value.strip() or len(value) > most or visible(value) != value:
         raise ObjectFolderError(
             f"{name} {quoted(value)}, expected a line of 1 to {most} characters without control characters"
@@ -115,10 +116,9 @@ def one_line(name: str, value: str, most: int = 200) -> str:
 
 
 def require_memory(what: str, needed: int, remedy: str) -> None:
-    """Refuse work that does not fit into the memory of this machine.
+    """Raise ObjectFolderError if work does not fit into the memory of this machine.
 
     ``what``: name of the work, for the message; ``needed``: bytes; ``remedy``: what to ask for instead.
-    Raises ObjectFolderError if the machine has less memory.
     """
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if needed > memory:

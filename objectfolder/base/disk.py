@@ -11,8 +11,7 @@ from pathlib import Path
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.locks import left_folders, private_path
 
-#: Free bytes below which a disk counts as full.
-FULL_BELOW = 2**20
+FULL_BELOW = 2**20  #: free bytes below which a disk counts as full
 _FULL_DISK = (errno.ENOSPC, errno.EDQUOT)
 _log = logging.getLogger(__name__)
 
@@ -60,10 +59,8 @@ def enough_space(what: str, folder: Path, needed: int, hint: str) -> Iterator[No
     """
 
     def shortage(place: object) -> ObjectFolderError:
-        return ObjectFolderError(
-            f"{what}: no space in {place}: at least {needed:,} bytes needed, "
-            f"{free_bytes(folder):,} free; make room{hint}"
-        )
+        sizes = f"at least {needed:,} bytes needed, {free_bytes(folder):,} free"
+        return ObjectFolderError(f"{what}: no space in {place}: {sizes}; make room{hint}")
 
     if free_bytes(folder) < needed:
         raise shortage(folder)
@@ -80,9 +77,7 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
     """Yield a temporary folder that is renamed to ``out`` on success; otherwise like `enough_space`.
 
     Its name is drawn at random. Of several who write the same folder the first that ends wins; the others
-    raise.
-
-    Raises ObjectFolderError if ``out`` exists already, before the block or after it.
+    raise. Raises ObjectFolderError if ``out`` exists already, before the block or after it.
     """
     if os.path.lexists(out):
         raise _exists(out)

@@ -5,6 +5,7 @@ It is on no package index, so the source is a clone, a commit of its repository,
 
 import json
 import shlex
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import Any
@@ -66,9 +67,6 @@ def _source() -> Path | str | None:
 
 def _recorded() -> dict[str, Any]:
     """Return what pip recorded of the place that it installed the package from; empty for an index."""
-    try:
-        text = distribution(_NAME).read_text("direct_url.json")
-    except PackageNotFoundError:
-        return {}
-    found: dict[str, Any] = json.loads(text or "{}")
-    return found
+    with suppress(PackageNotFoundError):
+        return dict(json.loads(distribution(_NAME).read_text("direct_url.json") or "{}"))
+    return {}

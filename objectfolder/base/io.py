@@ -117,8 +117,8 @@ def _claim(path: Path) -> tuple[Path, int]:
             return claim_file(path)
     except OSError as error:
         folder = shortened(path.parent, 300)
-        full = is_shortage(error)
-        advice = f"make space on the disk of {folder}" if full else f"make the directory {folder} writable"
+        writable = f"make the directory {folder} writable"
+        advice = f"make space on the disk of {folder}" if is_shortage(error) else writable
         raise ObjectFolderError(
             f"cannot write {shortened(path, 300)}: {error.strerror}; {advice}, or choose another name"
         ) from error
@@ -147,10 +147,7 @@ def write_table(path: str | Path, columns: list[str], rows: list[list[Any]]) -> 
 
 
 def write_curve(path: str | Path, curve: list[Any]) -> None:
-    """Write a training curve (`objectfolder.nets.fit.CurvePoint`) as CSV.
-
-    Wall-clock times are omitted: equal inputs must give equal bytes.
-    """
+    """Write a training curve (`nets.fit.CurvePoint`) as CSV, without times: equal inputs give equal bytes."""
     rows = [[p.step, p.train_loss, p.val_loss] for p in curve]
     write_table(path, ["step", "train_loss", "val_loss"], rows)
 
@@ -176,10 +173,7 @@ def file_digest(path: str | Path) -> str:
 
 
 def read_json(path: str | Path) -> Any:
-    """Read a JSON file.
-
-    Raises ObjectFolderError if the file is missing or damaged.
-    """
+    """Read a JSON file; raises ObjectFolderError if it is missing or damaged."""
     path = existing_file(path)
     try:
         return json.loads(path.read_text())

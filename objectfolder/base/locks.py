@@ -43,13 +43,9 @@ def exclusive(folder: Path, on_wait: Callable[[], None] | None = None) -> Iterat
 
 def remove_unused(folder: Path) -> None:
     """Remove a folder, unless a process is in a block that is `exclusive` for it, or it is gone."""
-    with suppress(FileNotFoundError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            if _try_lock(handle):
-                shutil.rmtree(folder, ignore_errors=True)
-        finally:
-            os.close(handle)
+    with suppress(FileNotFoundError), _opened(folder) as handle:
+        if _try_lock(handle):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def private_path(path: Path) -> Path:
@@ -87,19 +83,20 @@ def claim_file(path: Path) -> tuple[Path, int]:
 def remove_abandoned(folder: Path) -> None:
     """Remove the files of `claim_file` in a folder that no process has locked any more."""
     with suppress(OSError), os.scandir(folder) as entries:
-        for name in [entry.name for entry in entries if _PRIVATE.fullmatch(entry.name)]:
-            with suppress(OSError):
-                _remove_abandoned(folder / name)
+        for path in [folder / entry.name for entry in entries if _PRIVATE.fullmatch(entry.name)]:
+            with suppress(OSError), _opened(path, os.O_NOFOLLOW | os.O_NONBLOCK) as handle:
+                status = os.fstat(handle)
+                own = stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid()
+                # A second name is of a file that lives on, such as one that `base.io.keep` is placing.
+                if own and status.st_nlink == 1 and _try_lock(handle) and _is_open(handle, path):
+                    path.unlink()
 
 
-def _remove_abandoned(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+@contextmanager
+def _opened(path: Path, flags: int = 0) -> Iterator[int]:
+    handle = os.open(path, os.O_RDONLY | flags)
     try:
-        status = os.fstat(handle)
-        own = stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid()
-        # A second name is of a file that lives on, such as one that `objectfolder.base.io.keep` is placing.
-        if own and status.st_nlink == 1 and _try_lock(handle) and _is_open(handle, path):
-            path.unlink()
+        yield handle
     finally:
         os.close(handle)
 

@@ -4,7 +4,8 @@ The names are those of the supplementary material, Table 1.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from itertools import pairwise
@@ -26,14 +27,9 @@ class Material:
     """A homogeneous, isotropic, linear elastic material with Rayleigh damping or a loss factor.
 
     Give ``loss_factor``, or ``alpha`` and ``beta``. Without any of them the material is undamped: its modes
-    can be solved, but `ObjectFile.impact` and others that make sounds refuse it, since it would
-    ring for ever.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a value is not physical: density, modulus or roughness not positive, Poisson's ratio outside
-        (-1, 0.5), negative damping or friction, frequencies of loss factors that do not ascend.
+    can be solved, but `ObjectFile.impact` and others that make sounds refuse it, since it would ring for
+    ever. Raises ObjectFolderError if a value is not physical: density, modulus or roughness not positive,
+    Poisson's ratio outside (-1, 0.5), negative damping or friction, frequencies that do not ascend.
 
     Examples
     --------
@@ -76,9 +72,9 @@ class Material:
 
     def properties(self) -> dict[str, Any]:
         """Return everything but the name, as Object Files store it."""
-        found = {name: value for name, value in asdict(self).items() if name != "name"}
-        found["loss_factor"] = [list(knot) for knot in self.loss_factor]
-        return found if self.loss_factor else {k: v for k, v in found.items() if k != "loss_factor"}
+        found = asdict(self) | {"loss_factor": [list(knot) for knot in self.loss_factor]}
+        left_out = ("name",) if self.loss_factor else ("name", "loss_factor")
+        return {name: value for name, value in found.items() if name not in left_out}
 
     @property
     def law(self) -> str:
@@ -110,17 +106,16 @@ class Material:
 
 def _knots(name: str, given: Any) -> tuple[tuple[float, float], ...]:
     """Check loss factors over frequency."""
-    expected = "pairs of a frequency in Hz, ascending, and a loss factor between 0 and 1"
-    try:
+    with suppress(TypeError, ValueError):
         knots = tuple((float(hertz), float(loss)) for hertz, loss in given)
-    except (TypeError, ValueError):
-        raise ObjectFolderError(
-            f"material {name!r}: loss_factor is {quoted(given)}, expected {expected}"
-        ) from None
-    ascending = all(a < b for (a, _), (b, _) in pairwise(knots))
-    if not ascending or not all(0 <= hertz < math.inf and 0 < loss < 1 for hertz, loss in knots):
-        raise ObjectFolderError(f"material {name!r}: loss_factor is {quoted(given)}, expected {expected}")
-    return knots
+        ascending = all(a < b for (a, _), (b, _) in pairwise(knots))
+        if ascending and all(0 <= hertz < math.inf and 0 < loss < 1 for hertz, loss in knots):
+            return knots
+    expected = "pairs of a frequency in Hz, ascending, and a loss factor between 0 and 1"
+    raise ObjectFolderError(f"material {name!r}: loss_factor is {quoted(given)}, expected {expected}")
+
+
+_PROPERTIES = [field.name for field in fields(Material) if field.name != "name"]
 
 
 def material_names() -> list[str]:
@@ -131,16 +126,8 @@ def material_names() -> list[str]:
 def material(name: str | Path, law: str = "rayleigh") -> Material:
     """Return a material of the package by its name, in any case, or that of a ``.yaml`` file.
 
-    Parameters
-    ----------
-    name : str or Path
-    law : {"rayleigh", "loss_factor"}
-        Of damping.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is none of this name, or the file is not there or not valid; see `read_material`.
+    ``law``: of damping, one of `LAWS`. Raises ObjectFolderError if there is none of this name, or the file is
+    not there or not valid; see `read_material`.
     """
     if is_yaml_name(name):
         return read_material(Path(name), law)
@@ -160,18 +147,10 @@ def _of_package(name: str, law: str) -> Material:
 def read_material(path: Path, law: str = "loss_factor") -> Material:
     """Read a material from its YAML file, whose name it has.
 
-    Parameters
-    ----------
-    path : Path
-        With density, youngs_modulus, poisson_ratio, friction, roughness, and loss_factor or alpha and beta;
-        ``sources`` may say by name where a number is from.
-    law : {"rayleigh", "loss_factor"}
-        Of damping, if the file gives both.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such file, a property is missing, unknown or not physical, or nothing damps it.
+    ``path``: holds density, youngs_modulus, poisson_ratio, friction, roughness, and loss_factor or alpha and
+    beta; ``sources`` may say by name where a number is from; ``law``: of damping, if the file gives both.
+    Raises ObjectFolderError if there is no such file, a property is missing, unknown or not physical, or
+    nothing damps it.
     """
     properties = material_properties(path)
     if law == "rayleigh" and {"alpha", "beta"} & properties.keys():
@@ -187,25 +166,27 @@ def read_material(path: Path, law: str = "loss_factor") -> Material:
 def material_properties(path: Path) -> dict[str, Any]:
     """Return the properties in a material's file, without their sources; see `read_material`.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such file, or a property is missing or unknown.
+    Raises ObjectFolderError if there is no such file, or a property is missing or unknown.
     """
     if not path.is_file():
         raise ObjectFolderError(f"{path} does not exist; expected a material's file (docs/conventions.md)")
     properties = read_yaml(path)
-    known = [field.name for field in fields(Material) if field.name != "name"]
     if not isinstance(properties, dict):
-        raise ObjectFolderError(f"{path} holds {quoted(properties)}, expected {', '.join(known)} by name")
+        expected = ", ".join(_PROPERTIES)
+        raise ObjectFolderError(f"{path} holds {quoted(properties)}, expected {expected} by name")
     sources = properties.pop(_SOURCES, {})
     for given in (properties, sources if isinstance(sources, dict) else [_SOURCES]):
-        for name in given:
-            if name not in known:
-                raise ObjectFolderError(f"{path}: unknown {quoted(name)}, expected {', '.join(known)}")
+        _check_known(given, f"{path}: unknown {{}}, expected")
     if lacking := [name for name in _REQUIRED if name not in properties]:
         raise ObjectFolderError(f"{path} lacks {', '.join(lacking)}; copy one of {_FOLDER}")
     return properties
+
+
+def _check_known(given: Iterable[str], message: str) -> None:
+    """Raise ObjectFolderError if a name is none of a property; its message has that in place of {}."""
+    for name in given:
+        if name not in _PROPERTIES:
+            raise ObjectFolderError(f"{message.format(quoted(name))} {', '.join(_PROPERTIES)}")
 
 
 def own_material(
@@ -213,30 +194,14 @@ def own_material(
 ) -> Material:
     """Return the material of an object's entry in ``params.yaml``.
 
-    Parameters
-    ----------
-    described : str or mapping
-        A name, the path of a file, or ``{base: NAME or path, ...}`` with properties that differ from those
-        of the named material.
-    law : {"rayleigh", "loss_factor"}
-        Of damping, where the entry leaves the choice.
-    root : path
-        Workspace, from which paths count.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the name or a property is unknown, a file has the name of a material of the package, a value is not
-        physical, or nothing damps the object.
+    ``described``: a name, the path of a file, or ``{base: NAME or path, ...}`` with properties that differ
+    from those of the named material; ``law``: of damping, where the entry leaves the choice; ``root``:
+    workspace, from which paths count. Raises ObjectFolderError if the name or a property is unknown, a file
+    has the name of a material of the package, a value is not physical, or nothing damps the object.
     """
     if isinstance(described, Mapping):
         properties = {name: value for name, value in described.items() if name != "base"}
-        known = [field.name for field in fields(Material) if field.name != "name"]
-        for name in properties:
-            if name not in known:
-                raise ObjectFolderError(
-                    f"unknown property {quoted(name)}: expected base or one of {', '.join(known)}"
-                )
+        _check_known(properties, "unknown property {}: expected base or one of")
         if {"alpha", "beta"} & properties.keys():
             law = "rayleigh"
             properties.setdefault("loss_factor", ())
@@ -254,15 +219,10 @@ def own_material(
 def stored_material(name: str, properties: Mapping[str, Any]) -> Material:
     """Return the material of an Object File; of files before format 1.5, the package knows the surface.
 
-    Parameters
-    ----------
-    name : str
-    properties : mapping
-        ``material_properties`` of the header; fields of newer versions are ignored.
+    ``properties``: ``material_properties`` of the header; fields of newer versions are ignored.
     """
     surface = {"friction": friction_of(name), "roughness": roughness_of(name)} | dict(properties)
-    known = {field.name: surface[field.name] for field in fields(Material) if field.name in surface}
-    return Material(**{**known, "name": name})
+    return Material(name, **{known: surface[known] for known in _PROPERTIES if known in surface})
 
 
 def friction_of(name: str) -> float:

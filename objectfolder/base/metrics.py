@@ -12,17 +12,9 @@ def psnr(error: float | np.ndarray, peak: float = 1.0) -> float | np.ndarray:
 
 def ssim(image: np.ndarray, reference: np.ndarray) -> float:
     """Compute the SSIM of two (H, W, 3) images in [0, 1] (Wang et al. 2004; 11x11 Gaussian)."""
-    return float(
-        structural_similarity(
-            np.asarray(image, np.float64),
-            np.asarray(reference, np.float64),
-            channel_axis=2,
-            data_range=1.0,
-            gaussian_weights=True,
-            sigma=1.5,
-            use_sample_covariance=False,
-        )
-    )
+    pair = (np.asarray(picture, np.float64) for picture in (image, reference))
+    options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    return float(structural_similarity(*pair, channel_axis=2, data_range=1.0, **options))
 
 
 class SpectrogramErrors:

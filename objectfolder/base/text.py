@@ -26,9 +26,7 @@ def visible(text: object, lines: bool = False) -> str:
     """Return a text without control characters, for terminals and people; they become Python's escapes.
 
     So do those that cannot be seen, reverse the order of others (bidirectional overrides), or cannot be
-    encoded (bytes of file names).
-
-    ``text``: converted to a text. ``lines``: whether line breaks and tabs stay. Without them, a text cannot
+    encoded (bytes of file names). ``lines``: whether line breaks and tabs stay; without them, a text cannot
     pass for two messages.
     """
     shown = str(text)

@@ -43,10 +43,10 @@ def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
     from ruamel.yaml import YAML
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
-    written: dict[str, Any] = {}
-    for name, value in values.items():
-        value = DoubleQuotedScalarString(visible(value)) if name in in_quotes else inline_lists(value)
-        written[name] = value
+    written = {
+        name: DoubleQuotedScalarString(visible(value)) if name in in_quotes else inline_lists(value)
+        for name, value in values.items()
+    }
     yaml, stream = YAML(), io.StringIO()
     yaml.width = MAX_YAML  # a line is never broken
     yaml.dump(written, stream)
@@ -71,7 +71,6 @@ def check_yaml(path: str | Path) -> str:
     """Return the text of a YAML file that is safe to load.
 
     Loading descends into nested collections, and what is loaded may be written out: a copy for each alias.
-
     Raises ObjectFolderError if it cannot be read, is not YAML, is nested too deeply, has a very long value,
     refers to itself, or would be too large with a copy for each alias.
     """

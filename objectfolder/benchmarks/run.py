@@ -6,11 +6,10 @@ the settings and objects of the workspace.
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -18,10 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.io import read_json, write_json
-from objectfolder.benchmarks.datasets import grasps, observations
-from objectfolder.benchmarks.datasets.close_ups import close_up_request, has_close_ups, sample_close_ups
+from objectfolder.benchmarks.datasets import close_ups, grasps, observations, sampling
 from objectfolder.benchmarks.datasets.samples import Samples, object_digest
-from objectfolder.benchmarks.datasets.sampling import is_sampled, observation_request, sample_observations
 from objectfolder.benchmarks.datasets.settings import DecomposeConfig, GraspDataConfig, ObserveConfig
 from objectfolder.benchmarks.datasets.splits import label_order, named_split
 from objectfolder.benchmarks.models.encoders import check_encoder, read_weights
@@ -38,14 +35,25 @@ from objectfolder.workspace.layout import Benchmarks, Build
 from objectfolder.workspace.presets import read_preset
 from objectfolder.workspace.stages import BENCHMARKS
 
+if TYPE_CHECKING:
+    from objectfolder.sim.body import RigidBody
+
 #: Wraps an iteration in a progress bar, given its description and length.
 Tracker = Callable[[Iterable[Any], str, int], Iterable[Any]]
+Sources = Mapping[str, "LoadedFile"]  #: by object key
 #: Open the samples that tasks name, given their folders by key.
 SAMPLES: dict[str, Callable[[Mapping[str, Path]], Samples]] = {
     "observations": observations.Observations,
     "close_ups": observations.CloseUps,
     "grasps": grasps.Grasps,
 }
+#: What samples of an Object File depend on, whether a folder holds them, and what writes them. Each takes the
+#: file and the `_sample_settings`, or the former's answer.
+SAMPLED: dict[str, tuple[Callable[..., dict[str, Any]], Callable[..., bool], Callable[..., None]]] = {
+    "observations": (sampling.observation_request, sampling.is_sampled, sampling.sample_observations),
+    "close_ups": (close_ups.close_up_request, close_ups.has_close_ups, close_ups.sample_close_ups),
+}
+TITLES = {"observations": "observing objects", "close_ups": "looking and touching"}  #: of progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,19 +111,9 @@ def run_task(task: Task, options: BenchmarkOptions, report: Report, track: Track
     Splits run in parallel on a CPU. Objects run one after another with all threads, or as many at a time as
     ``options.jobs``; of a task that has no use for several threads, as many as there are cores.
 
-    Raises ObjectFolderError if an option is wrong or a split cannot be made, before any work; or if sampling
-    or the task fails.
-
-    Parameters
-    ----------
-    report : callable
-        A module-level function, called with lines of text, also in other processes.
-    track : callable
-        Shows the progress of sampling.
-
-    Returns
-    -------
-    Scores by split or object key.
+    ``report``, a module-level function, is called with lines of text, also in other processes; ``track``
+    shows the progress of sampling. Returns scores by split or object key. Raises ObjectFolderError if an
+    option is wrong or a split cannot be made, before any work; or if sampling or the task fails.
     """
     wanted = _chosen_splits(task, options)
     if not task.splits:
@@ -129,18 +127,22 @@ def run_task(task: Task, options: BenchmarkOptions, report: Report, track: Track
     sources, folder, threads = load_object_files(options.files), options.folder, options.threads or cores()
     given: dict[str, Any]
     if task.splits:
-        parts = _possible_splits(task, options, wanted, sources, _count(task, params, values, path), report)
-        given = dict.fromkeys(
-            parts, _collect(task, sources, params, values, path, folder, threads, track, report)
-        )
+        asked = _sample_settings(task, params, values, path)
+        parts = _possible_splits(task, options, wanted, sources, asked[0], report)
+        if task.samples == "grasps":
+            folders = collect_all_grasps(sources, asked, folder, threads, track, report)
+        else:
+            folders = collect_samples(str(task.samples), sources, asked, folder, threads, track)
+        given = dict.fromkeys(parts, folders)
         jobs = min(threads, len(parts)) if device == "cpu" else 1
     else:
         max_hulls = workspace.settings(DecomposeConfig, values, path).hulls if task.robot else 0
         given = {key: (source.path, max_hulls) for key, source in sources.items()}
         jobs = options.jobs or (threads if task.single_threaded else 1)
     each = 1 if task.single_threaded else max(1, threads // jobs)
-    shared = (params, folder, options.weights, each, device, report)
-    _call_all(_run_part, [(task, part, inputs, *shared) for part, inputs in given.items()], jobs)
+    shared = {"task": task, "params": params, "folder": folder, "device": device, "threads": each}
+    attempts = [(part, inputs, options.weights, report, shared) for part, inputs in given.items()]
+    _call_all(_run_part, attempts, jobs)
     return {part: read_json(folder.result(task.name, part)) for part in given}
 
 
@@ -160,7 +162,7 @@ def _possible_splits(
     task: Task,
     options: BenchmarkOptions,
     splits: Sequence[str],
-    sources: Mapping[str, "LoadedFile"],
+    sources: Sources,
     count: int,
     report: Report,
 ) -> list[str]:
@@ -183,92 +185,73 @@ def _possible_splits(
     return [split for split in splits if split not in problems]
 
 
+def _sample_settings(
+    task: Task, params: TaskParams[Any], values: dict[str, Any], path: Path
+) -> tuple[Any, ...]:
+    """Return what a task's samples depend on besides the object, first their number of each."""
+    if task.samples == "close_ups":
+        assert params.encode is not None
+        return params.settings.contacts, params.encode.touch, params.seed
+    if task.samples == "grasps":
+        wanted = workspace.settings(GraspDataConfig, values, path)
+        return wanted.grasps, wanted, params.seed, workspace.settings(DecomposeConfig, values, path).hulls
+    observe = workspace.settings(ObserveConfig, values, path)
+    return observe.observations, observe.resolution, params.seed
+
+
+def _call_all(call: Callable[..., str | None], attempts: list[tuple[Any, ...]], jobs: int) -> None:
+    """Call a function, which returns what failed, so many times at once; in processes if there are several.
+
+    Raises ObjectFolderError if calls fail, after all others are finished.
+    """
+    several = min(jobs, len(attempts)) > 1
+    problems = in_processes(call, attempts, jobs) if several else [call(*given) for given in attempts]
+    if failed := sorted(problem for problem in problems if problem is not None):
+        rest = len(attempts) - len(failed)
+        kept = f"\nThe other {rest} ran; asked for without these, the results are printed." if rest else ""
+        raise ObjectFolderError("\n".join(failed) + kept)
+
+
 def _run_part(
-    task: Task,
-    part: str,
-    inputs: Any,
-    params: TaskParams[Any],
-    folder: Benchmarks,
-    weights: Path | None,
-    threads: int,
-    device: str,
-    report: Report,
-) -> None:
-    """Run a task on a split, given folders of samples, or with an object, given its path and hulls."""
-    with _bind(threads if task.trains_nets else 1):
-        place = "" if task.splits else f"{inputs[0]}: "
+    part: str, inputs: Any, weights: Path | None, report: Report, shared: dict[str, Any]
+) -> str | None:
+    """Run a task with folders of samples, or with an object, given its path and hulls; return what failed.
+
+    Its cost is written beside the results; that of a finished run stays.
+    """
+    task, folder, threads = shared["task"], shared["folder"], shared["threads"]
+    bound = threads if task.trains_nets else 1
+    torch.set_num_threads(bound)
+    with threadpool_limits(bound):
         try:
-            run = Run(
-                task=task,
-                training=task.load(),
-                part=part,
-                inputs=SAMPLES[str(task.samples)](inputs)
-                if task.splits
-                else _known_object(task, folder, *inputs),
-                params=params,
-                folder=folder,
-                weights=None if weights is None else read_weights(weights),
-                device=device,
-                threads=threads,
-            )
-            _run_timed(run, report, threads, device)
+            known = SAMPLES[task.samples](inputs) if task.splits else _known_object(task, folder, *inputs)
+            initial = None if weights is None else read_weights(weights)
+            run = Run(training=task.load(), part=part, inputs=known, weights=initial, **shared)
+            cost, path = run_benchmark(run, report), folder.machine(task.name, part)
         except ObjectFolderError as error:
-            raise ObjectFolderError(f"{place}{error}") from error
+            return str(error) if task.splits else f"{inputs[0]}: {error}"
+    if not path.is_file() or read_json(path).get("seconds") != cost.seconds:
+        today = datetime.now(UTC).date().isoformat()
+        where = {"threads": threads, "machine": machine(shared["device"]), "date": today}
+        write_json(path, asdict(cost) | where)
+    return None
 
 
 def _known_object(task: Task, folder: Benchmarks, path: Path, max_hulls: int) -> KnownObject:
     file = ObjectFile.load(path)
     if not task.robot:
         return KnownObject(file, object_digest(file))
-    from objectfolder.sim.body import rigid_body
-    from objectfolder.sim.hulls import cached_hulls, hulls_digest
+    from objectfolder.sim.hulls import hulls_digest
 
-    hulls = cached_hulls(file, folder.hulls, max_hulls)
-    return KnownObject(file, object_digest(file) + hulls_digest(hulls), rigid_body(file, hulls))
-
-
-@contextmanager
-def _bind(threads: int) -> Iterator[None]:
-    """Bind torch and numpy to so many threads."""
-    torch.set_num_threads(threads)
-    with threadpool_limits(threads):
-        yield
+    body = _body(file, folder, max_hulls)
+    return KnownObject(file, object_digest(file) + hulls_digest(body.hulls), body)
 
 
-def _run_timed(run: Run, report: Report, threads: int, device: str) -> None:
-    """Run a task, and write its cost beside the results; that of a finished run stays."""
-    cost, path = run_benchmark(run, report), run.folder.machine(run.task.name, run.part)
-    if path.is_file() and read_json(path).get("seconds") == cost.seconds:
-        return
-    today = datetime.now(UTC).date().isoformat()
-    where = {"threads": threads, "machine": machine(device), "date": today}
-    write_json(path, asdict(cost) | where)
+def _body(file: ObjectFile, folder: Benchmarks, max_hulls: int) -> "RigidBody":
+    from objectfolder.sim.body import rigid_body  # needs what only robots need
+    from objectfolder.sim.hulls import cached_hulls
 
-
-def _call_all(call: Callable[..., None], arguments: list[tuple[Any, ...]], jobs: int) -> None:
-    """Call a function with each of the arguments, in processes if there are several jobs.
-
-    Raises ObjectFolderError if calls fail, after all others are finished.
-    """
-    attempts = [(call, *given) for given in arguments]
-    if min(jobs, len(attempts)) > 1:
-        problems = list(in_processes(_problem, attempts, jobs))
-    else:
-        problems = [_problem(*given) for given in attempts]
-    failed = sorted(problem for problem in problems if problem is not None)
-    if failed:
-        rest = len(attempts) - len(failed)
-        kept = f"\nThe other {rest} ran; asked for without these, the results are printed." if rest else ""
-        raise ObjectFolderError("\n".join(failed) + kept)
-
-
-def _problem(call: Callable[..., None], *arguments: Any) -> str | None:
-    """Call a function; return the message of its error, if it fails."""
-    try:
-        call(*arguments)
-    except ObjectFolderError as error:
-        return str(error)
-    return None
+    return rigid_body(file, cached_hulls(file, folder.hulls, max_hulls))
 
 
 class LoadedFile(NamedTuple):
@@ -279,14 +262,9 @@ class LoadedFile(NamedTuple):
 
 
 def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
-    """Load Object Files; return them by key.
+    """Load Object Files, those of folders and of releases, too; return them by key. Default: ``build``.
 
     Raises ObjectFolderError if a place has none, one is invalid, or two are of the same object.
-
-    Parameters
-    ----------
-    places : sequence of Path, optional
-        Object Files, folders that contain some, or releases. Default: ``build``.
     """
     sources: dict[str, LoadedFile] = {}
     for path, file in (found for place in places or [Build("any").dir.parent] for found in _files_in(place)):
@@ -316,106 +294,42 @@ def _files_in(place: Path) -> Iterator[tuple[Path, ObjectFile]]:
     yield from ((path, ObjectFile.load(path)) for path in found)
 
 
-def _count(task: Task, params: TaskParams[Any], values: dict[str, Any], path: Path) -> int:
-    """Return the number of a task's samples of each object."""
-    if task.samples == "close_ups":
-        return int(params.settings.contacts)
-    if task.samples == "grasps":
-        return workspace.settings(GraspDataConfig, values, path).grasps
-    return workspace.settings(ObserveConfig, values, path).observations
-
-
-def _collect(
-    task: Task,
-    sources: Mapping[str, LoadedFile],
-    params: TaskParams[Any],
-    values: dict[str, Any],
-    path: Path,
-    folder: Benchmarks,
-    jobs: int,
-    track: Tracker,
-    report: Report,
+def collect_samples(
+    kind: str, sources: Sources, settings: tuple[Any, ...], folder: Benchmarks, jobs: int, track: Tracker
 ) -> dict[str, Path]:
-    """Collect a task's samples of all objects; return the folders by key."""
-    if task.samples == "close_ups":
-        assert params.encode is not None
-        size = params.encode.touch
-        return collect_close_ups(sources, params.settings.contacts, size, params.seed, folder, jobs, track)
-    if task.samples == "grasps":
-        wanted = workspace.settings(GraspDataConfig, values, path)
-        hulls = workspace.settings(DecomposeConfig, values, path).hulls
-        return collect_all_grasps(sources, wanted, hulls, params.seed, folder, jobs, track, report)
-    observe = workspace.settings(ObserveConfig, values, path)
-    return collect_observations(sources, observe, params.seed, folder, jobs, track)
+    """Sample each object, as `SAMPLED` says, unless its folder is complete; return the folders by key.
+
+    Raises ObjectFolderError if an object cannot be sampled, mostly before any work.
+    """
+    request_of, is_done, _ = SAMPLED[kind]
+    folders = {key: getattr(folder, kind)(key) for key in sources}
+    requests = {key: request_of(source.file, *settings) for key, source in sources.items()}
+    new = [
+        (kind, source.path, settings, folders[key])
+        for key, source in sources.items()
+        if not is_done(requests[key], folders[key])
+    ]
+    _sample_all(_sample, new, jobs, track, TITLES[kind])
+    return folders
 
 
 def _sample_all(
-    sample: Callable[..., None], new: list[tuple[Any, ...]], jobs: int, track: Tracker, description: str
+    sample: Callable[..., None], new: list[tuple[Any, ...]], jobs: int, track: Tracker, title: str
 ) -> None:
     """Call a function for each of the new objects, several at a time."""
     if new:  # starting processes takes seconds
-        for _ in track(in_processes(sample, new, jobs), description, len(new)):
+        for _ in track(in_processes(sample, new, jobs), title, len(new)):
             pass
 
 
-def collect_observations(
-    sources: Mapping[str, LoadedFile],
-    wanted: ObserveConfig,
-    seed: int,
-    folder: Benchmarks,
-    jobs: int,
-    track: Tracker,
-) -> dict[str, Path]:
-    """Sample observations of each object, unless its folder is complete; return the folders by key."""
-    settings = (wanted.observations, wanted.resolution, seed)
-    folders = {key: folder.observations(key) for key in sources}
-    new = []
-    for key, source in sources.items():
-        if (folders[key] / observations.RECORD).is_file() and is_sampled(
-            observation_request(source.file, *settings), folders[key]
-        ):
-            continue
-        new.append((source.path, *settings, folders[key]))
-    _sample_all(_sample_observations, new, jobs, track, "observing objects")
-    return folders
-
-
-def _sample_observations(path: Path, count: int, resolution: int, seed: int, folder: Path) -> None:
+def _sample(kind: str, path: Path, settings: tuple[Any, ...], folder: Path) -> None:
     torch.set_num_threads(1)
-    sample_observations(ObjectFile.load(path), count, resolution, seed, folder)
-
-
-def collect_close_ups(
-    sources: Mapping[str, LoadedFile],
-    count: int,
-    size: tuple[int, int],
-    seed: int,
-    folder: Benchmarks,
-    jobs: int,
-    track: Tracker,
-) -> dict[str, Path]:
-    """See and press each object from close by, unless its folder is complete; return the folders by key."""
-    folders = {key: folder.close_ups(key) for key in sources}
-    requests = {key: close_up_request(source.file, count, size, seed) for key, source in sources.items()}
-    new = [
-        (source.path, count, size, seed, folders[key])
-        for key, source in sources.items()
-        if not has_close_ups(requests[key], folders[key])
-    ]
-    _sample_all(_sample_close_ups, new, jobs, track, "looking and touching")
-    return folders
-
-
-def _sample_close_ups(path: Path, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
-    torch.set_num_threads(1)
-    sample_close_ups(ObjectFile.load(path), count, size, seed, folder)
+    SAMPLED[kind][2](ObjectFile.load(path), *settings, folder)
 
 
 def collect_all_grasps(
-    sources: Mapping[str, LoadedFile],
-    wanted: GraspDataConfig,
-    max_hulls: int,
-    seed: int,
+    sources: Sources,
+    settings: tuple[int, GraspDataConfig, int, int],
     folder: Benchmarks,
     jobs: int,
     track: Tracker,
@@ -428,9 +342,8 @@ def collect_all_grasps(
     """
     from objectfolder.benchmarks.datasets.grasp_data import grasp_request, is_collected
     from objectfolder.mesh.ply import read_surface
-    from objectfolder.sim.body import rigid_body
-    from objectfolder.sim.hulls import cached_hulls
 
+    _, wanted, seed, max_hulls = settings
     folders = {key: folder.grasps(key) for key in sources}
     surfaces = {key: source.path.with_name(Build(key).surface.name) for key, source in sources.items()}
     lacking = [key for key, surface in surfaces.items() if not surface.is_file()]
@@ -448,11 +361,11 @@ def collect_all_grasps(
     for key, source in sources.items():
         surface = None if lacking or fixed else surfaces[key]
         if (folders[key] / grasps.RECORD).is_file():  # and hence its hulls
-            body = rigid_body(source.file, cached_hulls(source.file, folder.hulls, max_hulls))
             truth = None if surface is None else read_surface(surface)
+            body = _body(source.file, folder, max_hulls)
             if is_collected(grasp_request(source.file, body, wanted, seed, truth), folders[key]):
                 continue
-        new.append((source.path, surface, wanted, max_hulls, seed, folder, report))
+        new.append((source.path, surface, settings, folder, report))
     _sample_all(_collect_grasps, new, jobs, track, "grasping objects")
     return folders
 
@@ -460,26 +373,22 @@ def collect_all_grasps(
 def _collect_grasps(
     path: Path,
     surface: Path | None,
-    wanted: GraspDataConfig,
-    max_hulls: int,
-    seed: int,
+    settings: tuple[int, GraspDataConfig, int, int],
     folder: Benchmarks,
     report: Report,
 ) -> None:
     from objectfolder.benchmarks.datasets.grasp_data import collect_grasps
     from objectfolder.mesh.ply import read_surface
-    from objectfolder.sim.body import rigid_body
-    from objectfolder.sim.hulls import cached_hulls
 
+    count, wanted, seed, max_hulls = settings
     torch.set_num_threads(1)
     with threadpool_limits(1):
         file = ObjectFile.load(path)
-        body = rigid_body(file, cached_hulls(file, folder.hulls, max_hulls))
-        truth = None if surface is None else read_surface(surface)
+        truth, body = None if surface is None else read_surface(surface), _body(file, folder, max_hulls)
         start = time.perf_counter()
         collect_grasps(file, body, wanted, seed, folder.grasps(file.key), truth)
         seconds = time.perf_counter() - start
-    report(f"{file.key}: {wanted.grasps} grasps in {seconds:.0f} s, {wanted.grasps / seconds:.1f} per second")
+    report(f"{file.key}: {count} grasps in {seconds:.0f} s, {count / seconds:.1f} per second")
 
 
 def list_tasks() -> dict[str, Task]:

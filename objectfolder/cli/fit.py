@@ -48,7 +48,7 @@ def sound(
     from objectfolder.base.checks import one_of
     from objectfolder.base.io import check_output, read_json
     from objectfolder.base.materials import LAWS, Material
-    from objectfolder.sound.fitting import fit_sound
+    from objectfolder.sound.fitting import ECHO, fit_sound
     from objectfolder.sound.recordings import read_recording, resample_to_lowest
     from objectfolder.sound.ringdown import LN_1000
     from objectfolder.workspace import params
@@ -93,6 +93,11 @@ def sound(
         lines.append(
             f"uncertain: another stiffness matches {match.rival:.0%} as well; give more recordings, or check "
             "the size"
+        )
+    if fit.unexplained > ECHO:
+        lines.append(
+            f"uncertain: {fit.unexplained:.1%} of the rings is no exponential decay, as with echoes, rattles "
+            "or a held object: T60 may be several times wrong; record closer, without echo, the object free"
         )
     for line in lines:
         print_line(line)

@@ -12,7 +12,8 @@ from objectfolder.base.arrays import read_rows
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import SAMPLE, empty_folder, object_file
-from objectfolder.stored.header import PARTS, RADIATION, known_kinds
+from objectfolder.stored.header import PARTS, RADIATION
+from objectfolder.stored.kinds import known_kinds
 
 if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
@@ -294,7 +295,6 @@ def touch(
 
 
 def _write_touch(out: Path, number: int, batch: Any, row: int, names: list[str]) -> None:
-    """Write the named outputs of one contact."""
     from objectfolder.base.arrays import write_npz, write_png
 
     if "image" in names:

@@ -153,7 +153,6 @@ def _add_one(
     options: dict[str, Any],
     dry_run: bool,
 ) -> None:
-    """Examine and add one mesh."""
     from objectfolder.workspace.discover import examine
 
     finding = examine(candidate, values, scale, **options)

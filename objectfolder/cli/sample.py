@@ -125,7 +125,6 @@ def touch(
 
 
 def _check_names(*paths: Path | None) -> None:
-    """Check output names before any work."""
     given = [path for path in paths if path is not None]
     for path in given:
         if path.suffix != ".npy":

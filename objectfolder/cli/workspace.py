@@ -1,5 +1,6 @@
 """Commands on a workspace: build, preset, inspect."""
 
+import time
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -78,37 +79,39 @@ def build(
     Stage logs are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
     from objectfolder.base.io import check_output
-    from objectfolder.engine.build import BuildOptions, local_workers
-    from objectfolder.engine.build import build as run_build
     from objectfolder.engine.progress import Progress, print_summary
-    from objectfolder.engine.ray import ray_workers
-    from objectfolder.touch.profiles import load_profile, require_renderer
-    from objectfolder.workspace import params
-    from objectfolder.workspace.check import check_all
-    from objectfolder.workspace.installed import check_installed, sensor_file
+    from objectfolder.engine.unchanged import recall
 
     if address is not None and engine is Engine.LOCAL:
         raise ObjectFolderError(f"--address {address} requires --engine ray")
-    values = params.read()
-    check_installed()  # a file of another version may lack what this one checks
-    check_all(values)
-    require_renderer(load_profile(sensor_file(values["sensor"])), values["render_touch"]["renderer"])
-    if dry_run:
-        from objectfolder.cli.statusview import print_outlook
-        from objectfolder.engine.status import status
+    summary = None
+    if engine is Engine.LOCAL and timeout is None and not (force or pull or dry_run):
+        with Progress() as progress:
+            summary = recall(targets or (), on_event=progress)
+    if summary is None:
+        if Path("params.yaml").is_file() and not dry_run:
+            check_output(Path("build/.writable"))  # this changes the folder, so before it is looked at
+        from objectfolder.engine.build import BuildOptions, local_workers
+        from objectfolder.engine.build import build as run_build
+        from objectfolder.engine.ray import ray_workers
 
-        if force or pull:
-            raise ObjectFolderError("--dry-run cannot be combined with --force or --pull")
-        print_outlook(status(targets or (), wait=wait), console)
-        return
-    check_output(Path("build/.writable"))
-    with Progress() as progress:
-        summary = run_build(
-            targets or (),
-            BuildOptions(jobs, force, keep_going, timeout, pull, wait),
-            on_event=progress,
-            make_workers=ray_workers(address or "auto") if engine is Engine.RAY else local_workers,
-        )
+        start = time.time_ns()
+        _check_params()
+        if dry_run:
+            from objectfolder.cli.statusview import print_outlook
+            from objectfolder.engine.status import status
+
+            if force or pull:
+                raise ObjectFolderError("--dry-run cannot be combined with --force or --pull")
+            print_outlook(status(targets or (), wait=wait), console)
+            return
+        with Progress() as progress:
+            summary = run_build(
+                targets or (),
+                BuildOptions(jobs, force, keep_going, timeout, pull, wait, remember=start),
+                on_event=progress,
+                make_workers=ray_workers(address or "auto") if engine is Engine.RAY else local_workers,
+            )
     print_summary(summary)
     evaluated = sorted(a.partition("@")[2] for a in summary.stages if a.startswith("evaluate@"))
     if summary.ok and 0 < len(evaluated) <= MAX_SCORES:
@@ -116,6 +119,18 @@ def build(
     elif summary.ok and evaluated:
         console.print(f"{plural(len(evaluated), 'object')} evaluated; `dvc metrics show` prints their scores")
     raise typer.Exit(not summary.ok)
+
+
+def _check_params() -> None:
+    from objectfolder.touch.profiles import load_profile, require_renderer
+    from objectfolder.workspace import params
+    from objectfolder.workspace.check import check_all
+    from objectfolder.workspace.installed import check_installed, sensor_file
+
+    values = params.read()
+    check_installed()  # a file of another version may lack what this one checks
+    check_all(values)
+    require_renderer(load_profile(sensor_file(values["sensor"])), values["render_touch"]["renderer"])
 
 
 def preset(

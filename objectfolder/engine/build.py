@@ -17,6 +17,7 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.dvc import remote, steps
 from objectfolder.engine.dvc.graph import StageGraph, stage_graph
 from objectfolder.engine.dvc.inputs import Stamps, hold_params
+from objectfolder.engine.dvc.recorded import other_files
 from objectfolder.engine.dvc.repository import (
     OpenRepository,
     open_repository,
@@ -54,6 +55,7 @@ from objectfolder.engine.summary import (
     Stopping,
     Summary,
 )
+from objectfolder.engine.unchanged import remember
 from objectfolder.engine.workers import FinishedQueue, LocalWorkers, WorkerLost, Workers
 from objectfolder.workspace.code_digests import PACKAGES
 from objectfolder.workspace.installed import check_installed
@@ -84,6 +86,9 @@ class BuildOptions:
     timeout: float | None = None
     pull: bool = False  #: first download recorded outputs and saved runs from DVC's default remote
     wait: bool = False  #: if another process uses the workspace, wait until it ends; otherwise refuse
+    #: If nothing is to do, note it for `objectfolder.engine.unchanged.recall`, unless anything has changed
+    #: since this time, ns since 1970.
+    remember: int | None = None
 
     def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
@@ -149,6 +154,10 @@ def build(
             needs = {address: replace(need, timeout=limit) for address, need in needs.items()}
         on_event(Planned({address: need.seconds for address, need in needs.items()}))
         results = _Build(repository, graph, held, needs, options, on_event, make_workers).run()
+        if options.remember and all(result.status is StageOutcome.SKIPPED for result in results.values()):
+            others = other_files(repository, graph.stages.values())
+            if others is not None:
+                remember(targets, repository.root, graph.stages, others, options.remember)
     ordered = {address: results[address] for address in graph.stages}
     return Summary(stages=ordered, seconds=time.monotonic() - start)
 

@@ -199,7 +199,6 @@ def _table(results: list[StageResult]) -> Table:
 
 
 def _totals(results: list[StageResult]) -> Table:
-    """Return a table of totals over objects, by stage and outcome."""
     table = Table("stage", "", box=None)
     for name in ("objects", "total s", "median s", "most s", "peak MB"):
         table.add_column(name, justify="right")

@@ -140,7 +140,6 @@ def _files(root: Path, key: str, dead: list[dict[str, Any]]) -> tuple[Path, ...]
 
 
 def _samples(key: str, root: Path) -> tuple[Path, ...]:
-    """Return the folders of an object's samples that stages write."""
     benchmarks = Benchmarks(root / BENCHMARKS)
     return benchmarks.observations(key), benchmarks.close_ups(key), benchmarks.grasps(key)
 
@@ -158,7 +157,6 @@ def _left(root: Path, key: str, files: tuple[Path, ...]) -> Iterator[str]:
 
 
 def _other_records(repository: OpenRepository) -> list[Any]:
-    """Read the .dvc files and lock files, except the lock file of the workspace."""
     lock = repository.root / LOCK
     return [read_entry(path) for path in dvc_files(repository) if path != lock and path.exists()]
 
@@ -185,7 +183,6 @@ def _object_of(path: PurePosixPath) -> str:
 
 
 def _with_members(repository: OpenRepository, oids: Iterable[str]) -> Iterator[str]:
-    """Yield hashes, and those of the files in directories."""
     for oid in oids:
         yield oid
         if oid.endswith(".dir"):
@@ -197,7 +194,6 @@ def _with_members(repository: OpenRepository, oids: Iterable[str]) -> Iterator[s
 
 
 def _remove_empty(folder: Path) -> None:
-    """Remove empty folders, the deepest first."""
     for path in sorted((folder, *folder.rglob("*")), reverse=True):
         if path.is_dir() and not any(path.iterdir()):
             path.rmdir()

@@ -341,7 +341,6 @@ def _keep_signals() -> Iterator[None]:
 
 
 def _failure(error: BaseException) -> Exception:
-    """Return the exception to report for a command without an outcome."""
     from ray.exceptions import RayTaskError, TaskCancelledError
 
     if isinstance(error, RayTaskError):
@@ -353,13 +352,11 @@ def _failure(error: BaseException) -> Exception:
 
 
 def _cause(error: Any) -> Exception:
-    """Return the exception that a task raised on its node."""
     cause = getattr(error, "cause", None)
     return cause if isinstance(cause, Exception) else error
 
 
 def _last_line(error: BaseException) -> str:
-    """Return the last line of an error message, which may contain a traceback."""
     return next((line for line in reversed(str(error).splitlines()) if line.strip()), type(error).__name__)
 
 

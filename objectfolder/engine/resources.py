@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from objectfolder.workspace.stages import STAGES, Needs
+from objectfolder.nets.settings import papers_net
+from objectfolder.workspace.stages import PAPERS_NET, STAGES, Needs, section_config
 
 #: Share of the available memory for stages; the rest is for the engine and the system.
 MEMORY_SHARE = 0.9
@@ -14,10 +15,7 @@ _TREES = Path("/sys/fs/cgroup")
 _OWN = Path("/proc/self/cgroup")  # lines such as 4:memory:/user and, of the second version, 0::/user
 
 
-#: Keys: stage, or stage and its net or renderer (``train_vision/osf``).
-NEEDS = {name: stage.needs for name, stage in STAGES.items()} | {
-    f"{name}/{kind}": needs for name, stage in STAGES.items() for kind, needs in stage.of_kind.items()
-}
+NEEDS = {name: stage.needs for name, stage in STAGES.items()}  #: by stage
 
 
 def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
@@ -26,10 +24,15 @@ def needs_of(address: str, params: Mapping[str, Any]) -> Needs:
     ``address``: stage address, such as ``train_vision@mug``.
     """
     stage = address.partition("@")[0]
-    section = params.get(STAGES[stage].kind_in or stage if stage in STAGES else stage)
-    section = section if isinstance(section, Mapping) else {}
-    choice = section.get("net", section.get("renderer"))
-    return NEEDS.get(f"{stage}/{choice}", NEEDS.get(stage, Needs()))
+    row = STAGES.get(stage)
+    if row is not None:
+        section = params.get(row.net_in or stage)
+        section = section if isinstance(section, Mapping) else {}
+        if row.net_in and papers_net(section_config(row.net_in), str(section.get("net"))):
+            return PAPERS_NET
+        if section.get("renderer") in row.of_renderer:
+            return row.of_renderer[section["renderer"]]
+    return NEEDS.get(stage, Needs())
 
 
 def cores() -> int:
@@ -166,7 +169,6 @@ def _quota_of_first_version(folder: Path) -> str:
 
 
 def _read(path: Path) -> str:
-    """Return the content of a file; empty if there is none that can be read."""
     try:
         return path.read_text().strip()
     except OSError:

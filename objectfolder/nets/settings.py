@@ -1,6 +1,7 @@
 """Settings that the nets of the paper share."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from objectfolder.base.settings import Count, Octaves, Positive, Precision, Share
 
@@ -17,3 +18,9 @@ class PapersNetConfig:
     learning_rate: Positive = 0.0005
     final_rate: Share = 0.01  #: of the learning rate, at the end of a cosine; 1: constant, as the paper's
     precision: Precision = "float32"  #: of the hidden layers in training
+
+
+def papers_net(settings: Any, kind: str) -> PapersNetConfig | None:
+    """Return the settings of a kind of net in a section, or its class, if it is one of the paper's."""
+    own = getattr(settings, kind, None)
+    return own if isinstance(own, PapersNetConfig) else None

@@ -3,7 +3,8 @@
 With powers of two, every stored int8 value is a float16, and quantising a second time changes nothing.
 """
 
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -15,6 +16,40 @@ LARGEST_CODE = 127
 #: Nets are made here to be filled (`fill`): a wrong size allocates nothing before it is compared with the
 #: tensors.
 UNFILLED = torch.device("meta")
+
+
+@dataclass(frozen=True)
+class NetKind:
+    """A kind of net in Object Files. A module ``NAME_net.py`` of a sense names its own in ``KINDS``."""
+
+    net: Any  #: its class, which has ``from_tensors``
+    answers: str  #: what it is asked for: a key of ``SENSES`` beside it
+    fields: dict[str, Any]  #: JSON Schema of each field of ``net`` in the header; all are required
+    slow: bool = False  #: whether answers take minutes on a CPU
+
+    @property
+    def schema(self) -> dict[str, Any]:
+        """JSON Schema of a part with such a net."""
+        net = {"type": "object", "required": sorted(self.fields), "properties": self.fields}
+        return {"required": ["net"], "properties": {"net": net}}
+
+
+def whole(low: int, high: int, description: str = "") -> dict[str, Any]:
+    """Return the JSON Schema of a whole number in a header: its limits bound what a reader allocates."""
+    return {"type": "integer", "minimum": low, "maximum": high} | _described(description)
+
+
+def real(low: float, high: float, description: str = "") -> dict[str, Any]:
+    """Return the JSON Schema of a number in a header."""
+    return {"type": "number", "minimum": low, "maximum": high} | _described(description)
+
+
+def _described(description: str) -> dict[str, str]:
+    return {"description": description} if description else {}
+
+
+#: Fields of the paper's nets.
+WIDTH, DEPTH, OCTAVES = whole(1, 1024), whole(1, 32), whole(0, 24, "of the positional encoding")
 
 
 def fill(net: _Net, state: dict[str, torch.Tensor]) -> _Net:

@@ -23,10 +23,10 @@ from objectfolder.sound.query import SoundQueries, struck_object
 from objectfolder.sound.synthesis import checked_sample_rate
 from objectfolder.stored.arguments import Rows, finite_rows, usual_modes
 from objectfolder.stored.header import checked_header
+from objectfolder.stored.kinds import checked_nets, net_kinds
 from objectfolder.stored.reading import described_part, held_parts
 from objectfolder.touch.query import TouchQueries
 from objectfolder.vision.query import VisionQueries
-from objectfolder.vision.senses import OSF_KINDS
 
 if TYPE_CHECKING:
     import trimesh
@@ -92,7 +92,7 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
         path: str | Path = "Object File",
         device: Device = "cpu",
     ):
-        self._header = checked_header(header, path)
+        self._header = checked_nets(checked_header(header, path), path)
         self.tensors = tensors
         self.device = _usable(device)
         self._path = path
@@ -318,5 +318,5 @@ def load_placed(path: str | Path) -> ObjectFile:
     with a GPU and without.
     """
     file = ObjectFile.load(path)
-    slow = file.header.get("vision", {}).get("kind") in OSF_KINDS
-    return ObjectFile.load(path, "cuda") if slow and torch.cuda.is_available() else file
+    kind = net_kinds("vision").get(file.header.get("vision", {}).get("kind"))
+    return ObjectFile.load(path, "cuda") if kind and kind.slow and torch.cuda.is_available() else file

@@ -56,7 +56,7 @@ def pack_object_file(
         net_tensors, net_header = nets[modality]
         tensors.update({f"{modality}.{name}": value for name, value in net_tensors.items()})
         header[modality] = net_header
-    if radiation is not None and header["audio"]["kind"] == "gains":
+    if radiation is not None and "damping" in nets["audio"][0]:  # a net of modes
         tensors.update({f"{RADIATION}.{name}": value for name, value in radiation[0].items()})
         header[RADIATION] = radiation[1]
     header["audio"] = header["audio"] | certainty(modal)

@@ -12,7 +12,8 @@ from objectfolder.base.materials import Material
 from objectfolder.objectfile.parts import TAPS, StoredParts
 from objectfolder.sound.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.sound.contact import effective_modulus
-from objectfolder.sound.senses import ModalSense, no_modes
+from objectfolder.sound.query import no_modes
+from objectfolder.sound.senses import ModalSense
 from objectfolder.sound.synthesis import gains, is_audible
 from objectfolder.stored.arguments import Rows, broadcast_rows, finite_rows
 from objectfolder.stored.header import RADIATION

@@ -1,6 +1,6 @@
 """Certificate of an object: physical checks, each with its figure and its limit."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,10 +26,6 @@ class PhysicalCheck:
     limit: str  #: what was expected
     passed: bool
 
-    def row(self) -> dict[str, Any]:
-        """Return the check as JSON."""
-        return asdict(self)
-
 
 def file_checks(file: ObjectFile) -> list[PhysicalCheck]:
     """Check what an Object File answers, without its mesh."""
@@ -39,27 +35,15 @@ def file_checks(file: ObjectFile) -> list[PhysicalCheck]:
 def build_checks(
     normalize: dict[str, Any] | None, modal: dict[str, Any] | None, metrics: dict[str, Any] | None
 ) -> list[PhysicalCheck]:
-    """Check what the stages of a build wrote.
-
-    Parameters
-    ----------
-    normalize, modal, metrics : dict, optional
-        Contents of ``normalize.json``, ``modal.json`` and ``metrics/KEY.json``.
-    """
+    """Check what the stages of a build wrote: ``normalize.json``, ``modal.json`` and ``metrics/KEY.json``."""
     checks = []
     if normalize:
         far = normalize["deviation_max_percent"]
         checks.append(_most("Closed surface near the mesh", far, DEVIATION, " % of the size"))
     if modal:
         checks.append(_most("Largest residual of the modes, relative", modal["residual_max"], MAX_RESIDUAL))
-        checks.append(
-            _most(
-                "Highest frequency of a rigid motion, 0 in theory",
-                max(modal["rigid_hz"]),
-                rigid_limit(modal),
-                " Hz",
-            )
-        )
+        rigid, limit = max(modal["rigid_hz"]), rigid_limit(modal)
+        checks.append(_most("Highest frequency of a rigid motion, 0 in theory", rigid, limit, " Hz"))
     scores = metrics or {}
     for sense, name, score, baseline in (
         ("vision", "Looks better than an empty picture", "psnr", "baseline_white"),
@@ -71,23 +55,19 @@ def build_checks(
             checks.append(_least(name, found[score], found[baseline], " dB"))
     sound = scores.get("audio", {})
     if "gain_error" in sound and "baseline_nearest" in sound:
-        checks.append(
-            _most(
-                "Error of gains, below that of the nearest known point",
-                sound["gain_error"] * 100,
-                sound["baseline_nearest"] * 100,
-                " %",
-            )
-        )
+        name = "Error of gains, below that of the nearest known point"
+        checks.append(_most_share(name, sound["gain_error"], sound["baseline_nearest"]))
     if "lost_energy" in sound:
-        checks.append(
-            _most("Energy of a sound in modes left out", sound["lost_energy"] * 100, LOST_ENERGY * 100, " %")
-        )
+        checks.append(_most_share("Energy of a sound in modes left out", sound["lost_energy"], LOST_ENERGY))
     return checks
 
 
 def _most(name: str, value: float, limit: float, unit: str = "") -> PhysicalCheck:
     return PhysicalCheck(name, f"{value:.3g}{unit}", f"at most {limit:.3g}{unit}", bool(value <= limit))
+
+
+def _most_share(name: str, value: float, limit: float) -> PhysicalCheck:
+    return _most(name, value * 100, limit * 100, " %")
 
 
 def _least(name: str, value: float, limit: float, unit: str = "") -> PhysicalCheck:
@@ -104,12 +84,7 @@ def _solid_checks(file: ObjectFile) -> list[PhysicalCheck]:
     low, high = file.bounds / file.scale
     inside = np.minimum(np.array(solid["centre"]) - low, high - np.array(solid["centre"])).min()
     return [
-        _most(
-            "Volumes of surface and solid differ by",
-            abs(volume / solid["volume"] - 1) * 100,
-            VOLUME * 100,
-            " %",
-        ),
+        _most_share("Volumes of surface and solid differ by", abs(volume / solid["volume"] - 1), VOLUME),
         _least("Two smaller moments of inertia, over the largest", (least + middle) / most, 1.0),
         _least("Centre of mass, depth in the bounding box", float(inside) * file.scale * 1000, 0.0, " mm"),
     ]
@@ -120,7 +95,7 @@ def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
         return []
     checks = []
     if (error := file.header["audio"].get("frequency_uncertainty")) is not None:
-        checks.append(_most("Estimated error of frequencies", error * 100, MAX_UNWARNED_ERROR * 100, " %"))
+        checks.append(_most_share("Estimated error of frequencies", error, MAX_UNWARNED_ERROR))
     elif file.header["audio"].get("frequency_uncertainty_unknown"):
         limit = f"at most {MAX_UNWARNED_ERROR * 100:.3g} %"
         checks.append(PhysicalCheck("Estimated error of frequencies", "not known", limit, False))
@@ -134,10 +109,8 @@ def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
         error = np.linalg.norm(a + b - both) / np.linalg.norm(both)
         checks.append(_most("Two strikes at once differ from their sum by", float(error), LINEAR))
     if file.has_modes:
-        least = float(file.tuning().damping.min())
-        checks.append(
-            PhysicalCheck("Every mode decays: least rate", f"{least:.3g} 1/s", "above 0", least > 0)
-        )
+        least, name = float(file.tuning().damping.min()), "Every mode decays: least rate"
+        checks.append(PhysicalCheck(name, f"{least:.3g} 1/s", "above 0", least > 0))
     return checks
 
 

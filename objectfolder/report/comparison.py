@@ -73,15 +73,12 @@ def join_spectrograms(truth: np.ndarray | None, answer: np.ndarray, rate: int) -
     sounds = [answer] if truth is None else [truth, answer, answer - truth]
     levels = [magnitudes(sound)[::-1] for sound in sounds]
     top = levels[0].max()
-    floor = 10 ** (-DYNAMIC_RANGE / 20)
+    floor, peak = 10 ** (-DYNAMIC_RANGE / 20), top if top > 0 else 1
     ringing = np.flatnonzero(levels[0].max(0) > floor * top)
     lasts = ringing.max(initial=0) * HOP / rate
     seconds = next((shown for shown in SHOWN_SECONDS if shown > lasts), SHOWN_SECONDS[-1])
-    levels = [level[:, : round(seconds * rate / HOP)] for level in levels]
-    shown = [
-        20 * np.log10(np.maximum(level / (top if top > 0 else 1), floor)) / DYNAMIC_RANGE + 1
-        for level in levels
-    ]
+    levels = [level[:, : round(seconds * rate / HOP)] / peak for level in levels]
+    shown = [20 * np.log10(np.maximum(level, floor)) / DYNAMIC_RANGE + 1 for level in levels]
     gap = np.ones((len(shown[0]), 2))
     panels = [part for level in shown for part in (gap, level)][1:]
     return np.asarray(colormaps["magma"](np.concatenate(panels, 1)))[..., :3], seconds

@@ -2,7 +2,7 @@
 
 import base64
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -52,28 +52,13 @@ class ObjectReport:
     detail: dict[str, Any]  #: of the object's own page
 
 
-def missing_object(key: str, entry: dict[str, Any]) -> dict[str, Any]:
-    """Return the row of an object that is not built."""
+def missing_object(key: str, entry: dict[str, Any], error: Exception | None = None) -> dict[str, Any]:
+    """Return the row of an object that is not built, or with an error cannot be reported."""
     return {
-        "key": key,
-        "material": str(entry.get("material", "")),
-        "size": entry.get("scale"),
+        **{"key": key, "material": str(entry.get("material", "")), "size": entry.get("scale")},
         "missing": True,
-        "failed": [],
-        "warnings": ["not built: run `objectfolder build " + key + "`"],
-        "scores": {},
-    }
-
-
-def failed_object(key: str, error: Exception) -> dict[str, Any]:
-    """Return the row of an object that cannot be reported."""
-    return {
-        "key": key,
-        "material": "unknown",
-        "size": None,
-        "missing": True,
-        "failed": ["Object can be reported"],
-        "warnings": [str(error)],
+        "failed": [] if error is None else ["Object can be reported"],
+        "warnings": [f"not built: run `objectfolder build {key}`" if error is None else str(error)],
         "scores": {},
     }
 
@@ -93,36 +78,27 @@ def object_report(path: Path, costs: bool = True) -> ObjectReport:
     """
     file = ObjectFile.load(path)
     build = _build_of(file, path)
-    normalize, modal, metrics = (
-        ((read_json(p) if p.is_file() else None) for p in (build.normalize, build.modal, build.metrics))
-        if build
-        else (None, None, None)
-    )
+    paths = (build.normalize, build.modal, build.metrics) if build else ()
+    normalize, modal, metrics = [read_json(p) if p.is_file() else None for p in paths] or [None] * 3
     warnings = list((normalize or {}).get("warnings", []))
     if metrics and metrics.get("file_sha256") != file_digest(path):
         metrics = None
-        warnings.append(
-            "its scores and truth are of another Object File and left out: run "
-            f"`objectfolder build {file.key}`"
-        )
+        left_out = "its scores and truth are of another Object File and left out"
+        warnings.append(f"{left_out}: run `objectfolder build {file.key}`")
     truth = build if metrics else None
     if modal and (text := uncertainty_warning(modal, allow=True, name=file.key)):
         warnings.append(text)
     frequencies = file.frequencies if "audio" in file.header else np.zeros(0)
     if file.header.get("audio", {}).get("truncated"):
         warnings.append(f"only the lowest {len(frequencies)} modes are stored")
-    checks = [check.row() for check in (*file_checks(file), *build_checks(normalize, modal, metrics))]
-    scores = _scores(metrics or {"file_bytes": path.stat().st_size})
+    checks = [asdict(check) for check in (*file_checks(file), *build_checks(normalize, modal, metrics))]
     row = {
-        "key": file.key,
-        "material": file.material,
-        "size": file.scale,
-        "modes": len(frequencies),
+        **{"key": file.key, "material": file.material, "size": file.scale, "modes": len(frequencies)},
         "lowest": round(float(frequencies.min()), 1) if len(frequencies) else None,
         "bytes": path.stat().st_size,
         "failed": [check["name"] for check in checks if not check["passed"]],
         "warnings": warnings,
-        "scores": scores,
+        "scores": _scores(metrics or {"file_bytes": path.stat().st_size}),
     }
     if _seen(file):
         row["thumbnail"] = picture_uri(file.view(CAMERA, resolution=THUMBNAIL, lights="studio")[0])
@@ -149,9 +125,7 @@ def _seen(file: ObjectFile) -> bool:
 def _build_of(file: ObjectFile, path: Path) -> Build | None:
     """Return the build that wrote a file, if it lies in one."""
     parents = path.absolute().parents  # with cache.type symlink, the file itself lies in the cache
-    if len(parents) < 3:
-        return None
-    build = Build(file.key, parents[2])
+    build = Build(file.key, parents[min(2, len(parents) - 1)])
     return build if build.object_file.resolve() == path.resolve() else None
 
 
@@ -197,14 +171,14 @@ def _views(file: ObjectFile, build: Build | None, metrics: dict[str, Any] | None
     data = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "center")
     titles = choose_views(metrics["vision"], VIEWS)
     pairs = zip(*compare_views(file, data, list(titles)))
-    return shown + [
-        {
-            "title": f"{title}, one point light",
-            "score": _rounded(psnr(np.square(answer - truth).mean())),
-            "source": picture_uri(join_images(truth, answer)),
-        }
-        for title, (truth, answer) in zip(titles.values(), pairs)
-    ]
+    named = (f"{title}, one point light" for title in titles.values())
+    return shown + [_compared(title, *pair) for title, pair in zip(named, pairs)]
+
+
+def _compared(title: str, truth: np.ndarray, answer: np.ndarray) -> dict[str, Any]:
+    """Return images beside each other, with the PSNR of the answer."""
+    score = _rounded(psnr(np.square(answer - truth).mean()))
+    return {"title": title, "score": score, "source": picture_uri(join_images(truth, answer))}
 
 
 def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
@@ -259,16 +233,8 @@ def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     truths = data["images"][rows] / 255.0
     if truths.shape != answers.shape:  # of another sensor, since the file was written
         return _touches_alone(file)
-    return [
-        {
-            "title": _contact(depth, obstructed),
-            "score": _rounded(psnr(np.square(answer - truth).mean())),
-            "source": picture_uri(join_images(truth, answer)),
-        }
-        for answer, truth, depth, obstructed in zip(
-            answers, truths, data["depths"][rows], data["obstructed"][rows]
-        )
-    ]
+    titles = map(_contact, data["depths"][rows], data["obstructed"][rows])
+    return [_compared(*each) for each in zip(titles, truths, answers)]
 
 
 def _touches_alone(file: ObjectFile) -> list[dict[str, Any]]:
@@ -305,9 +271,7 @@ def _provenance(file: ObjectFile, path: Path) -> dict[str, str]:
 
 def _costs(build: Build | None) -> list[list[Any]]:
     """Return stage, processor and wall seconds, and peak MB of the recorded runs, in the order of a build."""
-    if build is None:
-        return []
-    costs = recall_costs(build.root, build.key)
+    costs = recall_costs(build.root, build.key) if build else {}
     return [
         [stage, _rounded(cost.cpu_seconds), _rounded(cost.seconds), _rounded(cost.peak_mb)]
         for stage in OBJECT_STAGES

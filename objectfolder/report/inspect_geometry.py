@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import igl
 import numpy as np
+import trimesh
 
 from objectfolder.base.arrays import read_npz
 from objectfolder.base.errors import ObjectFolderError
@@ -35,13 +36,12 @@ def inspect_normalize(build: Build) -> Inspection:
     """Inspect the visual mesh and the closed surface, whole and cut open."""
     require(build, "normalize", build.visual, build.surface, build.normalize)
     report = read_json(build.normalize)
-    scale = report["scale_m"]
+    scale, far = report["scale_m"], report["deviation_max_m"]
     visual = load_mesh(build.visual, "y", AS_STORED)  # as render_views reads it
     vertices, faces = read_surface(build.surface)
     sides = np.ptp(vertices, axis=0) * scale * 1000
-    a, b, c = (vertices[faces[:, i]] * scale for i in range(3))
-    edges = np.linalg.norm(np.concatenate([b - a, c - b, a - c]), axis=1)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    mesh = trimesh.Trimesh(vertices * scale, faces, process=False)
+    edges = mesh.edges_unique_length
     # A closed surface has 3/2 edges per face; Euler's formula then counts its handles.
     holes = report["components"] + report["cavities"] - (len(vertices) - len(faces) / 2) / 2
     table = [
@@ -49,12 +49,9 @@ def inspect_normalize(build: Build) -> Inspection:
         ("source", f"longest side {report['source_size']:.6g} of its units, {report['source_up']} up"),
         ("closed by", _history(report["rungs"])),
         *[("warning", warning) for warning in report["warnings"]],
-        (
-            "deviation from source",
-            f"max {report['deviation_max_m'] * 1e6:.3g} µm, mean {report['deviation_mean_m'] * 1e6:.3g} µm",
-        ),
+        ("deviation from source", f"max {far * 1e6:.3g} µm, mean {report['deviation_mean_m'] * 1e6:.3g} µm"),
         ("volume", f"{report['volume_m3'] * 1e6:.4f} cm³"),
-        ("area", f"{area * 1e4:.3f} cm²"),
+        ("area", f"{mesh.area * 1e4:.3f} cm²"),
         ("surface", f"{len(vertices):,} vertices, {len(faces):,} faces, {_bodies(report)}"),
         ("holes through it", f"{holes:g}"),
         ("edges", f"{span(edges * 1000, 'mm')}, median {np.median(edges) * 1000:.4g} mm"),
@@ -77,11 +74,10 @@ def inspect_voxelize(build: Build) -> Inspection:
     inside_volume = np.count_nonzero(inside) * grid.spacing**3
     in_band = np.count_nonzero(np.abs(grid.values) < 127)
     counts, edges = np.histogram(fill, np.linspace(0, 1, 6))
+    width, cubic = cells.cell_size * scale * 1000, scale**3 * 1e6  # mm; cm³ per unit
+    error, excess = cells.volume_error, inside_volume / volume - 1
     table = [
-        (
-            "cells",
-            f"{len(cells.index):,} of {cells.resolution}^3, {cells.cell_size * scale * 1000:.3f} mm wide",
-        ),
+        ("cells", f"{len(cells.index):,} of {cells.resolution}^3, {width:.3f} mm wide"),
         ("occupancy", f"{' x '.join(map(str, cells.occupancy.shape[1:]))} Legendre moments per cell"),
         ("degrees of freedom", f"{cells.degrees_of_freedom:,}"),
         ("full cells", f"{np.count_nonzero(fill >= FULL):,}"),
@@ -90,19 +86,12 @@ def inspect_voxelize(build: Build) -> Inspection:
             (f"  fill {low:.1f} to {high:.1f}", f"{count:,}")
             for low, high, count in zip(edges[:-1], edges[1:], counts)
         ),
-        ("volume of the surface", f"{volume * scale**3 * 1e6:.4f} cm³"),
-        (
-            "volume of the cells",
-            f"{cells.volume * scale**3 * 1e6:.4f} cm³ ({cells.volume_error:+.3%} before it was corrected)",
-        ),
+        ("volume of the surface", f"{volume * cubic:.4f} cm³"),
+        ("volume of the cells", f"{cells.volume * cubic:.4f} cm³ ({error:+.3%} before it was corrected)"),
         ("dropped pieces", f"{cells.dropped_volume:.4%} of the volume"),
         ("distance grid", f"{len(grid.values)}^3 samples, {grid.spacing * scale * 1000:.4f} mm apart"),
         ("distance band", f"±{grid.band * scale * 1000:.4f} mm, {in_band:,} samples in it"),
-        (
-            "inside samples",
-            f"{np.count_nonzero(inside):,}: {inside_volume * scale**3 * 1e6:.4f} cm³ "
-            f"({inside_volume / volume - 1:+.3%})",
-        ),
+        ("inside samples", f"{inside.sum():,}: {inside_volume * cubic:.4f} cm³ ({excess:+.3%})"),
         ("files", f"solid {kilobytes(build.solid)}, sdf {kilobytes(build.sdf)}"),
     ]
     picture = _voxelize_picture(build, cells, grid, scale)
@@ -125,10 +114,8 @@ def _solid(build: Build) -> tuple[CutCells, float]:
     require(build, "voxelize", build.solid, build.surface, build.normalize)
     cells = solid_from_arrays(read_npz(build.solid, "kind"))
     if not isinstance(cells, CutCells):
-        raise ObjectFolderError(
-            f"{build.key}: solid.npz holds {cells.name}, but only cut cells can be inspected: set "
-            "voxelize.element to cut_cell_hex20"
-        )
+        other = f"{build.key}: solid.npz holds {cells.name}, but only cut cells can be inspected"
+        raise ObjectFolderError(f"{other}: set voxelize.element to cut_cell_hex20")
     return cells, read_json(build.normalize)["scale_m"]
 
 
@@ -137,16 +124,15 @@ def _normalize_picture(
 ) -> Path:
     surface = triangles(vertices, faces)
     opened = surface.clip(normal="-y", origin=(0, 0, 0))
+    lines: dict[str, Any] = {"show_edges": True, "edge_color": "#34495e", "line_width": 0.5}
+    red: dict[str, Any] = {"backface_params": {"color": "#d9534f"}}
     images = {
         "visual.glb": draw_scene(lambda plotter: add_textured(plotter, visual)),
         f"surface.ply: {len(faces):,} faces": draw_scene(
-            lambda plotter: plotter.add_mesh(
-                surface, color=CLAY, show_edges=True, edge_color="#34495e", line_width=0.5
-            )
+            lambda plotter: plotter.add_mesh(surface, color=CLAY, **lines)
         ),
         "cut at y = 0; red is the inside": draw_scene(
-            lambda plotter: plotter.add_mesh(opened, color=CLAY, backface_params={"color": "#d9534f"}),
-            CUT_FROM,
+            lambda plotter: plotter.add_mesh(opened, color=CLAY, **red), CUT_FROM
         ),
     }
     title = f"normalize@{build.key}: {sides[0]:.1f} x {sides[1]:.1f} x {sides[2]:.1f} mm (x, y, z; z up)"
@@ -157,6 +143,8 @@ def _normalize_picture(
 
 
 def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: float) -> Path:
+    from matplotlib import colormaps
+
     middle = (cells.index[:, 1].min() + cells.index[:, 1].max()) / 2
     figure = page(14, 9.5, f"voxelize@{build.key}")
     top, bottom = page_rows(figure, 1, 1)
@@ -167,30 +155,19 @@ def _voxelize_picture(build: Build, cells: CutCells, grid: DistanceGrid, scale: 
     ):
         part = hexahedra(cells.index[keep], cells.lower, cells.cell_size, cells.width[keep])
         part.cell_data["fill"] = cells.fill[keep]
-        image = draw_scene(partial(_add_cells, part), view_from)
-        show_image(axes, image, name)
+        show_image(axes, draw_scene(partial(_add_cells, part), view_from), name)
     _, bins, bars = right.hist(cells.fill, bins=20, range=(0, 1))
     for low, bar in zip(bins, bars.patches):
-        bar.set_facecolor(_viridis(low + 0.025))
-    right.set(
-        title=f"fill of {len(cells.index):,} cells", xlabel="fill (colour as on the left)", ylabel="cells"
-    )
+        bar.set_facecolor(colormaps["viridis"](low + 0.025))
+    right.set(title=f"fill of {len(cells.index):,} cells", ylabel="cells")
+    right.set_xlabel("fill (colour as on the left)")
     _show_slices(bottom, grid, scale)
     return save_page(figure, picture_path(build, "voxelize"))
 
 
 def _add_cells(cells: "pyvista.UnstructuredGrid", plotter: "pyvista.Plotter") -> None:
-    plotter.add_mesh(
-        cells,
-        scalars="fill",
-        cmap="viridis",
-        clim=(0, 1),
-        show_scalar_bar=False,
-        show_edges=True,
-        line_width=0.5,
-        ambient=0.45,
-        diffuse=0.6,
-    )
+    look: dict[str, Any] = {"cmap": "viridis", "clim": (0, 1), "show_edges": True, "line_width": 0.5}
+    plotter.add_mesh(cells, scalars="fill", show_scalar_bar=False, ambient=0.45, diffuse=0.6, **look)
 
 
 def _show_slices(figure: "SubFigure", grid: DistanceGrid, scale: float) -> None:
@@ -202,23 +179,13 @@ def _show_slices(figure: "SubFigure", grid: DistanceGrid, scale: float) -> None:
     for normal, axes in enumerate(panels):
         across, up = (n for n in range(3) if n != normal)
         distance = grid.values.take(count // 2, axis=normal).T * (limit / 127)
-        image = axes.imshow(
-            distance, origin="lower", extent=(-half, half, -half, half), cmap="RdBu", vmin=-limit, vmax=limit
-        )
+        where: dict[str, Any] = {"origin": "lower", "extent": (-half, half, -half, half)}
+        image = axes.imshow(distance, cmap="RdBu", vmin=-limit, vmax=limit, **where)
         if distance.min() < 0 < distance.max():
             axes.contour(axis, axis, distance, levels=[0], colors="black", linewidths=0.8)
-        axes.set(
-            title=f"sdf.npz: slice {'xyz'[normal]} = 0",
-            xlabel=f"{'xyz'[across]} [mm]",
-            ylabel=f"{'xyz'[up]} [mm]",
-        )
+        axes.set(title=f"sdf.npz: slice {'xyz'[normal]} = 0")
+        axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
     figure.colorbar(image, ax=panels, label="signed distance [mm]", shrink=0.9)
-
-
-def _viridis(value: float) -> tuple[float, ...]:
-    import matplotlib
-
-    return matplotlib.colormaps["viridis"](value)
 
 
 def _distance(visual: TexturedMesh, vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -228,17 +195,11 @@ def _distance(visual: TexturedMesh, vertices: np.ndarray, faces: np.ndarray) -> 
 
 
 def _appearance(mesh: TexturedMesh) -> str:
+    look = "no colour" if mesh.vertex_colors is None else "colours at vertices"
     if mesh.texture is not None:
         look = f"texture {mesh.texture.shape[1]}x{mesh.texture.shape[0]}"
-    elif mesh.vertex_colors is not None:
-        look = "colours at vertices"
-    else:
-        look = "no colour"
-    parts = [look]
-    for name in ("roughness", "metallic"):
-        value = getattr(mesh, name)
-        parts += [] if value is None else [f"{name} {value:.3g}"]
-    return ", ".join(parts)
+    known = {"roughness": mesh.roughness, "metallic": mesh.metallic}
+    return ", ".join([look, *(f"{name} {value:.3g}" for name, value in known.items() if value is not None)])
 
 
 def _history(rungs: list[dict[str, Any]]) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -27,29 +27,21 @@ COLORS = {"train": ("blue", "#2563eb"), "val": ("orange", "#f59e0b"), "test": ("
 
 def inspect_render_views(build: Build) -> Inspection:
     """Inspect the views and tiles: images with their lights, and directions of cameras and lights."""
-    paths = [build.views(split) for split in SPLITS]
-    require(build, "render_views", *paths, build.views_sheet)
+    paths = {split: build.views(split) for split in SPLITS}
+    require(build, "render_views", *paths.values(), build.views_sheet)
     names = ("rgba", "camera_to_world", "light", "focal", "center", "renderer")
-    splits = {split: read_npz(path, *names) for split, path in zip(SPLITS, paths)}
-    table = [
-        row
-        for (split, views), path in zip(splits.items(), paths)
-        for row in _view_rows(split, views, kilobytes(path))
-    ]
+    splits = {split: read_npz(path, *names) for split, path in paths.items()}
+    table = [row for split in SPLITS for row in _view_rows(split, splits[split], kilobytes(paths[split]))]
     return Inspection(f"render_views@{build.key}", table, [_views_picture(build, splits), build.views_sheet])
 
 
 def inspect_render_touch(build: Build) -> Inspection:
     """Inspect the contacts: tactile images with their depths, and points on the surface."""
-    paths = [build.touch(split) for split in SPLITS]
-    require(build, "render_touch", *paths, build.touch_sheet, build.surface, build.normalize)
+    paths = {split: build.touch(split) for split in SPLITS}
+    require(build, "render_touch", *paths.values(), build.touch_sheet, build.surface, build.normalize)
     names = ("images", "points", "normals", "depths", "angles", "obstructed")
-    splits = {split: read_npz(path, *names) for split, path in zip(SPLITS, paths)}
-    table = [
-        row
-        for (split, contacts), path in zip(splits.items(), paths)
-        for row in _contact_rows(split, contacts, kilobytes(path))
-    ]
+    splits = {split: read_npz(path, *names) for split, path in paths.items()}
+    table = [row for split in SPLITS for row in _contact_rows(split, splits[split], kilobytes(paths[split]))]
     return Inspection(f"render_touch@{build.key}", table, [_touch_picture(build, splits), build.touch_sheet])
 
 
@@ -57,14 +49,12 @@ def _view_rows(split: str, views: dict[str, np.ndarray], size: str) -> list[tupl
     rgba = views["rgba"].astype(np.float32)
     covered, lit = rgba[..., 3] >= MIN_FOREGROUND_ALPHA, find_lit_foreground(rgba)
     broken = np.count_nonzero(~np.isfinite(rgba))
+    middle, share = np.array(rgba.shape[2:0:-1]) / 2, lit.sum() / max(covered.sum(), 1)
+    kind = "views" if (views["center"] == middle).all() else "tiles"
     return [
-        (split, f"{len(rgba)} {_kind(views)}, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {size}"),
+        (split, f"{len(rgba)} {kind}, {_size(rgba)} pixels RGBA {views['rgba'].dtype}, {size}"),
         ("  radiance", span(rgba[..., :3]) + (f", {broken} values are not finite" if broken else "")),
-        (
-            "  pixels",
-            f"object covers {covered.mean():.1%} of the image; "
-            f"{lit.sum() / max(covered.sum(), 1):.1%} of that is lit",
-        ),
+        ("  pixels", f"object covers {covered.mean():.1%} of the image; {share:.1%} of that is lit"),
         ("  camera distance", span(np.linalg.norm(views["camera_to_world"][:, :3, 3], axis=1), "sizes")),
         ("  light distance", span(np.linalg.norm(views["light"], axis=1), "sizes")),
         ("  focal length", f"{float(views['focal']):g} pixels"),
@@ -97,13 +87,8 @@ def _views_picture(build: Build, splits: dict[str, dict[str, np.ndarray]]) -> Pa
         for split, views in splits.items():
             position = views["camera_to_world"][:, :3, 3] if name == "camera" else views["light"]
             axes.scatter(*_angles(position), s=14, color=COLORS[split][1], label=f"{split} ({len(position)})")
-        axes.set(
-            title=f"{name} directions (equal areas)",
-            xlabel="azimuth [°]",
-            ylabel="sine of elevation",
-            xlim=(-180, 180),
-            ylim=(-1, 1),
-        )
+        axes.set(title=f"{name} directions (equal areas)", xlabel="azimuth [°]", ylabel="sine of elevation")
+        axes.set(xlim=(-180, 180), ylim=(-1, 1))
         axes.grid(alpha=0.3)
     bottom.legend(*directions[0].get_legend_handles_labels(), loc="outside right center")
     return save_page(figure, picture_path(build, "render_views"))
@@ -114,11 +99,23 @@ def _touch_picture(build: Build, splits: dict[str, dict[str, np.ndarray]]) -> Pa
     left, right = page_columns(figure, 2.4, 1)
     left.suptitle("training contacts: press depth [mm]; red: the object reaches behind the gel")
     _show_touches(left.subplots(4, 8).flat, splits["train"])
-    surface, scale = read_surface(build.surface), read_json(build.normalize)["scale_m"]
+    surface, scale = triangles(*read_surface(build.surface)), read_json(build.normalize)["scale_m"]
+
+    def add(plotter: "pyvista.Plotter") -> None:
+        plotter.add_mesh(surface, color=CLAY)
+        for split, contacts in splits.items():
+            if len(contacts["points"]):
+                look: dict[str, Any] = {
+                    "color": COLORS[split][1],
+                    "point_size": 14,
+                    "render_points_as_spheres": True,
+                }
+                plotter.add_points(contacts["points"] / scale, **look)
+
     right.suptitle(", ".join(f"{split} {name}" for split, (name, _) in COLORS.items()))
     x, y, z = VIEW_FROM
     for axes, view_from in zip(right.subplots(2, 1), (VIEW_FROM, (-x, -y, -z))):
-        show_image(axes, _draw_contacts(*surface, scale, splits, view_from))
+        show_image(axes, draw_scene(add, view_from))
     return save_page(figure, picture_path(build, "render_touch"))
 
 
@@ -133,9 +130,8 @@ def _show_views(panels: np.ndarray, views: dict[str, np.ndarray]) -> None:
             continue
         image = on_white(torch.from_numpy(rgba[index].astype(np.float32))).numpy()
         pose, light = views["camera_to_world"][index], views["light"][index]
-        show_image(
-            axes, image, f"az {azimuth[index]:.0f}°, el {np.degrees(np.arcsin(elevation[index])):.0f}°"
-        )
+        above = np.degrees(np.arcsin(elevation[index]))
+        show_image(axes, image, f"az {azimuth[index]:.0f}°, el {above:.0f}°")
         axes.set_axis_on()  # a frame shows to which view a light at the border belongs
         axes.set(xticks=[], yticks=[])
         axes.autoscale(False)  # a light at the border of a tile must not widen it
@@ -156,37 +152,10 @@ def _show_touches(panels: Iterable["Axes"], contacts: dict[str, np.ndarray]) -> 
             axes.set_title(depth, fontsize=10, color="#dc2626" if blocked else "black")
 
 
-def _draw_contacts(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    scale: float,
-    splits: dict[str, dict[str, np.ndarray]],
-    view_from: tuple[float, float, float],
-) -> np.ndarray:
-    def add(plotter: "pyvista.Plotter") -> None:
-        plotter.add_mesh(triangles(vertices, faces), color=CLAY)
-        for split, contacts in splits.items():
-            if len(contacts["points"]):
-                plotter.add_points(
-                    contacts["points"] / scale,
-                    color=COLORS[split][1],
-                    point_size=14,
-                    render_points_as_spheres=True,
-                )
-
-    return draw_scene(add, view_from)
-
-
 def _angles(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return azimuth in degrees and sine of elevation of (N, 3) positions."""
-    return np.degrees(np.arctan2(positions[:, 1], positions[:, 0])), positions[:, 2] / np.linalg.norm(
-        positions, axis=1
-    )
-
-
-def _kind(views: dict[str, np.ndarray]) -> str:
-    middle = np.array(views["rgba"].shape[2:0:-1]) / 2
-    return "views" if (views["center"] == middle).all() else "tiles"
+    x, y, z = positions.T
+    return np.degrees(np.arctan2(y, x)), z / np.linalg.norm(positions, axis=1)
 
 
 def _size(images: np.ndarray) -> str:

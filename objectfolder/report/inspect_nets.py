@@ -17,12 +17,12 @@ from objectfolder.sound.spectrogram import show_spectrogram
 from objectfolder.vision.cameras import CAMERA_RADIUS
 from objectfolder.workspace.layout import Build
 
-LOSSES = {
-    "vision": "squared error of sRGB",
-    "audio": "relative squared error of gains, or of spectrograms",
-    "touch": "squared error of images in [0, 1]",
+#: Unit of the horizontal axis of a training curve, and the loss, by sense.
+CURVES = {
+    "vision": ("step", "squared error of sRGB"),
+    "audio": ("step", "relative squared error of gains, or of spectrograms"),
+    "touch": ("step, or round of the depth offset's search", "squared error of images in [0, 1]"),
 }
-STEPS = {"vision": "step", "audio": "step", "touch": "step, or round of the depth offset's search"}
 CAMERAS = np.array([[0.8, -2.1, 1.1], [2.2, 0.9, 0.7], [-1.7, 1.5, 1.0], [0.3, -1.2, -2.1]])
 LIGHT_OFFSET = np.array([-0.3, -0.3, 0.5])  # beside the camera, so that the visible side is lit
 TOUCHES = 4
@@ -56,7 +56,7 @@ def inspect_net(build: Build, modality: str) -> Inspection:
         return Inspection(f"{stage}@{build.key}", [*table, ("curve", "empty: there was nothing to train")])
     best, last = min(points, key=lambda point: point["val_loss"]), points[-1]
     table += [
-        ("loss", LOSSES[modality]),
+        ("loss", CURVES[modality][1]),
         ("steps", f"{last['step']:.0f}, {len(points)} evaluations"),
         ("last training loss", f"{last['train_loss']:.4g}"),
         ("best validation loss", f"{best['val_loss']:.4g} at step {best['step']:.0f}"),
@@ -66,15 +66,14 @@ def inspect_net(build: Build, modality: str) -> Inspection:
     steps = [point["step"] for point in points]
     for name, label in (("train_loss", "training"), ("val_loss", "validation")):
         axes.plot(steps, [point[name] for point in points], marker="o", markersize=4, label=label)
-    axes.scatter(
-        best["step"],
-        best["val_loss"],
-        s=130,
-        facecolors="none",
-        edgecolors="black",
-        label="lowest validation",
-    )
-    axes.set(xlabel=STEPS[modality], ylabel=LOSSES[modality])
+    ring: dict[str, Any] = {
+        "s": 130,
+        "facecolors": "none",
+        "edgecolors": "black",
+        "label": "lowest validation",
+    }
+    axes.scatter(best["step"], best["val_loss"], **ring)
+    axes.set(xlabel=CURVES[modality][0], ylabel=CURVES[modality][1])
     losses = [point[name] for point in points for name in ("train_loss", "val_loss")]
     if 0 < 10 * min(losses) < max(losses):
         axes.set_yscale("log")
@@ -119,8 +118,7 @@ def _pack_picture(build: Build, file: ObjectFile) -> Path:
     lights = CAMERAS / CAMERA_RADIUS + LIGHT_OFFSET
     for axes, image, camera in zip(views.subplots(1, len(CAMERAS)), file.view(CAMERAS, lights), CAMERAS):
         show_image(axes, image, f"camera at {_triple(camera)} sizes")
-    fixed = file.fixed_contact
-    if fixed is not None:
+    if (fixed := file.fixed_contact) is not None:
         depth, angle = fixed.depth, fixed.angle
     else:
         depth, angle = min(PRESS, file.sensor_profile.max_indentation), 0.0
@@ -129,27 +127,20 @@ def _pack_picture(build: Build, file: ObjectFile) -> Path:
     sound = file.impact(points[:1], np.array([[0.0, 0.0, 1.0]]))[0]
     left, right = sounds.subplots(1, 2)
     left.plot(np.arange(len(sound)) / 16000, sound * 1e6, linewidth=0.5)
-    left.set(
-        title=f"struck at {_triple(points[0] * 1000)} mm with 1 N s along z",
-        xlabel="time [s]",
-        ylabel="sum of modal displacements [$10^{-6}$ m kg$^{1/2}$]",
-    )
+    left.set(title=f"struck at {_triple(points[0] * 1000)} mm with 1 N s along z", xlabel="time [s]")
+    left.set_ylabel("sum of modal displacements [$10^{-6}$ m kg$^{1/2}$]")
     left.grid(alpha=0.3)
     show_spectrogram(right, sound, "its spectrogram")
     return save_page(figure, picture_path(build, "pack"))
 
 
 def _tensor_rows(tensors: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
-    listed = [
-        (
-            f"  {name}",
-            f"{value.dtype} {'x'.join(map(str, value.shape)) or 'scalar'}, {in_kilobytes(value.nbytes)}",
-        )
-        for name, value in sorted(tensors.items())
-    ]
-    total = sum(value.nbytes for value in tensors.values())
-    size = sum(value.size for value in tensors.values())
-    return [("tensors", f"{len(tensors)}: {size:,} numbers, {in_kilobytes(total)}"), *listed]
+    total, size = (sum(getattr(value, name) for value in tensors.values()) for name in ("nbytes", "size"))
+    rows = [("tensors", f"{len(tensors)}: {size:,} numbers, {in_kilobytes(total)}")]
+    for name, value in sorted(tensors.items()):
+        shape = "x".join(map(str, value.shape)) or "scalar"
+        rows.append((f"  {name}", f"{value.dtype} {shape}, {in_kilobytes(value.nbytes)}"))
+    return rows
 
 
 def _leaves(value: Any) -> Iterator[tuple[str, str]]:

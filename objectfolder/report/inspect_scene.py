@@ -82,12 +82,10 @@ def hexahedra(
     """
     pyvista = _pyvista()
     # Corners in VTK's order: around the bottom, then around the top.
-    corner = np.array(
-        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
-    )
-    nodes, cells = np.unique(
-        (index[:, None] + width[:, None, None] * corner).reshape(-1, 3), axis=0, return_inverse=True
-    )
+    around = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    corner = np.array([(x, y, z) for z in (0, 1) for x, y in around])
+    corners = (index[:, None] + width[:, None, None] * corner).reshape(-1, 3)
+    nodes, cells = np.unique(corners, axis=0, return_inverse=True)
     return pyvista.UnstructuredGrid({pyvista.CellType.HEXAHEDRON: cells.reshape(-1, 8)}, nodes * size + lower)
 
 
@@ -95,9 +93,8 @@ def _pyvista() -> Any:
     try:
         import pyvista
     except ModuleNotFoundError as error:
-        raise ObjectFolderError(
-            f"{error.name} is not installed; this needs: {install_command('inspect')}"
-        ) from error
+        missing = f"{error.name} is not installed; this needs: {install_command('inspect')}"
+        raise ObjectFolderError(missing) from error
     return pyvista
 
 

@@ -1,7 +1,7 @@
 """Inspections of modal and radiation: the modes, how a strike sounds, and in which directions it is heard."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -43,29 +43,22 @@ def inspect_modal(build: Build) -> Inspection:
     count, total = len(damping), report["count_below_max_frequency"]
     errors = report.get("discretisation_error") or []
     splits = np.bincount(modes["split"], minlength=3)
-    listed = [
-        (
-            f"  mode {i + 1}",
-            f"{frequency[i]:9.2f} Hz, T60 {decay[i]:.3g} s, Q {natural[i] / (2 * damping[i]):.4g}"
-            + (f", estimated error {errors[i]:.2%}" if i < len(errors) else ""),
-        )
-        for i in range(min(count, LISTED))
-    ]
+    quality = natural / (2 * damping)
+    listed = []
+    for i in range(min(count, LISTED)):
+        error = f", estimated error {errors[i]:.2%}" if i < len(errors) else ""
+        text = f"{frequency[i]:9.2f} Hz, T60 {decay[i]:.3g} s, Q {quality[i]:.4g}{error}"
+        listed.append((f"  mode {i + 1}", text))
+    worst = f"of the lowest {len(errors)} frequencies: up to {max(errors):.2%}" if errors else "not known"
+    below = "not counted" if total is None else f"{total}"
     table = [
         ("material", f"{report['material']}, {report['mass_kg'] * 1000:.4g} g"),
         ("model", f"{report['element']}, resolution {report['resolution']}, {report['elements']:,} elements"),
         ("degrees of freedom", f"{report['degrees_of_freedom']:,}"),
         ("modes", f"{count}, of which {report['modes_below_8_kHz']} below 8 kHz"),
-        (
-            f"below {report['max_frequency_hz'] / 1000:g} kHz",
-            ("not counted" if total is None else f"{total}")
-            + (" (truncated)" if report["truncated"] else ""),
-        ),
+        (f"below {report['max_frequency_hz'] / 1000:g} kHz", below + " (truncated)" * report["truncated"]),
         ("frequencies", span(frequency, "Hz", ",.0f")),
-        (
-            "estimated error",
-            f"of the lowest {len(errors)} frequencies: up to {max(errors):.2%}" if errors else "not known",
-        ),
+        ("estimated error", worst),
         ("decay times T60", span(decay, "s")),
         *listed,
         *([("  ...", f"{count - LISTED} more")] if count > LISTED else []),
@@ -95,15 +88,13 @@ def _modal_picture(
     left, right = bottom.subplots(1, 2)
     point, direction, sound = _loudest_strike(modes)
     place = np.array2string(modes["points"][point] * scale * 1000, precision=1, suppress_small=True)
-    show_spectrogram(
-        left, sound, f"struck at {place} mm along {'xyz'[direction]}: loudest point (displacement)"
-    )
+    struck = f"struck at {place} mm along {'xyz'[direction]}"
+    show_spectrogram(left, sound, f"{struck}: loudest point (displacement)")
     right.scatter(frequency / 1000, decay, s=18)
     right.set(title=f"all {len(frequency)} modes", xlabel="frequency [kHz]", ylabel="decay time T60 [s]")
     right.set_yscale("log")
-    right.axvline(
-        SAMPLE_RATE / 2000, color="grey", linestyle=":", label="Nyquist frequency of the spectrogram"
-    )
+    nyquist = "Nyquist frequency of the spectrogram"
+    right.axvline(SAMPLE_RATE / 2000, color="grey", linestyle=":", label=nyquist)
     right.legend()
     right.grid(alpha=0.3, which="both")
     return save_page(figure, picture_path(build, "modal"))
@@ -115,20 +106,19 @@ def _draw_shape(vertices: np.ndarray, faces: np.ndarray, shape: np.ndarray) -> n
     largest = max(float(amplitude.max()), 1e-30)
     moved = triangles(vertices + shape * (DISPLACEMENT / largest), faces)
     moved.point_data["amplitude"] = amplitude / largest
+    look: dict[str, Any] = {"cmap": "YlOrRd", "clim": (0, 1), "smooth_shading": True}
     return draw_scene(
-        lambda plotter: plotter.add_mesh(
-            moved, scalars="amplitude", cmap="YlOrRd", clim=(0, 1), show_scalar_bar=False, smooth_shading=True
-        )
+        lambda plotter: plotter.add_mesh(moved, scalars="amplitude", show_scalar_bar=False, **look)
     )
 
 
 def _loudest_strike(modes: dict[str, np.ndarray]) -> tuple[int, int, np.ndarray]:
     """Return the point and axis whose unit impulse gives the most energy, and its sound (samples,)."""
-    energy = modes["shapes"].astype(np.float64) ** 2 @ energy_weights(
-        modes["damped_frequency"], modes["damping"]
-    )
+    tuning = modes["damped_frequency"], modes["damping"]
+    energy = modes["shapes"].astype(np.float64) ** 2 @ energy_weights(*tuning)
     point, axis = (int(i) for i in np.unravel_index(energy.argmax(), energy.shape))
-    bank = sinusoid_bank(torch.from_numpy(modes["damped_frequency"]), torch.from_numpy(modes["damping"]))
+    damped, damping = map(torch.from_numpy, tuning)
+    bank = sinusoid_bank(damped, damping)
     force = torch.eye(3)[axis][None]
     return point, axis, (gains(torch.from_numpy(modes["shapes"][[point]]), force) @ bank)[0].numpy()
 
@@ -150,14 +140,9 @@ def inspect_radiation(build: Build) -> Inspection:
     ]
     figure = page(15, 9, f"radiation@{build.key}: levels of modes over directions")
     upper, lower = page_rows(figure, 2, 1)
-    chosen: list[int] = np.unique(np.linspace(0, max(len(hertz) - 1, 0), MAPS).astype(int))[
-        : len(hertz)
-    ].tolist()
+    chosen = sorted({int(mode) for mode in np.linspace(0, len(hertz) - 1, MAPS) if len(hertz)})
     panels = upper.subplots(2, MAPS // 2)
-    maps = [
-        show_directivity(axes, field, mode, f"{hertz[mode]:.0f} Hz")
-        for axes, mode in zip(panels.flat, chosen)
-    ]
+    maps = [show_directivity(axes, field, n, f"{hertz[n]:.0f} Hz") for axes, n in zip(panels.flat, chosen)]
     if maps:
         upper.colorbar(maps[0], ax=panels, label="dB relative to the loudest direction")
     for axes in panels.flat[len(maps) :]:
@@ -172,9 +157,8 @@ def inspect_radiation(build: Build) -> Inspection:
 
 def show_directivity(axes: "Axes", field: FarField, mode: int, title: str) -> "AxesImage":
     """Show a mode's level far away, over azimuth and elevation, in dB below the loudest direction."""
-    up, turn = np.meshgrid(
-        np.linspace(np.pi / 2, -np.pi / 2, _HEIGHTS), np.linspace(-np.pi, np.pi, _TURNS), indexing="ij"
-    )
+    heights, turns = np.linspace(np.pi / 2, -np.pi / 2, _HEIGHTS), np.linspace(-np.pi, np.pi, _TURNS)
+    up, turn = np.meshgrid(heights, turns, indexing="ij")
     flat = np.cos(up)
     directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sin(up)], 2).reshape(-1, 3)
     order = int(np.sqrt(field.coefficients.shape[1])) - 1

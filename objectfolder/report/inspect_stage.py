@@ -47,9 +47,8 @@ def inspect_stage(stage: str, key: str, root: str | Path = ".", vtu: bool = Fals
     build = Build(check_key(key), root)
     refuse_links(build.inspections, Path(root))
     if vtu and stage != "voxelize":
-        raise ObjectFolderError(
-            f"{stage}@{key} holds no solid to export; use `objectfolder inspect voxelize@{key} --vtu`"
-        )
+        other = f"use `objectfolder inspect voxelize@{key} --vtu`"
+        raise ObjectFolderError(f"{stage}@{key} holds no solid to export; {other}")
     inspection = STAGES[stage](build)
     if vtu:
         inspection.files.append(export_vtu(build))

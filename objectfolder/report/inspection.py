@@ -23,15 +23,11 @@ class Inspection:
 
 
 def require(build: Build, stage: str, *paths: Path) -> None:
-    """Check that a stage's artifacts exist.
-
-    Raises ObjectFolderError if one is missing.
-    """
+    """Raise ObjectFolderError unless a stage's artifacts exist."""
+    name = f"{stage}@{build.key}"
     for path in paths:
         if not path.is_file():
-            raise ObjectFolderError(
-                f"{stage}@{build.key}: {path} does not exist; run `objectfolder build {stage}@{build.key}`"
-            )
+            raise ObjectFolderError(f"{name}: {path} does not exist; run `objectfolder build {name}`")
 
 
 def picture_path(build: Build, stage: str) -> Path:

@@ -1,9 +1,8 @@
 """A listening study: which of two sounds is more real? The paper's user study (supplementary D)."""
 
-import base64
 import csv
 import hashlib
-import io
+import itertools
 import json
 import re
 from collections import defaultdict
@@ -13,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import soundfile
 
 from objectfolder.base.checks import whole_number
 from objectfolder.base.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.base.text import from_csv, in_script
+from objectfolder.report.pictures import flac_uri
 from objectfolder.sound.recordings import loudest_channel, open_sound, read_channels, resample_sound
 from objectfolder.viewer.page import fill_page, static_text
 
@@ -95,20 +94,14 @@ def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> st
             {
                 "name": name,
                 "material": material_of(name),
-                "sounds": [_encoded(sound * PEAK / peak, rate) for sound, rate in pair],
+                "sounds": [flac_uri(sound * PEAK / peak, rate) for sound, rate in pair],
             }
             for name, pair in zip(chosen, sounds)
         ],
     }
     study["id"] = hashlib.sha256(json.dumps(study).encode()).hexdigest()[:12]
-    return fill_page(
-        "listening.html",
-        {
-            "title": "Which sounds more real?",
-            "study": in_script(study),
-            "script": static_text("listening.js"),
-        },
-    )
+    content = {"title": "Which sounds more real?", "study": in_script(study)}
+    return fill_page("listening.html", content | {"script": static_text("listening.js")})
 
 
 def material_of(name: str) -> str:
@@ -138,9 +131,8 @@ def preferences(paths: list[Path], page: Path | None = None) -> Scores:
             model = model or row
             problem = _contradiction(row, model, study)
             if trial is not None and not problem and trials.setdefault((listener, trial), pair) != pair:
-                problem = (
-                    f"trial {trial} of listener {quoted(listener)} was pair {quoted(trials[listener, trial])}"
-                )
+                other = trials[listener, trial]
+                problem = f"trial {trial} of listener {quoted(listener)} was pair {quoted(other)}"
             if problem:
                 raise ObjectFolderError(f"{path}: line {number}: {problem}; {REPAIR}")
             answer, key = {name: row[name] for name in COLUMNS}, (listener, pair)
@@ -173,10 +165,8 @@ def _answers(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
                 )
             for row in reader:
                 if row.get(None) or None in row.values():
-                    raise ObjectFolderError(
-                        f"{path}: line {reader.line_num} does not have {len(head)} cells, as the first line; "
-                        f"{REPAIR}"
-                    )
+                    problem = f"does not have {len(head)} cells, as the first line"
+                    raise ObjectFolderError(f"{path}: line {reader.line_num} {problem}; {REPAIR}")
                 yield reader.line_num, {name: from_csv(cell) for name, cell in row.items()}
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ObjectFolderError(f"{path} cannot be read as CSV ({shortened(error, 200)})") from error
@@ -193,8 +183,7 @@ def _contradiction(row: dict[str, str], model: dict[str, str], study: dict[str, 
     for name in ("chosen", "ours"):
         if row[name] not in sides:
             return f"{name} is {quoted(row[name])}, expected {quoted(sides[0])} or {quoted(sides[1])}"
-    if row["material"] != material_of(row["pair"]):
-        expected = material_of(row["pair"])
+    if row["material"] != (expected := material_of(row["pair"])):
         return f"material is {quoted(row['material'])}, expected {quoted(expected)} of {quoted(row['pair'])}"
     trial = row.get(TRIAL)
     if trial is not None and not re.fullmatch("[1-9][0-9]{0,8}", trial):
@@ -221,14 +210,12 @@ def _study_of(page: Path) -> dict[str, Any]:
         found = re.search(r'<script type="application/json" id="study">(.*?)</script>', text, re.DOTALL)
         study = json.loads(found[1]) if found else {}
     except (OSError, ValueError) as error:
-        raise ObjectFolderError(
-            f"{page} cannot be read as a page of a study ({shortened(error, 200)})"
-        ) from error
+        unread = f"{page} cannot be read as a page of a study ({shortened(error, 200)})"
+        raise ObjectFolderError(unread) from error
     match study:
-        case {"id": str(), "methods": [str(), str()], "pairs": [*pairs]} if all(
-            isinstance(one, dict) and isinstance(one.get("name"), str) for one in pairs
-        ):
-            return study
+        case {"id": str(), "methods": [str(), str()], "pairs": [*pairs]}:
+            if all(isinstance(one, dict) and isinstance(one.get("name"), str) for one in pairs):
+                return study
     raise ObjectFolderError(f"{page} is no page of a study, expected one of `objectfolder listening make`")
 
 
@@ -240,13 +227,10 @@ def _sound_files(folder: Path) -> dict[str, Path]:
 
 def _drawn(names: list[str], count: int, seed: int) -> list[str]:
     """Draw names so that materials are as even as they can be."""
-    rng = np.random.default_rng(seed)
-    turns: dict[str, int] = defaultdict(int)
-    ranked = []
-    for name in rng.permutation(names).tolist():
-        ranked.append((turns[material_of(name)], name))
-        turns[material_of(name)] += 1
-    return [name for _, name in sorted(ranked, key=lambda pair: pair[0])[:count]]
+    rounds: dict[str, Iterator[int]] = defaultdict(itertools.count)
+    drawn = np.random.default_rng(seed).permutation(names).tolist()
+    turns = {name: next(rounds[material_of(name)]) for name in drawn}
+    return sorted(drawn, key=turns.__getitem__)[:count]
 
 
 def _levelled(path: Path) -> tuple[np.ndarray, int]:
@@ -258,18 +242,11 @@ def _levelled(path: Path) -> tuple[np.ndarray, int]:
         sound = loudest_channel(read_channels(file, path, LONGEST), path)
     peak = np.abs(sound).max(initial=0)
     if not peak > 0:
-        raise ObjectFolderError(
-            f"{path} is silent in its first {LONGEST:g} s, expected a sound; remove the silence before it"
-        )
+        silent = f"{path} is silent in its first {LONGEST:g} s, expected a sound"
+        raise ObjectFolderError(f"{silent}; remove the silence before it")
     played = min(rate, PLAYED)
     sound = resample_sound(sound / peak, rate, played)
     power = np.concatenate([[0.0], np.square(sound).cumsum()])
     window = max(min(int(WINDOW * played), len(sound)), 1)
     loudest = (power[window:] - power[:-window]).max() / window
     return sound / np.sqrt(loudest), played
-
-
-def _encoded(sound: np.ndarray, rate: int) -> str:
-    buffer = io.BytesIO()
-    soundfile.write(buffer, sound, rate, format="FLAC", subtype="PCM_16")
-    return "data:audio/flac;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -31,9 +31,14 @@ def picture_uri(image: np.ndarray) -> str:
 
 def sound_uri(sound: np.ndarray, peak: float, rate: int) -> str:
     """Return a (samples,) sound at ``rate`` samples per second, of which ``peak`` is full scale, as FLAC."""
-    buffer = io.BytesIO()
     scaled = 0.9 * sound / peak if peak > 0 else sound
-    soundfile.write(buffer, scaled.clip(-1, 1), rate, format="FLAC", subtype="PCM_16")
+    return flac_uri(scaled.clip(-1, 1), rate)
+
+
+def flac_uri(sound: np.ndarray, rate: int) -> str:
+    """Return a (samples,) sound in [-1, 1] as FLAC."""
+    buffer = io.BytesIO()
+    soundfile.write(buffer, sound, rate, format="FLAC", subtype="PCM_16")
     return _uri("audio/flac", buffer)
 
 

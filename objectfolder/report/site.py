@@ -9,14 +9,7 @@ from objectfolder.base.disk import refuse_links
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import write_text
 from objectfolder.base.text import in_html, in_script
-from objectfolder.report.facts import (
-    SCORES,
-    ObjectReport,
-    failed_object,
-    missing_object,
-    object_report,
-    read_key,
-)
+from objectfolder.report.facts import SCORES, ObjectReport, missing_object, object_report, read_key
 from objectfolder.viewer.page import fill_page, page_parts, static_text
 
 
@@ -46,9 +39,8 @@ def write_site(
     taken = set(missing or {})
     for path, known in zip(paths, found):
         if known in taken:
-            raise ObjectFolderError(
-                f"{path}: another file holds an object of the key {known}; give one of them"
-            )
+            twice = f"{path}: another file holds an object of the key {known}; give one of them"
+            raise ObjectFolderError(twice)
         if known is not None:
             taken.add(known)
     keys = []
@@ -68,15 +60,19 @@ def write_site(
                 if on_failure is None:
                     raise
                 on_failure(key, error)
-                rows.append(failed_object(key, error))
+                rows.append(missing_object(key, {"material": "unknown"}, error))
             else:
                 rows.append(found.row)
                 write(found)
                 on_object(key)
         return _page(title, rows, held, single_file)
 
+    def embed(found: ObjectReport) -> None:
+        tag = f'<script type="application/json" data-report="{in_html(found.row["key"])}">'
+        held.append(f"{tag}{in_script(found.detail)}</script>")
+
     if single_file:
-        write_text(out, report(lambda found: held.append(_embedded(found))))
+        write_text(out, report(embed))
         return out
     out.mkdir(parents=True, exist_ok=True)
     refuse_links(out / "objects", out)
@@ -88,7 +84,11 @@ def write_site(
             write_text(scratch / name, text)
             names.append(name)
 
-        page = report(lambda found: keep(f"objects/{found.row['key']}.js", _script(found)))
+        def keep_object(found: ObjectReport) -> None:
+            """Write the file that the page loads when it opens an object: scripts load from disk."""
+            keep(f"objects/{found.row['key']}.js", f"objectfolderReport({in_script(found.detail)});\n")
+
+        page = report(keep_object)
         keep("viewer.js", f"objectfolderViewer({in_script(static_text('viewer.js'))});\n")
         keep("index.html", page)
         for name in names:
@@ -99,9 +99,8 @@ def write_site(
 
 def _page(title: str, rows: list[dict[str, Any]], held: list[str], single_file: bool) -> str:
     # What the live viewer is made of; the page puts an object into it.
-    frame = fill_page(
-        "page.html", page_parts({}, "{{title}}") | {"objects": "{{objects}}", "script": "{{script}}"}
-    )
+    parts = page_parts({}, "{{title}}") | {"objects": "{{objects}}", "script": "{{script}}"}
+    frame = fill_page("page.html", parts)
     content = {
         "title": in_html(title),
         "data": in_script({"rows": rows, "scores": SCORES, "frame": frame}),
@@ -110,15 +109,3 @@ def _page(title: str, rows: list[dict[str, Any]], held: list[str], single_file: 
         "script": static_text("report.js"),
     }
     return fill_page("report.html", content)
-
-
-def _script(report: ObjectReport) -> str:
-    """Return the file that the page loads when an object is opened; scripts load from disk, data does not."""
-    return f"objectfolderReport({in_script(report.detail)});\n"
-
-
-def _embedded(report: ObjectReport) -> str:
-    return (
-        f'<script type="application/json" data-report="{in_html(report.row["key"])}">'
-        f"{in_script(report.detail)}</script>"
-    )

@@ -1,4 +1,4 @@
-"""Procedural generators: parametric families of textured objects, one module each.
+"""Procedural generators: parametric families of textured objects.
 
 Most take ``finish``, ``color``, ``accent`` and ``seed`` of `objectfolder.shapes.finish.finish`,
 and all ``texture_size``, the side of the texture in texels. A generator raises `ObjectFolderError` if an
@@ -15,22 +15,16 @@ from objectfolder.shapes.airplane import airplane
 from objectfolder.shapes.appliance import appliance
 from objectfolder.shapes.bell import bell
 from objectfolder.shapes.block import block
-from objectfolder.shapes.bottle import bottle
-from objectfolder.shapes.bowl import bowl
-from objectfolder.shapes.cup import cup
 from objectfolder.shapes.die import die
 from objectfolder.shapes.electronics import electronics
+from objectfolder.shapes.furniture import shelf, stool, table
 from objectfolder.shapes.hammer import hammer
 from objectfolder.shapes.mug import mug
 from objectfolder.shapes.pan import pan
-from objectfolder.shapes.plate import plate
-from objectfolder.shapes.shelf import shelf
 from objectfolder.shapes.spoon import spoon
-from objectfolder.shapes.stool import stool
-from objectfolder.shapes.table import table
 from objectfolder.shapes.teapot import teapot
 from objectfolder.shapes.toy import toy
-from objectfolder.shapes.vase import vase
+from objectfolder.shapes.vessels import bottle, bowl, cup, plate, vase
 from objectfolder.shapes.wrench import wrench
 
 __all__ = ["GENERATORS", "generate"]

@@ -5,7 +5,7 @@ import numpy as np
 
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble, union
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.sweep import tube
 
 TIP = 0.55  #: chord at the tip of a wing, in chords at its root
@@ -15,19 +15,11 @@ BLUNT = 0.06  #: rounded end of a wing, in half spans
 STATIONS = 24  #: sections of half a wing
 
 
+@generator("plastic", color="e9e4d6", accent="c8412f")
 def airplane(
-    length: float = 0.22,
-    span: float = 0.24,
-    body: float = 0.034,
-    chord: float = 0.05,
-    wing: float = 0.003,
-    sweep: float = 0.02,
-    finish: str = "plastic",
-    color: str | None = "e9e4d6",
-    accent: str | None = "c8412f",
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+    order: Order, length: Size = 0.22, span: Size = 0.24, body: Size = 0.034, chord: Size = 0.05,
+    wing: Size = 0.003, sweep: float = 0.02,
+) -> TexturedMesh:  # fmt: skip
     """Build an airplane.
 
     One closed surface of genus 0, facing +x, with the body's lowest point at z = 0.
@@ -48,15 +40,13 @@ def airplane(
     accent : str, optional
         Colour of the wings.
     """
-    check = Checks("airplane", texture_size)
-    check.positive(length=length, span=span, body=body, chord=chord, wing=wing)
-    check.between(0.5 * length, 2 * length, "0.5 to 2 lengths", span=span)
-    check.between(0.08 * length, 0.25 * length, "8 % to 25 % of the length", body=body)
-    check.between(0.1 * length, 0.35 * length, "10 % to 35 % of the length", chord=chord)
-    check.between(0.02 * chord, 0.4 * body, "2 % of the chord to 40 % of the body", wing=wing)
-    check.not_negative(0.3 * length, "30 % of the length", sweep=sweep)
+    order.between(0.5 * length, 2 * length, "0.5 to 2 lengths", span=span)
+    order.between(0.08 * length, 0.25 * length, "8 % to 25 % of the length", body=body)
+    order.between(0.1 * length, 0.35 * length, "10 % to 35 % of the length", chord=chord)
+    order.between(0.02 * chord, 0.4 * body, "2 % of the chord to 40 % of the body", wing=wing)
+    order.between(0, 0.3 * length, "30 % of the length", sweep=sweep)
 
-    look = Look(finish, max(length, span), color, accent, seed)
+    look = Look.of(order, max(length, span))
     nose = length / 2
     t = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 48))  # closer towards both ends
     thick = body * np.sqrt(np.maximum(1 - t**2, 0.004)) * (0.72 + 0.28 * t)
@@ -80,7 +70,7 @@ def airplane(
         PaintedPart.of(tail, trim.paint((0.0, 1.0, 0.0), 2)),
         PaintedPart.of(fin, trim.paint((0.0, 0.0, 1.0), 3)),
     ]
-    return assemble(union(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, order.texture_size)
 
 
 def _pair(span: float, chord: float, thickness: float, sweep: float) -> manifold3d.Manifold:

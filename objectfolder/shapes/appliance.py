@@ -6,7 +6,6 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.shapes.assembly import Look
 from objectfolder.shapes.extrusion import extrude_y, inset, prism, rectangle, round_corners
 from objectfolder.shapes.fittings import (
     DARK,
@@ -14,37 +13,21 @@ from objectfolder.shapes.fittings import (
     SPACING,
     Kit,
     bars,
+    build_kind,
     knob,
     loop,
     rounded_disc,
     torus,
     turn_profile,
 )
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.section import resample_evenly, round_polyline
 from objectfolder.shapes.sweep import bar, tube
 from objectfolder.shapes.texture import over, rgb, smoothstep
 
-KINDS = ("toaster", "lantern", "iron", "dryer")
-#: Colour and accent of each kind where none is asked for.
-COLOURS = {
-    "toaster": ("b4bac0", "2e2f33"),
-    "lantern": ("4a4b50", "f4b740"),
-    "iron": ("2f7fc1", "eef0ea"),
-    "dryer": ("e9b93a", "2e2f33"),
-}
 
-
-def appliance(
-    kind: str = "toaster",
-    span: float = 0.295,
-    plump: float = 1.0,
-    finish: str = "plastic",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+@generator("plastic")
+def appliance(order: Order, kind: str = "toaster", span: Size = 0.295, plump: Size = 1.0) -> TexturedMesh:
     """Build a toaster with two slots, a lantern, a clothes iron or a hair dryer.
 
     One closed surface. Toasters and dryers are hollow and open, with walls of 3 % of the span or more.
@@ -60,15 +43,7 @@ def appliance(
     accent : str, optional
         Colour of the toaster's base and lever, of the lantern's lamp, or of the handle.
     """
-    check = Checks("appliance", texture_size)
-    check.choice(KINDS, kind=kind)
-    check.positive(span=span, plump=plump)
-    check.between(0.8, 1.25, "usual widths", plump=plump)
-
-    body, trim = COLOURS[kind]
-    look = Look(finish, span, color or body, accent or trim, seed)
-    makers = {"toaster": _toaster, "lantern": _lantern, "iron": _iron, "dryer": _dryer}
-    return makers[kind](look, plump).build(texture_size)
+    return build_kind(order, kind, MAKERS, span, plump, "usual widths")
 
 
 def _face_x(solid: manifold3d.Manifold) -> manifold3d.Manifold:
@@ -76,7 +51,7 @@ def _face_x(solid: manifold3d.Manifold) -> manifold3d.Manifold:
     return solid.rotate((0.0, 0.0, 90.0))
 
 
-def _toaster(look: Look, plump: float) -> Kit:
+def _toaster(kit: Kit, plump: float) -> None:
     """Build a toaster with slots into a hollow body; lever and dial are on its end at +x."""
     half, shift = 0.25 * plump, -0.035  # half the width; the body's centre along x
     x, z = [-1, 1, 1, 0.66, -0.66, -1], [0.05, 0.05, 0.44, 0.60, 0.60, 0.44]
@@ -98,20 +73,18 @@ def _toaster(look: Look, plump: float) -> Kit:
     paddle = prism([rectangle(0.13, 0.17, 0.05)], 0.05, SPACING, 0.015).translate((0.5 - 0.065, 0, 0.43))
     dial = _face_x(knob(0.065, 0.05, turn=35.0)).translate((end, 0, 0.165))
 
-    dark = look.accent
-    kit = Kit(look)
-    kit.body(look.color, body)
+    dark = kit.look.accent
+    kit.body(kit.look.color, body)
     kit.body(dark, base)
-    kit.body(look.color, ribs, piece=1)
+    kit.body(kit.look.color, ribs, piece=1)
     kit.body("8d939a", *rims, piece=2)
     kit.body(dark, *feet, piece=3)
     kit.cut("26272a", hollow, *openings, track)
     kit.detail(dark, paddle)
     kit.detail(dark, dial, piece=4)
-    return kit
 
 
-def _lantern(look: Look, plump: float) -> Kit:
+def _lantern(kit: Kit, plump: float) -> None:
     """Build a lantern: a tank, a ribbed lamp behind four posts with guard rings, a cap and a ring."""
     w = plump
     r = np.array([0, 0.27, 0.27, 0.235, 0.235, 0.13, 0.13, 0]) * w
@@ -149,20 +122,18 @@ def _lantern(look: Look, plump: float) -> Kit:
         return over(colour, rgb("fff0b8"), 0.85 * smoothstep(1.1, 0.1, far))
 
     brass = "b08a4a"
-    kit = Kit(look)
-    kit.body(look.color, turn_profile(tank), axis=None)
-    kit.body(look.color, turn_profile(cap), axis=None, piece=1)
+    kit.body(kit.look.color, turn_profile(tank), axis=None)
+    kit.body(kit.look.color, turn_profile(cap), axis=None, piece=1)
     kit.cut(DARK, *holes)
-    kit.detail(look.accent, globe.warp_batch(ribbed), decor=glow)
-    kit.detail(look.color, *posts, axis=(0, 0, 1), piece=2)
-    kit.detail(look.color, *guards, axis=None, piece=3)
+    kit.detail(kit.look.accent, globe.warp_batch(ribbed), decor=glow)
+    kit.detail(kit.look.color, *posts, axis=(0, 0, 1), piece=2)
+    kit.detail(kit.look.color, *guards, axis=None, piece=3)
     kit.detail(brass, ring, axis=(0, 0, 1))
     kit.detail(brass, burner, axis=None)
     kit.detail(brass, wick)
-    return kit
 
 
-def _iron(look: Look, plump: float) -> Kit:
+def _iron(kit: Kit, plump: float) -> None:
     """Build a clothes iron whose tip points to +x, with steam holes in its sole and a cord at its rear."""
     t = np.linspace(0, 1, 60)
     x, y = -0.40 + 0.90 * t, 0.20 * plump * (1 - t**2.4) ** 0.8 * np.minimum(1, (t / 0.10 + 0.05)) ** 0.3
@@ -202,21 +173,19 @@ def _iron(look: Look, plump: float) -> Kit:
     cord = cord.trim_by_plane((1.0, 0, 0), -0.5)
     rings = [torus(0.026 - 0.002 * k, 0.022, 10).rotate((0, 84, 0)) for k in range(3)]
     rings = [one.translate((-0.375 - 0.035 * k, 0, 0.397 + 0.004 * k)) for k, one in enumerate(rings)]
-    accent = look.accent
-    kit = Kit(look)
+    accent = kit.look.accent
     kit.body(METAL, sole)
     kit.body(accent, skirt)
-    kit.body(look.color, body)
+    kit.body(kit.look.color, body)
     kit.body(accent, grip, piece=1)
     kit.cut(DARK, *holes)
     kit.detail(accent, dial, piece=2)
     kit.detail("d23b30", mark, button)
     kit.detail(METAL, nozzle)
     kit.detail(DARK, cord, *rings)
-    return kit
 
 
-def _dryer(look: Look, plump: float) -> Kit:
+def _dryer(kit: Kit, plump: float) -> None:
     """Build a hair dryer upright on its grip: a barrel along x, open in front, slotted at the rear."""
     w, axis = plump, 0.98 - 0.175 * plump
 
@@ -247,13 +216,20 @@ def _dryer(look: Look, plump: float) -> Kit:
         ends = np.array([[x, 0, z - 0.013], [x, 0, z + 0.013]])
         ribs.append(tube(ends, 0.150 * w, 0.175 * w, (0.0, 1.0, 0.0), 32, 2.5))
     switch = _face_x(extrude_y([rectangle(0.07, 0.085, 0.02, 4)], 0.08, SPACING, 0.012))
-    dark = look.accent
-    kit = Kit(look)
-    kit.body(look.color, along(turn_profile(barrel)))
-    kit.body(look.color, grip, axis=(0, 0, 1), piece=1)
+    dark = kit.look.accent
+    kit.body(kit.look.color, along(turn_profile(barrel)))
+    kit.body(kit.look.color, grip, axis=(0, 0, 1), piece=1)
     kit.body(dark, *collars, axis=None)
     kit.cut(DARK, along(turn_profile(bore)), grille)
     kit.detail(dark, *ribs, axis=(0, 0, 1))
     kit.detail("eef0ea", switch.translate((0.045, 0, 0.52)), axis=(0, 0, 1))
     kit.detail("d23b30", switch.translate((0.035, 0, 0.40)), axis=(0, 0, 1))
-    return kit
+
+
+#: By kind: its maker, and its colour and accent where none is asked for.
+MAKERS = {
+    "toaster": (_toaster, "b4bac0", "2e2f33"),
+    "lantern": (_lantern, "4a4b50", "f4b740"),
+    "iron": (_iron, "2f7fc1", "eef0ea"),
+    "dryer": (_dryer, "e9b93a", "2e2f33"),
+}

@@ -15,6 +15,7 @@ from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.mesh.topology import components, half_edges
 from objectfolder.shapes.atlas import MARGIN, Chart, Paint, pack_charts
 from objectfolder.shapes.finish import finish
+from objectfolder.shapes.parameters import Order
 from objectfolder.shapes.texture import rgb
 
 #: Weights of a part's axes, so that all facets at 45 degrees go to the same chart.
@@ -33,6 +34,12 @@ class Look:
     color: str | None = None
     accent: str | None = None
     seed: int = 0
+
+    @classmethod
+    def of(cls, order: Order, size: float, **changed: str | None) -> "Look":
+        """Return the finish that was ordered, but for what is changed."""
+        asked = {name: getattr(order, name) for name in ("finish", "color", "accent", "seed")}
+        return cls(size=size, **asked | changed)
 
     def paint(self, axis: Sequence[float] | np.ndarray | None = None, piece: int = 0) -> Paint:
         """Return the paint of one piece, its grain along ``axis``."""
@@ -128,13 +135,10 @@ def assemble(
         split[mine] = index + start
     gloss = finish(look.finish, look.size)
     return TexturedMesh(
-        vertices=vertices[np.concatenate([used for used, _, _ in pieces])],
-        faces=split,
-        uv=np.concatenate([atlas.uv(k, xy) for k, xy in enumerate(maps)]),
-        texture=atlas.bake(),
-        roughness=gloss.roughness,
-        metallic=gloss.metallic,
-    )
+        vertices=vertices[np.concatenate([used for used, _, _ in pieces])], faces=split,
+        uv=np.concatenate([atlas.uv(k, xy) for k, xy in enumerate(maps)]), texture=atlas.bake(),
+        roughness=gloss.roughness, metallic=gloss.metallic,
+    )  # fmt: skip
 
 
 def _owners(mesh: manifold3d.Mesh64, parts: Sequence[PaintedPart]) -> np.ndarray:

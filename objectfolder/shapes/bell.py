@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.atlas import pack_charts
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.revolution import arc, arc_length, disc, polyline, sleeve
 from objectfolder.shapes.solid import bake_mesh, weld_patches
 from objectfolder.shapes.texture import lattice, noise, over, rgb, smoothstep, stroke
@@ -17,9 +17,8 @@ SHELL = 0.66  #: height of the shell, in heights of the bell
 STEM, KNOB = 0.11, 0.21  #: radii of the handle, in radii of the bell
 
 
-def bell(
-    height: float = 0.09, radius: float = 0.045, wall: float = 0.003, texture_size: int = 1024
-) -> TexturedMesh:
+@generator()
+def bell(order: Order, height: Size = 0.09, radius: Size = 0.045, wall: Size = 0.003) -> TexturedMesh:
     """Build a hand-bell: a flared shell, open below, with a stem and a ball to hold.
 
     One closed surface of genus 0; x and y from -radius to radius, z from 0 to height.
@@ -33,10 +32,8 @@ def bell(
     wall : float
         Thickness of the shell, m; half as much again at the lip.
     """
-    check = Checks("bell", texture_size)
-    check.positive(height=height, radius=radius, wall=wall)
-    check.between(1.4 * radius, 4.0 * radius, "1.4 to 4 radii", height=height)
-    check.between(0.02 * radius, 0.10 * radius, "2 % to 10 % of the radius", wall=wall)
+    order.between(1.4 * radius, 4.0 * radius, "1.4 to 4 radii", height=height)
+    order.between(0.02 * radius, 0.10 * radius, "2 % to 10 % of the radius", wall=wall)
 
     decor = _Decor(height, radius)
     dome, inside, outside, crown, stem, ball = profiles(height, radius, wall)
@@ -48,7 +45,7 @@ def bell(
         sleeve(stem, 4, decor.outside),
         disc(ball, 5, decor.outside),
     ]
-    atlas = pack_charts([chart for _, chart in parts], texture_size)
+    atlas = pack_charts([chart for _, chart in parts], order.texture_size)
     return bake_mesh(weld_patches([patch for patch, _ in parts], atlas), atlas, roughness=0.35)
 
 

@@ -7,30 +7,19 @@ from objectfolder.shapes.assembly import Look, PaintedPart, assemble, union
 from objectfolder.shapes.atlas import Paint
 from objectfolder.shapes.boards import timber
 from objectfolder.shapes.extrusion import polygon, prism, rectangle
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.texture import over
 
 RELIEFS = ("plain", "holes", "studs")
 HOLES = ("round", "square", "hexagon", "star", "mixed")
 
 
+@generator("wood")
 def block(
-    length: float = 0.12,
-    width: float = 0.12,
-    height: float = 0.05,
-    relief: str = "holes",
-    rows: int = 3,
-    columns: int = 3,
-    diameter: float = 0.022,
-    depth: float | None = None,
-    hole: str = "round",
+    order: Order, length: Size = 0.12, width: Size = 0.12, height: Size = 0.05, relief: str = "holes",
+    rows: int = 3, columns: int = 3, diameter: Size = 0.022, depth: float | None = None, hole: str = "round",
     rounding: float = 0.003,
-    finish: str = "wood",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+) -> TexturedMesh:  # fmt: skip
     """Build a block, optionally with a grid of holes or studs.
 
     One closed surface; x and y about 0, z from 0.
@@ -54,27 +43,25 @@ def block(
     accent : str, optional
         Colour inside the holes, or of the studs; default: the block's own, darker in a hole.
     """
-    check = Checks("block", texture_size)
-    check.positive(length=length, width=width, height=height, diameter=diameter)
-    check.choice(RELIEFS, relief=relief)
-    check.choice(HOLES, hole=hole)
-    check.count(1, 6, rows=rows, columns=columns)
+    order.choice(RELIEFS, relief=relief)
+    order.choice(HOLES, hole=hole)
+    order.count(1, 6, rows=rows, columns=columns)
+    accent = order.accent
     least, most = min(length, width, height), max(length, width, height)
-    check.between(0, 12 * least, "no longer than 12 times its least side", size=most)
-    check.not_negative(0.2 * least, "a fifth of the least side", rounding=rounding)
+    order.between(0, 12 * least, "no longer than 12 times its least side", size=most)
+    order.between(0, 0.2 * least, "a fifth of the least side", rounding=rounding)
     if relief != "plain":
         pitch = min(length / columns, width / rows)
-        check.between(0.2 * pitch, 0.8 * pitch, "20 % to 80 % of the pitch of the grid", diameter=diameter)
+        order.between(0.2 * pitch, 0.8 * pitch, "20 % to 80 % of the pitch of the grid", diameter=diameter)
         room = min(0.2 * (pitch - diameter), 0.15 * diameter)
-        check.not_negative(room, "so that neighbouring edges stay apart", rounding=rounding)
+        order.between(0, room, "so that neighbouring edges stay apart", rounding=rounding)
     through = depth is None or (relief == "holes" and depth == height)
     if depth is not None and relief != "plain" and not through:
         deepest = height - 2 * rounding - 0.02 * height if relief == "holes" else diameter
-        check.between(
-            2.2 * rounding + 0.02 * height, deepest, "a hole with a floor, or a low stud", depth=depth
-        )
+        flattest = 2.2 * rounding + 0.02 * height
+        order.between(flattest, deepest, "a hole with a floor, or a low stud", depth=depth)
 
-    look = Look(finish, most, color, None, seed)
+    look = Look.of(order, most, accent=None)
     spacing = most / 32
     middle = np.array([0, 0, height / 2])
     long = 0 if length >= width else 1
@@ -89,7 +76,7 @@ def block(
             stud = prism([polygon(40, diameter / 2)], rise + sunk, spacing, min(rounding, 0.3 * rise), 2)
             cover = skin if accent is None else look.dye(accent).paint()
             parts += [PaintedPart.of(stud.translate((x, y, height - sunk)), cover) for x, y in centres]
-        return assemble(union(parts), parts, look, texture_size)
+        return assemble(union(parts), parts, look, order.texture_size)
 
     shapes = [_shape(hole, k, diameter / 2) for k in range(len(centres))]
     bored = [shape[::-1] + centre for shape, centre in zip(shapes, centres)]
@@ -103,7 +90,7 @@ def block(
         for shape, centre in zip(shapes, centres):
             plug = prism([shape * grow], floor, spacing).translate((*centre, 0))
             parts.append(PaintedPart.of(plug, cover))
-    return assemble(union(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, order.texture_size)
 
 
 def grid(length: float, width: float, rows: int, columns: int) -> np.ndarray:

@@ -69,15 +69,9 @@ def board(
 
 
 def leg(
-    look: Look,
-    piece: int,
-    foot: Sequence[float],
-    height: float,
-    size: float,
-    spacing: float,
-    bevel: float,
+    look: Look, piece: int, foot: Sequence[float], height: float, size: float, spacing: float, bevel: float,
     taper: float = 1.0,
-) -> PaintedPart:
+) -> PaintedPart:  # fmt: skip
     """Build a square leg, m, standing on ``foot``, where it tapers to ``taper`` of its size."""
     post = prism([rectangle(size, size, 2 * bevel, 3)], height, spacing, bevel, 1)
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.atlas import Chart, pack_charts
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.revolution import arc, disc
 from objectfolder.shapes.solid import Patch, bake_mesh, weld_patches
 from objectfolder.shapes.texture import over, rgb, smoothstep, wood
@@ -35,7 +35,8 @@ PIPS: dict[int, list[tuple[int, int]]] = {
 }
 
 
-def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> TexturedMesh:
+@generator()
+def die(order: Order, edge: Size = 0.05, fillet: Size = 0.006) -> TexturedMesh:
     """Build a wooden die.
 
     One closed surface of genus 0; x and y from -edge / 2 to edge / 2, z from 0 to edge.
@@ -47,10 +48,8 @@ def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
     fillet : float
         Radius of the rounded edges and corners, m.
     """
-    check = Checks("die", texture_size)
-    check.positive(edge=edge, fillet=fillet)
     room = 0.5 - PIP_PITCH - 1.08 * PIP_RADIUS
-    check.between(0.01 * edge, room * edge, "so that the pips stay on the flat", fillet=fillet)
+    order.between(0.01 * edge, room * edge, "so that the pips stay on the flat", fillet=fillet)
 
     block, charts = [], []
     lift = np.array([0, 0, edge / 2])
@@ -80,7 +79,7 @@ def die(edge: float = 0.05, fillet: float = 0.006, texture_size: int = 1024) -> 
         block.append(Patch(locate(xy), faces, xy, k))
         charts.append(Chart((2 * border, 2 * border), locate, paint))
 
-    atlas = pack_charts(charts, texture_size)
+    atlas = pack_charts(charts, order.texture_size)
     solid = weld_patches(block, atlas)
     for k, (value, axes) in enumerate(FACES.items()):
         for place in PIPS[value]:

@@ -6,7 +6,6 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.shapes.assembly import Look
 from objectfolder.shapes.extrusion import extrude_y, inset, polygon, rectangle
 from objectfolder.shapes.fittings import (
     DARK,
@@ -14,30 +13,19 @@ from objectfolder.shapes.fittings import (
     SPACING,
     Kit,
     bars,
+    build_kind,
     knob,
     loop,
     rounded_disc,
     turn_profile,
 )
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.sweep import bar
 from objectfolder.shapes.texture import over, rgb, smoothstep, stroke
 
-KINDS = ("television", "radio", "clock")
-#: Colour and accent of each kind where none is asked for.
-COLOURS = {"television": ("5f8f8b", "d9cfb8"), "radio": ("a56b3c", "e6d3a8"), "clock": ("c8412f", "f3ecdd")}
 
-
-def electronics(
-    kind: str = "television",
-    span: float = 0.6,
-    plump: float = 1.0,
-    finish: str = "plastic",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+@generator("plastic")
+def electronics(order: Order, kind: str = "television", span: Size = 0.6, plump: Size = 1.0) -> TexturedMesh:
     """Build a television with an antenna, a table radio or an alarm clock with two bells.
 
     One closed surface. Televisions and radios are hollow and open through their slots, with walls of 4 %
@@ -54,15 +42,7 @@ def electronics(
     accent : str, optional
         Colour of the bezel and the panel, of the radio's dial, or of the clock's face.
     """
-    check = Checks("electronics", texture_size)
-    check.choice(KINDS, kind=kind)
-    check.positive(span=span, plump=plump)
-    check.between(0.8, 1.25, "usual depths", plump=plump)
-
-    body, trim = COLOURS[kind]
-    look = Look(finish, span, color or body, accent or trim, seed)
-    makers = {"television": _television, "radio": _radio, "clock": _clock}
-    return makers[kind](look, plump).build(texture_size)
+    return build_kind(order, kind, MAKERS, span, plump, "usual depths")
 
 
 def superellipse(half_width: float, half_height: float, power: float, points: int = 72) -> np.ndarray:
@@ -83,7 +63,7 @@ def _taper(solid: manifold3d.Manifold, length: float, end: float, middle: float)
     return solid.warp_batch(narrow)
 
 
-def _television(look: Look, plump: float) -> Kit:
+def _television(kit: Kit, plump: float) -> None:
     """Build a tube television on four legs, with knobs beside the screen and vents in its back."""
     deep, wall, middle = 0.38 * plump, 0.04, 0.37
     front, rear, tail = -deep / 2, deep / 2, 0.12
@@ -130,12 +110,11 @@ def _television(look: Look, plump: float) -> Kit:
     tips = [manifold3d.Manifold.sphere(0.024, 24).translate((x * 0.27, 0.05, 0.956)) for x in (-1, 1)]
     foot = manifold3d.Manifold.sphere(1.0, 40).scale((0.10, 0.07, 0.05)).translate((0, 0.05, 0.665))
 
-    body, trim = look.color, look.accent
+    body, trim = kit.look.color, kit.look.accent
     knobs = [
         knob(0.07, 0.045, turn=turn).translate((0.345, front - 0.013, z))
         for z, turn in ((0.53, 40.0), (0.37, -25.0))
     ]
-    kit = Kit(look)
     kit.body(body, case)
     kit.body(body, bump, piece=2)
     kit.body(trim, bezel, panel, piece=1)
@@ -145,10 +124,9 @@ def _television(look: Look, plump: float) -> Kit:
     kit.detail(DARK, *(one.trim_by_plane((0, 0, 1.0), 0.0) for one in legs), axis=(0, 0, 1))
     kit.detail(METAL, *antenna, *tips)
     kit.detail(DARK, foot, *knobs)
-    return kit
 
 
-def _radio(look: Look, plump: float) -> Kit:
+def _radio(kit: Kit, plump: float) -> None:
     """Build a table radio: a slotted grille, a dial with a needle, knobs, and a handle."""
     deep, wall, middle, tall = 0.30 * plump, 0.045, 0.295, 0.50
     front = -deep / 2
@@ -168,10 +146,8 @@ def _radio(look: Look, plump: float) -> Kit:
     cover = extrude_y([rectangle(0.62, 0.32, 0.06)], 0.03, SPACING, 0.01).translate((0, -front, middle))
     face = extrude_y([polygon(64, 0.12)], 0.04, SPACING).translate((dial[0], front - 0.018, dial[1]))
 
-    needle = extrude_y(
-        [np.array([[-0.013, -0.03], [0.013, -0.03], [0.009, 0.10], [-0.009, 0.10]])], 0.03, 0.02
-    )
-    needle = needle.rotate((0, 35, 0)).translate((dial[0], front + 0.005, dial[1]))
+    pointer = np.array([[-0.013, -0.03], [0.013, -0.03], [0.009, 0.10], [-0.009, 0.10]])
+    needle = extrude_y([pointer], 0.03, 0.02).rotate((0, 35, 0)).translate((dial[0], front + 0.005, dial[1]))
     hub = extrude_y([polygon(24, 0.028)], 0.05, SPACING, 0.01).translate((dial[0], front + 0.002, dial[1]))
     foot, corners = rounded_disc(0.045, 0.08, 0.01, 32), product((-1, 1), repeat=2)
     feet = [foot.translate((x * 0.36, y * 0.25 * deep, 0)) for x, y in corners]
@@ -180,7 +156,7 @@ def _radio(look: Look, plump: float) -> Kit:
         x, z = points[:, 0] - dial[0], points[:, 2] - dial[1]
         r, turn = np.hypot(x, z), np.degrees(np.arctan2(x, z))
         on = (r < 0.118) & (points[:, 1] > front - 0.005)
-        paper = over(colour, rgb(look.accent or "e6d3a8"), 0.92 * on)
+        paper = over(colour, rgb(kit.look.accent or "e6d3a8"), 0.92 * on)
         fine = stroke((turn / 15 + 0.5) % 1.0 - 0.5, 0.06, 0.05) * stroke(r - 0.098, 0.010, 0.004)
         coarse = stroke((turn / 45 + 0.5) % 1.0 - 0.5, 0.035, 0.03) * stroke(r - 0.090, 0.020, 0.004)
         band = stroke(r - 0.066, 0.003, 0.003)
@@ -188,27 +164,24 @@ def _radio(look: Look, plump: float) -> Kit:
         return over(paper, rgb("3a2414"), inked)
 
     dark = "4a2a17"
-    knobs = [
-        knob(0.056, 0.05, turn=turn).translate((x, front, 0.155)) for x, turn in ((0.15, -30.0), (0.34, 50.0))
-    ]
-    kit = Kit(look)
-    kit.body(look.color, case)
+    turns = ((0.15, -30.0), (0.34, 50.0))
+    knobs = [knob(0.056, 0.05, turn=turn).translate((x, front, 0.155)) for x, turn in turns]
+    kit.body(kit.look.color, case)
     kit.body(dark, rim, piece=1)
     kit.body(dark, ring, piece=2)
     kit.body(dark, cover, piece=8)
     kit.cut(dark, cavity.translate((0, 0, middle)), grille.translate((speaker[0], front, speaker[1])))
     kit.cut(dark, vents.translate((0, -front, middle)))
-    kit.cut(look.color, basin, piece=3)
-    kit.cut(look.accent, face, piece=4, decor=scale)
+    kit.cut(kit.look.color, basin, piece=3)
+    kit.cut(kit.look.accent, face, piece=4, decor=scale)
     kit.detail(dark, handle, piece=5)
     kit.detail("b3301f", needle, axis=(0, 0, 1))
     kit.detail(dark, hub)
     kit.detail(dark, *feet, axis=(0, 0, 1), piece=6)
     kit.detail("d9b27c", *knobs, axis=None, piece=7)
-    return kit
 
 
-def _clock(look: Look, plump: float) -> Kit:
+def _clock(kit: Kit, plump: float) -> None:
     """Build an alarm clock: a drum with raised marks and hands, two bells, a hammer, and three legs."""
     deep, middle, radius, inner = 0.22 * plump, 0.44, 0.30, 0.245
     front, face = -deep / 2, -deep / 2 + 0.035
@@ -219,9 +192,8 @@ def _clock(look: Look, plump: float) -> Kit:
         return plate.translate((0, face + 0.01 - top / 2, 0)).rotate((0, turn, 0)).translate((0, 0, middle))
 
     drum = extrude_y([polygon(80, radius)], deep, SPACING, 0.03, 4).translate((0, 0, middle))
-    lip = extrude_y([polygon(80, radius + 0.022)], 0.06, SPACING, 0.02, 4).translate(
-        (0, front + 0.025, middle)
-    )
+    lip = extrude_y([polygon(80, radius + 0.022)], 0.06, SPACING, 0.02, 4)
+    lip = lip.translate((0, front + 0.025, middle))
     back = extrude_y([polygon(64, 0.22)], 0.04, SPACING, 0.012).translate((0, -front, middle))
     recess = extrude_y([polygon(80, inner)], 0.10, SPACING).translate((0, face - 0.05, middle))
 
@@ -255,21 +227,20 @@ def _clock(look: Look, plump: float) -> Kit:
     def dial(points: np.ndarray, colour: np.ndarray) -> np.ndarray:
         x, z = points[:, 0], points[:, 2] - middle
         r, turn = np.hypot(x, z), np.degrees(np.arctan2(x, z))
-        paper = over(colour, rgb(look.accent or "f3ecdd"), 0.95 * smoothstep(inner + 0.001, inner - 0.004, r))
+        within = 0.95 * smoothstep(inner + 0.001, inner - 0.004, r)
+        paper = over(colour, rgb(kit.look.accent or "f3ecdd"), within)
         minutes = stroke((turn / 6 + 0.5) % 1.0 - 0.5, 0.08, 0.08) * stroke(r - 0.232, 0.006, 0.003)
         return over(paper, rgb(DARK), minutes * (np.abs(points[:, 1] - face) < 0.004))
 
-    kit = Kit(look)
-    kit.body(look.color, drum)
+    kit.body(kit.look.color, drum)
     kit.body(METAL, lip, back)
-    kit.cut(look.accent, recess, decor=dial)
+    kit.cut(kit.look.accent, recess, decor=dial)
     kit.detail(DARK, *marks, hour, minute)
     kit.detail(METAL, pin)
     kit.detail("d9b24c", *bells, axis=None)
     kit.detail(METAL, handle, stem, *keys)
     kit.detail(DARK, head)
     kit.detail(METAL, *stand)
-    return kit
 
 
 def _bell() -> manifold3d.Manifold:
@@ -281,3 +252,11 @@ def _bell() -> manifold3d.Manifold:
     post = manifold3d.Manifold.cylinder(0.24, 0.024, circular_segments=24).translate((0, 0, -0.13))
     button = turn_profile([[0, 0.10], [0.032, 0.10], [0.030, 0.125], [0.018, 0.138], [0, 0.14]])
     return shell + post + button
+
+
+#: By kind: its maker, and its colour and accent where none is asked for.
+MAKERS = {
+    "television": (_television, "5f8f8b", "d9cfb8"),
+    "radio": (_radio, "a56b3c", "e6d3a8"),
+    "clock": (_clock, "c8412f", "f3ecdd"),
+}

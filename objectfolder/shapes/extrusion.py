@@ -68,12 +68,9 @@ def inset(outline: np.ndarray, distance: float) -> np.ndarray:
 
 
 def prism(
-    outlines: Sequence[np.ndarray],
-    height: float,
-    spacing: float,
-    bevel: float = 0.0,
+    outlines: Sequence[np.ndarray], height: float, spacing: float, bevel: float = 0.0,
     steps: int = ROUND_STEPS,
-) -> manifold3d.Manifold:
+) -> manifold3d.Manifold:  # fmt: skip
     """Extrude a plate from z = 0 to ``height``, m, with an even mesh on its flats.
 
     The first outline is the outer one, others are holes. Neighbouring vertices are at most about ``spacing``

@@ -54,13 +54,9 @@ class _Recipe:
 
 
 def finish(
-    name: str,
-    size: float,
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
+    name: str, size: float, color: str | None = None, accent: str | None = None, seed: int = 0,
     axis: Sequence[float] | None = None,
-) -> Finish:
+) -> Finish:  # fmt: skip
     """Look up a finish and fit it to an object; equal arguments give equal colours.
 
     Parameters

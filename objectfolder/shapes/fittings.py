@@ -1,6 +1,6 @@
 """Parts that appliances have in common: turned bodies, knobs, slots, rings; in sizes of the object."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble, union
 from objectfolder.shapes.extrusion import extrude_y, prism, rectangle
+from objectfolder.shapes.parameters import Order
 from objectfolder.shapes.section import resample_evenly, resample_rows, round_polyline
 from objectfolder.shapes.sweep import tube
 
@@ -49,13 +50,9 @@ class Kit:
         self.details += [self._paint(solid, color, **how) for solid in solids]
 
     def _paint(
-        self,
-        solid: manifold3d.Manifold,
-        color: str | None,
-        axis: Sequence[float] | None = (1.0, 0.0, 0.0),
-        piece: int = 0,
-        decor: Decor | None = None,
-    ) -> PaintedPart:
+        self, solid: manifold3d.Manifold, color: str | None, axis: Sequence[float] | None = (1.0, 0.0, 0.0),
+        piece: int = 0, decor: Decor | None = None,
+    ) -> PaintedPart:  # fmt: skip
         """Scale a solid to m, and dye it."""
         size = self.look.size
         plain = self.look.dye(color).paint(axis, piece)
@@ -73,6 +70,21 @@ class Kit:
             whole = whole - union(self.cuts)
         added = [PaintedPart(whole, self.bodies[0].paint), *self.details]
         return assemble(union(added), [*self.bodies, *self.cuts, *self.details], self.look, texture_size)
+
+
+Maker = Callable[[Kit, float], None]  #: adds the parts of an object, which may be plumper, to its kit
+
+
+def build_kind(
+    order: Order, kind: str, makers: Mapping[str, tuple[Maker, str, str]], span: float, plump: float, why: str
+) -> TexturedMesh:
+    """Build one of several kinds, each a maker with the colour and the accent where none is ordered."""
+    order.choice(list(makers), kind=kind)
+    order.between(0.8, 1.25, why, plump=plump)
+    make, body, trim = makers[kind]
+    kit = Kit(Look.of(order, span, color=order.color or body, accent=order.accent or trim))
+    make(kit, plump)
+    return kit.build(order.texture_size)
 
 
 def turn_profile(profile: ArrayLike, coarse: float = 1e-3) -> manifold3d.Manifold:

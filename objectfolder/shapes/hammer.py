@@ -1,5 +1,7 @@
 """Hammers: a head with a claw, a forged club or a round mallet, on its handle; lying flat on z = 0."""
 
+from dataclasses import replace
+
 import manifold3d
 import numpy as np
 
@@ -7,24 +9,17 @@ from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble, union
 from objectfolder.shapes.boards import timber
 from objectfolder.shapes.extrusion import polygon, prism, rectangle
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.sweep import bar, tube
 
 HEADS = ("claw", "club", "mallet")
 
 
+@generator("brushed")
 def hammer(
-    length: float = 0.32,
-    head_length: float = 0.13,
-    head_diameter: float = 0.030,
-    handle_width: float = 0.030,
-    head: str = "claw",
-    finish: str = "brushed",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+    order: Order, length: Size = 0.32, head_length: Size = 0.13, head_diameter: Size = 0.030,
+    handle_width: Size = 0.030, head: str = "claw",
+) -> TexturedMesh:  # fmt: skip
     """Build a hammer in one piece.
 
     One closed surface, the handle along x, its lowest point on z = 0.
@@ -42,18 +37,15 @@ def hammer(
     accent : str, optional
         Colour of the handle; default: that of the head.
     """
-    check = Checks("hammer", texture_size)
-    check.positive(length=length, head_length=head_length, head_diameter=head_diameter)
-    check.positive(handle_width=handle_width)
-    check.choice(HEADS, head=head)
+    order.choice(HEADS, head=head)
     low, high = {"claw": (3.2, 5.5), "club": (1.6, 4.0), "mallet": (1.2, 3.0)}[head]
     d = head_diameter
-    check.between(low * d, high * d, f"{low} to {high} diameters of a {head}", head_length=head_length)
-    check.between(head_length, 5 * head_length, "1 to 5 lengths of the head", length=length)
-    check.between(0.25 * d, 1.1 * d, "25 % to 110 % of the head's diameter", handle_width=handle_width)
-    check.between(0.04 * length, 0.2 * length, "4 % to 20 % of the length", handle_width=handle_width)
+    order.between(low * d, high * d, f"{low} to {high} diameters of a {head}", head_length=head_length)
+    order.between(head_length, 5 * head_length, "1 to 5 lengths of the head", length=length)
+    order.between(0.25 * d, 1.1 * d, "25 % to 110 % of the head's diameter", handle_width=handle_width)
+    order.between(0.04 * length, 0.2 * length, "4 % to 20 % of the length", handle_width=handle_width)
 
-    look = Look(finish, max(length, head_length), color, None, seed)
+    look = Look.of(order, max(length, head_length), accent=None)
     spacing = look.size / 70
     parts = {"claw": _claw, "club": _club, "mallet": _mallet}[head](look, head_length, d, spacing)
     cuts = []
@@ -63,13 +55,13 @@ def hammer(
         # Outline in z and y; extruded along x.
         wedge = wedge.transform(np.array([[0, 0, 1.0, -2 * d], [0, 1.0, 0, 0], [-1.0, 0, 0, 0]]))
         cuts = [PaintedPart.of(wedge, parts[0].paint)]
-    material = "wood" if finish == "wood" else "plastic"
-    grip = look if accent is None else Look(material, look.size, accent, None, seed)
+    material = "wood" if look.finish == "wood" else "plastic"
+    grip = look if order.accent is None else replace(look, finish=material, color=order.accent)
     handle = _handle(grip, length, 0.62 * d if head != "mallet" else 0.5 * d, handle_width, spacing)
     whole = union(parts) - union(cuts) if cuts else union(parts)
     whole = union([PaintedPart(whole, parts[0].paint), handle])
     floor = whole.bounding_box()[2]
-    return assemble(whole.translate((0, 0, -floor)), [*parts, *cuts, handle], look, texture_size)
+    return assemble(whole.translate((0, 0, -floor)), [*parts, *cuts, handle], look, order.texture_size)
 
 
 def _handle(look: Look, length: float, top: float, width: float, spacing: float) -> PaintedPart:

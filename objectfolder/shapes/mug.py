@@ -4,7 +4,7 @@ import numpy as np
 
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.atlas import Chart, Paint, pack_charts
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.revolution import (
     arc,
     arc_length,
@@ -26,14 +26,11 @@ ROUND = 28  #: facets of the handle's section
 FLARE = 0.45  #: by how much the handle's section grows where it meets the wall
 
 
+@generator()
 def mug(
-    radius: float = 0.041,
-    height: float = 0.095,
-    wall: float = 0.004,
-    bottom: float = 0.006,
-    handle_reach: float = 0.030,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+    order: Order, radius: Size = 0.041, height: Size = 0.095, wall: Size = 0.004, bottom: Size = 0.006,
+    handle_reach: Size = 0.030,
+) -> TexturedMesh:  # fmt: skip
     """Build a ceramic mug.
 
     One closed surface of genus 1; x from -radius to radius + handle_reach, z from 0 to height.
@@ -47,17 +44,15 @@ def mug(
     handle_reach : float
         Protrusion of the handle from the wall, m.
     """
-    check = Checks("mug", texture_size)
-    check.positive(radius=radius, height=height, wall=wall, bottom=bottom, handle_reach=handle_reach)
-    check.between(0.03 * radius, 0.2 * radius, "3 % to 20 % of the radius", wall=wall)
-    check.between(0.08 * radius, 0.25 * height, "a floor above the foot", bottom=bottom)
-    check.between(1.2 * radius, 6.0 * radius, "1.2 to 6 radii", height=height)
+    order.between(0.03 * radius, 0.2 * radius, "3 % to 20 % of the radius", wall=wall)
+    order.between(0.08 * radius, 0.25 * height, "a floor above the foot", bottom=bottom)
+    order.between(1.2 * radius, 6.0 * radius, "1.2 to 6 radii", height=height)
     # The flared ends of the handle must stop inside the wall, which curves away from them.
     grip = np.sqrt(radius * wall - wall**2 / 4) / (0.20 * (1 + FLARE)) * 0.95
     # Their upper and lower edges keep clear of the rounded lip and base.
     upright = 0.9 * min(0.17 * height - wall / 2, 0.23 * height - 0.2 * radius) / (0.12 * (1 + FLARE))
     widest = min(grip, upright)
-    check.between(0.3 * radius, widest, "a handle that the wall can hold", handle_reach=handle_reach)
+    order.between(0.3 * radius, widest, "a handle that the wall can hold", handle_reach=handle_reach)
 
     edge = 0.2 * radius  # rounding outside, where the wall meets the base
     foot = min(FOOT * radius / 0.041, 0.3 * bottom)
@@ -81,7 +76,7 @@ def mug(
         disc(floor, 3, decor.inside),
     ]
     handle, handle_chart = _handle(radius, height, wall, handle_reach, 4, decor.handle)
-    atlas = pack_charts([*(chart for _, chart in parts), handle_chart], texture_size)
+    atlas = pack_charts([*(chart for _, chart in parts), handle_chart], order.texture_size)
     cup = weld_patches([patch for patch, _ in parts], atlas)
     return bake_mesh(cup + weld_patches(handle, atlas), atlas, roughness=0.25)
 

@@ -5,39 +5,22 @@ import numpy as np
 
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble
-from objectfolder.shapes.parameters import Checks
-from objectfolder.shapes.section import (
-    half_outline,
-    round_polyline,
-    round_solid,
-    soften,
-    wall_about,
-)
+from objectfolder.shapes.parameters import Order, Size, generator
+from objectfolder.shapes.section import half_outline, round_polyline, round_solid, soften, wall_about
 from objectfolder.shapes.sweep import tube
 from objectfolder.shapes.texture import smoothstep
-from objectfolder.shapes.vessel import revolve_solid
+from objectfolder.shapes.turning import revolve_solid
 
 HOLE = 0.24  #: radius of the hanging hole, in widths of the handle
 
 
+@generator("brushed")
 def pan(
-    radius: float = 0.125,
-    height: float = 0.045,
-    wall: float = 0.003,
-    base_radius: float = 0.095,
-    rounding: float = 0.018,
-    handle_length: float = 0.17,
-    handle_width: float = 0.027,
-    handle_thickness: float = 0.012,
-    handle_rise: float = 0.035,
-    handle_finish: str | None = None,
+    order: Order, radius: Size = 0.125, height: Size = 0.045, wall: Size = 0.003, base_radius: Size = 0.095,
+    rounding: Size = 0.018, handle_length: Size = 0.17, handle_width: Size = 0.027,
+    handle_thickness: Size = 0.012, handle_rise: float = 0.035, handle_finish: str | None = None,
     handle_color: str | None = None,
-    finish: str = "brushed",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+) -> TexturedMesh:  # fmt: skip
     """Build a pan.
 
     One closed surface of genus 1; x from -radius to about radius + handle_length, the lip at z = height.
@@ -57,19 +40,16 @@ def pan(
     handle_finish, handle_color : str, optional
         Default: those of the pan.
     """
-    check = Checks("pan", texture_size)
-    check.positive(radius=radius, height=height, wall=wall, base_radius=base_radius, rounding=rounding)
-    check.positive(handle_length=handle_length, handle_width=handle_width, handle_thickness=handle_thickness)
-    check.between(0.2 * radius, 1.6 * radius, "0.2 to 1.6 radii", height=height)
-    check.between(0.6 * radius, 1.0 * radius, "60 % to 100 % of the radius", base_radius=base_radius)
-    check.between(0.01 * radius, 0.08 * radius, "1 % to 8 % of the radius", wall=wall)
-    check.between(wall, 0.6 * height, "the wall to 60 % of the height", rounding=rounding)
-    check.between(radius / 2, 3 * radius, "0.5 to 3 radii", handle_length=handle_length)
+    order.between(0.2 * radius, 1.6 * radius, "0.2 to 1.6 radii", height=height)
+    order.between(0.6 * radius, 1.0 * radius, "60 % to 100 % of the radius", base_radius=base_radius)
+    order.between(0.01 * radius, 0.08 * radius, "1 % to 8 % of the radius", wall=wall)
+    order.between(wall, 0.6 * height, "the wall to 60 % of the height", rounding=rounding)
+    order.between(radius / 2, 3 * radius, "0.5 to 3 radii", handle_length=handle_length)
     widest = min(0.4 * radius, 0.3 * handle_length)
-    check.between(0.08 * radius, widest, "a bar that the wall can hold", handle_width=handle_width)
+    order.between(0.08 * radius, widest, "a bar that the wall can hold", handle_width=handle_width)
     thickest = min(handle_width, 0.35 * height)
-    check.between(1.2 * wall, thickest, "flat and low", handle_thickness=handle_thickness)
-    check.between(0.0, 0.5 * handle_length, "less than half its length", handle_rise=handle_rise)
+    order.between(1.2 * wall, thickest, "flat and low", handle_thickness=handle_thickness)
+    order.between(0.0, 0.5 * handle_length, "less than half its length", handle_rise=handle_rise)
 
     floor, lip = wall / 2, height - wall / 2
     corners = np.array([[0, floor], [base_radius - wall / 2, floor], [radius - wall / 2, lip]])
@@ -94,11 +74,11 @@ def pan(
     drill = drill.translate((eye, 0.0, float(np.interp(eye, path[:, 0], path[:, 2]))))
 
     size = 2 * radius + handle_length
-    look = Look(finish, size, color, accent, seed)
-    own = color if handle_finish is None else None
-    grip = Look(handle_finish or finish, size, handle_color or own, None, seed)
+    look = Look.of(order, size)
+    own = order.color if handle_finish is None else None
+    grip = Look(handle_finish or order.finish, size, handle_color or own, None, order.seed)
     # The pan has the rings of turned metal, the handle is brushed lengthwise.
     paint = grip.paint((1.0, 0.0, 0.0))
     body = PaintedPart.of(shell, look.paint())
     bar, hole = PaintedPart.of(handle - core, paint), PaintedPart.of(drill, paint)
-    return assemble(body.solid + bar.solid - hole.solid, [body, bar, hole], look, texture_size)
+    return assemble(body.solid + bar.solid - hole.solid, [body, bar, hole], look, order.texture_size)

@@ -1,21 +1,35 @@
-"""Checks of the generators' parameters."""
+"""What is asked of a generator, and checks of it."""
 
+import inspect
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from typing import Annotated, Any
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.mesh.textured import TexturedMesh
+
+Size = Annotated[float, "positive and finite"]  #: a dimension that `generator` checks
 
 
-class Checks:
-    """Checks of a generator's parameters; all raise `ObjectFolderError`, which names both.
+@dataclass(frozen=True)
+class Order:
+    """What generators have in common; its checks raise `ObjectFolderError`, which names both.
 
-    Every generator has a ``texture_size``, a whole number of texels from 64 to 8192.
+    ``texture_size`` is a whole number of texels from 64 to 8192.
     """
 
-    def __init__(self, generator: str, texture_size: int):
-        self.generator = generator
-        if not _whole(texture_size) or not 64 <= texture_size <= 8192:
-            self.refuse("texture_size", texture_size, "a whole number of texels, 64 to 8192")
+    generator: str
+    texture_size: int
+    finish: str = ""
+    color: str | None = None
+    accent: str | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not _whole(self.texture_size) or not 64 <= self.texture_size <= 8192:
+            self.refuse("texture_size", self.texture_size, "a whole number of texels, 64 to 8192")
 
     def positive(self, **dimensions: float) -> None:
         """Raise unless every dimension is a finite number above zero."""
@@ -24,18 +38,11 @@ class Checks:
                 self.refuse(name, value, "a positive, finite number")
 
     def between(self, low: float, high: float, why: str, **dimensions: float) -> None:
-        """Raise unless every dimension lies in the closed range [low, high]."""
+        """Raise unless every dimension is a number in the closed range [low, high]."""
         for name, value in dimensions.items():
-            if not low <= value <= high:
+            if not _number(value) or not low <= value <= high:
                 beside = f"change {name} or the dimensions beside it"
                 self.refuse(name, value, f"{low:.4g} to {high:.4g}, {why}; {beside}")
-
-    def not_negative(self, high: float, why: str, **dimensions: float) -> None:
-        """Raise unless every dimension is a number from 0 to ``high``."""
-        for name, value in dimensions.items():
-            if not _number(value) or not 0 <= value <= high:
-                beside = f"change {name} or the dimensions beside it"
-                self.refuse(name, value, f"0 to {high:.4g}, {why}; {beside}")
 
     def choice(self, choices: Sequence[str], **options: str) -> None:
         """Raise unless the option is one of the choices."""
@@ -52,6 +59,38 @@ class Checks:
     def refuse(self, name: str, value: object, expected: str) -> None:
         """Raise an error that says what was expected."""
         raise ObjectFolderError(f"{self.generator}: {name}={value!r}: expected {expected}")
+
+
+def generator(
+    finish: str | None = None, color: str | None = None, accent: str | None = None
+) -> Callable[[Callable[..., TexturedMesh]], Callable[..., TexturedMesh]]:
+    """Make a generator of a function of an `Order` and dimensions; those annotated as `Size` are checked.
+
+    It also takes ``texture_size``, and before it, if there is a default of ``finish``, what `Order` has.
+    """
+    looks = {"finish": finish, "color": color, "accent": accent, "seed": 0} if finish else {}
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    shared = {**looks, "texture_size": 1024}
+    last = [inspect.Parameter(name, kind, default=value) for name, value in shared.items()]
+
+    def decorate(build: Callable[..., TexturedMesh]) -> Callable[..., TexturedMesh]:
+        own = [*inspect.signature(build).parameters.values()][1:]
+        sizes = [dimension.name for dimension in own if dimension.annotation == Size]
+        signature = inspect.Signature([*own, *last], return_annotation=TexturedMesh)
+
+        @wraps(build)
+        def made(*args: Any, **given: Any) -> TexturedMesh:
+            bound = signature.bind(*args, **given)
+            bound.apply_defaults()
+            values = bound.arguments
+            order = Order(build.__name__, **{name: values.pop(name) for name in shared})
+            order.positive(**{name: values[name] for name in sizes})
+            return build(order, **values)
+
+        made.__signature__ = signature  # type: ignore[attr-defined]
+        return made
+
+    return decorate
 
 
 def _number(value: object) -> bool:

@@ -40,9 +40,8 @@ def round_polyline(corners: np.ndarray, radii: np.ndarray) -> np.ndarray:
         sweep = np.linspace(-1, 1, 25) * (np.pi / 2 - half)
         across = np.array([-middle[1], middle[0]])
         side = np.sign(across @ on)
-        pieces.append(
-            centre + radius * (-np.cos(sweep)[:, None] * middle + side * np.sin(sweep)[:, None] * across)
-        )
+        away = -np.cos(sweep)[:, None] * middle + side * np.sin(sweep)[:, None] * across
+        pieces.append(centre + radius * away)
     return np.concatenate([*pieces, corners[-1:]])
 
 

@@ -61,10 +61,6 @@ def bake_mesh(
     mesh = solid.to_mesh64()
     properties = np.asarray(mesh.vert_properties, np.float64)
     return TexturedMesh(
-        vertices=properties[:, :3].copy(),
-        faces=np.asarray(mesh.tri_verts, np.int64),
-        uv=properties[:, 3:].copy(),
-        texture=atlas.bake(),
-        roughness=roughness,
-        metallic=metallic,
-    )
+        vertices=properties[:, :3].copy(), faces=np.asarray(mesh.tri_verts, np.int64),
+        uv=properties[:, 3:].copy(), texture=atlas.bake(), roughness=roughness, metallic=metallic,
+    )  # fmt: skip

@@ -5,29 +5,19 @@ import numpy as np
 
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.revolution import arc_length, points_along
 from objectfolder.shapes.sweep import tube
 
 SEGMENTS = 96  #: facets around the bowl
 
 
+@generator("brushed")
 def spoon(
-    length: float = 0.19,
-    bowl_length: float = 0.060,
-    bowl_width: float = 0.040,
-    depth: float = 0.011,
-    wall: float = 0.0018,
-    handle_width: float = 0.014,
-    rise: float = 0.012,
-    hook: float = 0.0,
-    point: float = 0.14,
-    finish: str = "brushed",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+    order: Order, length: Size = 0.19, bowl_length: Size = 0.060, bowl_width: Size = 0.040,
+    depth: Size = 0.011, wall: Size = 0.0018, handle_width: Size = 0.014, rise: float = 0.012,
+    hook: float = 0.0, point: float = 0.14,
+) -> TexturedMesh:  # fmt: skip
     """Build a spoon, or a ladle if the bowl is deep and the handle high and hooked.
 
     One closed surface, along x, the middle of the bowl at x = 0.
@@ -49,24 +39,20 @@ def spoon(
     point : float
         Narrowing of the bowl's tip relative to an ellipse, 0 to 0.3.
     """
-    check = Checks("spoon", texture_size)
-    check.positive(length=length, bowl_length=bowl_length, bowl_width=bowl_width, depth=depth, wall=wall)
-    check.positive(handle_width=handle_width)
-    check.between(0.4 * bowl_length, bowl_length, "40 % to 100 % of the bowl's length", bowl_width=bowl_width)
-    check.between(0.15 * bowl_width, 0.9 * bowl_width, "15 % to 90 % of the bowl's width", depth=depth)
-    check.between(0.02 * bowl_width, 0.45 * depth, "2 % of the width to 45 % of the depth", wall=wall)
-    check.between(1.5 * bowl_length, 8 * bowl_length, "1.5 to 8 lengths of the bowl", length=length)
-    check.between(
-        0.1 * bowl_width, 0.45 * bowl_width, "10 % to 45 % of the bowl's width", handle_width=handle_width
-    )
-    check.not_negative(1.5 * length, "1.5 lengths", rise=rise)
-    check.not_negative(0.12 * length, "12 % of the length", hook=hook)
+    order.between(0.4 * bowl_length, bowl_length, "40 % to 100 % of the bowl's length", bowl_width=bowl_width)
+    order.between(0.15 * bowl_width, 0.9 * bowl_width, "15 % to 90 % of the bowl's width", depth=depth)
+    order.between(0.02 * bowl_width, 0.45 * depth, "2 % of the width to 45 % of the depth", wall=wall)
+    order.between(1.5 * bowl_length, 8 * bowl_length, "1.5 to 8 lengths of the bowl", length=length)
+    slim, wide = 0.1 * bowl_width, 0.45 * bowl_width
+    order.between(slim, wide, "10 % to 45 % of the bowl's width", handle_width=handle_width)
+    order.between(0, 1.5 * length, "1.5 lengths", rise=rise)
+    order.between(0, 0.12 * length, "12 % of the length", hook=hook)
     if hook > 0:
-        check.between(0.8 * handle_width, 0.5 * rise, "so that it curls clear of handle and table", hook=hook)
-    check.not_negative(0.3, "a blunt tip", point=point)
+        order.between(0.8 * handle_width, 0.5 * rise, "so that it curls clear of handle and table", hook=hook)
+    order.between(0, 0.3, "a blunt tip", point=point)
 
     size = max(length, rise + depth)
-    look = Look(finish, size, color, accent, seed)
+    look = Look.of(order, size)
     a, b = bowl_length / 2, bowl_width / 2
     ball = manifold3d.Manifold.sphere(1.0, SEGMENTS).trim_by_plane((0, 0, -1.0), 0.0)
     outer = ball.scale((a, b, depth))
@@ -84,7 +70,7 @@ def spoon(
     solids = (outer.warp_batch(pointed), handle, opening.warp_batch(pointed))
     parts = [PaintedPart.of(solid, metal) for solid in solids]
     whole = parts[0].solid + parts[1].solid - parts[2].solid
-    return assemble(whole.translate((0, 0, depth)), parts, look, texture_size)
+    return assemble(whole.translate((0, 0, depth)), parts, look, order.texture_size)
 
 
 def _handle(a: float, end: float, wall: float, width: float, rise: float, hook: float) -> manifold3d.Manifold:

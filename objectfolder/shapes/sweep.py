@@ -7,13 +7,9 @@ from objectfolder.shapes.extrusion import solid
 
 
 def tube(
-    path: np.ndarray,
-    width: np.ndarray | float,
-    thickness: np.ndarray | float,
-    side: np.ndarray | tuple[float, float, float],
-    segments: int = 24,
-    squareness: float = 2.0,
-) -> manifold3d.Manifold:
+    path: np.ndarray, width: np.ndarray | float, thickness: np.ndarray | float,
+    side: np.ndarray | tuple[float, float, float], segments: int = 24, squareness: float = 2.0,
+) -> manifold3d.Manifold:  # fmt: skip
     """Sweep a superellipse along a path (N, 3), m, in a plane whose unit normal is ``side`` (3,).
 
     ``width`` and ``thickness`` are full sizes of the section along and across ``side``, m, one or (N,);
@@ -31,9 +27,8 @@ def tube(
     round_ = np.stack([np.cos(angle), np.sin(angle)], 1)
     # Radial at each angle, so that facets stay even at tight corners.
     section = round_ / (np.abs(round_) ** squareness).sum(1, keepdims=True) ** (1 / squareness)
-    offset = (half[:, None] * section)[..., None] * np.stack([np.broadcast_to(side, path.shape), normal], 1)[
-        :, None
-    ]
+    axes = np.stack([np.broadcast_to(side, path.shape), normal], 1)
+    offset = (half[:, None] * section)[..., None] * axes[:, None]
     vertices = (path[:, None] + offset.sum(2)).reshape(-1, 3)
     i, j = (k.ravel() for k in np.meshgrid(np.arange(rows - 1), np.arange(segments), indexing="ij"))
     a, b = i * segments + j, i * segments + (j + 1) % segments
@@ -49,12 +44,9 @@ def tube(
 
 
 def bar(
-    start: np.ndarray | tuple[float, float, float],
-    stop: np.ndarray | tuple[float, float, float],
-    diameters: tuple[float, float],
-    spacing: float,
-    segments: int = 32,
-) -> manifold3d.Manifold:
+    start: np.ndarray | tuple[float, float, float], stop: np.ndarray | tuple[float, float, float],
+    diameters: tuple[float, float], spacing: float, segments: int = 32,
+) -> manifold3d.Manifold:  # fmt: skip
     """Build a straight round bar, m, whose diameter changes linearly from the first to the second."""
     ends = np.array([start, stop], np.float64)
     along = ends[1] - ends[0]

@@ -7,31 +7,22 @@ import numpy as np
 
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.section import half_outline, offset, ring, round_solid, soften
 from objectfolder.shapes.sweep import tube
 from objectfolder.shapes.texture import smoothstep
-from objectfolder.shapes.vessel import revolve_solid
+from objectfolder.shapes.turning import revolve_solid
 
 BODY = 0.74  #: height of the body without lid, in heights of the teapot
 HIDDEN = 0.002  #: allowed deviation of the inside from its curve, in its sizes
 SUNK = 0.10  #: fraction of the body's curve below the table, where it is cut level
 
 
+@generator("glaze")
 def teapot(
-    radius: float = 0.068,
-    height: float = 0.135,
-    wall: float = 0.004,
-    fullness: float = 2.3,
-    lid_radius: float = 0.034,
-    spout_reach: float = 0.055,
-    handle_reach: float = 0.045,
-    finish: str = "glaze",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+    order: Order, radius: Size = 0.068, height: Size = 0.135, wall: Size = 0.004, fullness: Size = 2.3,
+    lid_radius: Size = 0.034, spout_reach: Size = 0.055, handle_reach: Size = 0.045,
+) -> TexturedMesh:  # fmt: skip
     """Build a teapot.
 
     One closed surface of genus 1: the inside is open through the spout, which points along x. x from
@@ -50,15 +41,12 @@ def teapot(
     accent : str, optional
         On a glazed teapot the colour of lid, handle and spout's tip.
     """
-    check = Checks("teapot", texture_size)
-    check.positive(radius=radius, height=height, wall=wall, fullness=fullness, lid_radius=lid_radius)
-    check.positive(spout_reach=spout_reach, handle_reach=handle_reach)
-    check.between(1.3 * radius, 3.0 * radius, "1.3 to 3 radii", height=height)
-    check.between(0.03 * radius, 0.09 * radius, "3 % to 9 % of the radius", wall=wall)
-    check.between(1.8, 5.0, "double cone to cylinder", fullness=fullness)
-    check.between(0.35 * radius, 0.65 * radius, "35 % to 65 % of the radius", lid_radius=lid_radius)
-    check.between(0.5 * radius, 1.3 * radius, "0.5 to 1.3 radii", spout_reach=spout_reach)
-    check.between(0.45 * radius, 1.2 * radius, "0.45 to 1.2 radii", handle_reach=handle_reach)
+    order.between(1.3 * radius, 3.0 * radius, "1.3 to 3 radii", height=height)
+    order.between(0.03 * radius, 0.09 * radius, "3 % to 9 % of the radius", wall=wall)
+    order.between(1.8, 5.0, "double cone to cylinder", fullness=fullness)
+    order.between(0.35 * radius, 0.65 * radius, "35 % to 65 % of the radius", lid_radius=lid_radius)
+    order.between(0.5 * radius, 1.3 * radius, "0.5 to 1.3 radii", spout_reach=spout_reach)
+    order.between(0.45 * radius, 1.2 * radius, "0.45 to 1.2 radii", handle_reach=handle_reach)
 
     tall = BODY * height
     half = tall * (1 + SUNK) / 2
@@ -94,8 +82,9 @@ def teapot(
     handle = _handle(width, radius, tall, handle_reach)
 
     size = 2 * radius + spout_reach + handle_reach
-    look = Look(finish, size, color, None if finish == "glaze" else accent, seed)
-    trim = look if finish != "glaze" or accent is None else look.dye(accent)
+    accent, glazed = order.accent, order.finish == "glaze"
+    look = Look.of(order, size, accent=None if glazed else accent)
+    trim = look.dye(accent) if glazed and accent is not None else look
     plain, second = look.paint(), trim.paint()
 
     def dipped(points: np.ndarray) -> np.ndarray:
@@ -110,7 +99,7 @@ def teapot(
     hollow = PaintedPart.of(revolve_solid(half_outline(cavity, "teapot"), HIDDEN), plain)
     drill = PaintedPart.of(bore, plain)
     solid = body.solid + pipe.solid + grip.solid - hollow.solid - drill.solid
-    return assemble(solid, [body, pipe, grip, hollow, drill], look, texture_size)
+    return assemble(solid, [body, pipe, grip, hollow, drill], look, order.texture_size)
 
 
 def _bezier(x: list[float], z: list[float], pieces: int) -> np.ndarray:

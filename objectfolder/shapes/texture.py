@@ -51,14 +51,9 @@ def noise(points: np.ndarray, values: np.ndarray, octaves: int = 1) -> np.ndarra
 
 
 def wood(
-    points: np.ndarray,
-    scale: float,
-    seed: int,
-    light: np.ndarray | None = None,
-    dark: np.ndarray | None = None,
-    axis: np.ndarray | None = None,
-    detail: float = 1.0,
-) -> np.ndarray:
+    points: np.ndarray, scale: float, seed: int, light: np.ndarray | None = None,
+    dark: np.ndarray | None = None, axis: np.ndarray | None = None, detail: float = 1.0,
+) -> np.ndarray:  # fmt: skip
     """Return the colour (N, 3) of a block of wood with growth rings, fibres and pores.
 
     About nine rings cross the ``scale``, m, of the block that the seed selects. ``light`` and ``dark`` (3,)

@@ -11,7 +11,7 @@ from objectfolder.shapes.assembly import Look, PaintedPart, assemble, union
 from objectfolder.shapes.atlas import Paint
 from objectfolder.shapes.boards import board
 from objectfolder.shapes.extrusion import extrude_y, polygon, prism, round_corners, solid
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 from objectfolder.shapes.texture import over, rgb, smoothstep, stroke
 
 KINDS = ("car", "truck", "duck", "rings")
@@ -21,16 +21,9 @@ COLOURS = {"car": ("d23b30", "2b2c30"), "truck": ("2f74b5", "2b2c30"), "duck": (
 CELLS = 60  #: grid cells along the duck for marching cubes
 
 
+@generator("plastic")
 def toy(
-    kind: str = "car",
-    span: float = 0.16,
-    plump: float = 1.0,
-    count: int = 5,
-    finish: str = "plastic",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
+    order: Order, kind: str = "car", span: Size = 0.16, plump: Size = 1.0, count: int = 5
 ) -> TexturedMesh:
     """Build a toy.
 
@@ -51,20 +44,18 @@ def toy(
     accent : str, optional
         Colour of the wheels or the bill; rings grade from the colour to it.
     """
-    check = Checks("toy", texture_size)
-    check.choice(KINDS, kind=kind)
-    check.positive(span=span, plump=plump)
-    check.between(0.75, 1.3, "usual widths", plump=plump)
-    check.count(3, 8, count=count)
+    order.choice(KINDS, kind=kind)
+    order.between(0.75, 1.3, "usual widths", plump=plump)
+    order.count(3, 8, count=count)
 
     if kind == "rings":
-        look = Look(finish, span, color, accent, seed)
+        look = Look.of(order, span)
         parts = _rings(look, span, plump, count)
     else:
         body, trim = COLOURS[kind]
-        look = Look(finish, span, color or body, accent or trim, seed)
+        look = Look.of(order, span, color=order.color or body, accent=order.accent or trim)
         parts = {"car": _car, "truck": _truck, "duck": _duck}[kind](look, span, plump)
-    return assemble(union(parts), parts, look, texture_size)
+    return assemble(union(parts), parts, look, order.texture_size)
 
 
 def _wheels(
@@ -90,9 +81,8 @@ def _lamps(
 ) -> list[PaintedPart]:
     lamp = prism([polygon(24, radius)], 3 * radius, spacing, 0.5 * radius).rotate((0, 90, 0))
     paint = look.dye(code).paint()
-    return [
-        PaintedPart.of(lamp.translate((x - 2.5 * radius, sign * 0.32 * width, z)), paint) for sign in (-1, 1)
-    ]
+    places = [(x - 2.5 * radius, sign * 0.32 * width, z) for sign in (-1, 1)]
+    return [PaintedPart.of(lamp.translate(place), paint) for place in places]
 
 
 def _paint_cabin(body: Paint, sides: np.ndarray, width: float, border: float, pillar: float | None) -> Paint:
@@ -233,9 +223,8 @@ def _duck(look: Look, span: float, plump: float) -> list[PaintedPart]:
     upper = ball.scale((0.15, 0.105 * plump, 0.042)).rotate((0, -8, 0)).translate((0.40, 0, 0.565))
     lower = ball.scale((0.115, 0.085 * plump, 0.036)).rotate((0, 10, 0)).translate((0.39, 0, 0.525))
     bill = look.dye(look.accent).paint((1, 0, 0), 1)
-    return [PaintedPart.of(made.scale([span] * 3), paint)] + [
-        PaintedPart.of(p.scale([span] * 3), bill) for p in (upper, lower)
-    ]
+    parts = (made, paint), (upper, bill), (lower, bill)
+    return [PaintedPart.of(part.scale([span] * 3), cover) for part, cover in parts]
 
 
 def _ellipsoid(at: np.ndarray, middle: tuple[float, ...], half: tuple[float, ...]) -> np.ndarray:

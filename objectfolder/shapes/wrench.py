@@ -6,7 +6,7 @@ import numpy as np
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble, union
 from objectfolder.shapes.extrusion import polygon, prism, rectangle
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order, Size, generator
 
 ENDS = ("combination", "open", "ring")
 JAW_ANGLE = np.deg2rad(15)  #: between open jaws and the bar
@@ -16,17 +16,11 @@ RECESS = 0.14  #: depth of the panels in the bar, in its thicknesses
 SMALL = 0.85  #: relative size of the second of two like ends
 
 
+@generator("brushed")
 def wrench(
-    length: float = 0.18,
-    flats: float = 0.015,
-    thickness: float = 0.006,
+    order: Order, length: Size = 0.18, flats: Size = 0.015, thickness: Size = 0.006,
     ends: str = "combination",
-    finish: str = "brushed",
-    color: str | None = None,
-    accent: str | None = None,
-    seed: int = 0,
-    texture_size: int = 1024,
-) -> TexturedMesh:
+) -> TexturedMesh:  # fmt: skip
     """Build a wrench.
 
     One closed surface along x about the origin, its lower side on z = 0.
@@ -42,13 +36,11 @@ def wrench(
     ends : str
         "combination" of open jaws and a ring, "open" or "ring" at both ends.
     """
-    check = Checks("wrench", texture_size)
-    check.positive(length=length, flats=flats, thickness=thickness)
-    check.choice(ENDS, ends=ends)
-    check.between(6 * flats, 30 * flats, "6 to 30 widths of the nut", length=length)
-    check.between(0.2 * flats, 0.7 * flats, "20 % to 70 % of the nut's width", thickness=thickness)
+    order.choice(ENDS, ends=ends)
+    order.between(6 * flats, 30 * flats, "6 to 30 widths of the nut", length=length)
+    order.between(0.2 * flats, 0.7 * flats, "20 % to 70 % of the nut's width", thickness=thickness)
 
-    look = Look(finish, length + 2 * flats, color, accent, seed)
+    look = Look.of(order, length + 2 * flats)
     spacing = length / 60
     kinds = {"combination": ("open", "ring"), "open": ("open", "open"), "ring": ("ring", "ring")}[ends]
     sizes = (flats, flats if ends == "combination" else SMALL * flats)
@@ -57,9 +49,8 @@ def wrench(
 
     # Silhouette: two heads and a tapering bar, hollow corners rounded.
     half = 0.40 * flats, 0.34 * sizes[1]
-    bar = np.array(
-        [[middles[0], -half[0]], [middles[1], -half[1]], [middles[1], half[1]], [middles[0], half[0]]]
-    )
+    (left, right), (thick, slim) = middles, half
+    bar = np.array([[left, -thick], [right, -slim], [right, slim], [left, thick]])
     shape = manifold3d.CrossSection([bar])
     for x, radius in zip(middles, radii):
         shape += manifold3d.CrossSection([polygon(72, radius) + np.array([x, 0])])
@@ -84,7 +75,7 @@ def wrench(
     dull = look.dye(look.accent or "5f6468").paint((1, 0, 0), 1)
     for z in (lift - depth, lift + thickness - depth):
         cuts.append(PaintedPart.of(panel.translate((np.mean(ends_of_bar), 0, z)), dull))
-    return assemble(union(parts) - union(cuts), [*parts, *cuts], look, texture_size)
+    return assemble(union(parts) - union(cuts), [*parts, *cuts], look, order.texture_size)
 
 
 def _rings(shape: manifold3d.CrossSection) -> list[np.ndarray]:

@@ -79,14 +79,9 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
         volume, centre = float(found.volume), np.asarray(found.center_mass)
         inertia = np.asarray(found.inertia)
     return RigidBody(
-        key=file.key,
-        hulls=tuple(hulls),
-        mass=density(file) * volume,
-        centre=centre,
-        inertia=density(file) * inertia,
-        friction=file.friction,
-        bounds=np.asarray(surface.bounds),
-    )
+        key=file.key, hulls=tuple(hulls), mass=density(file) * volume, centre=centre,
+        inertia=density(file) * inertia, friction=file.friction, bounds=np.asarray(surface.bounds),
+    )  # fmt: skip
 
 
 def as_rigid_body(file: ObjectFile | RigidBody | str | Path, hulls: Hulls = None) -> RigidBody:
@@ -124,13 +119,9 @@ def scaled_body(body: RigidBody, ratio: float, density: float = 1.0) -> RigidBod
     """
     hulls = tuple(trimesh.Trimesh(hull.vertices * ratio, hull.faces, process=False) for hull in body.hulls)
     return replace(
-        body,
-        hulls=hulls,
-        mass=body.mass * density * ratio**3,
-        centre=body.centre * ratio,
-        inertia=body.inertia * density * ratio**5,
-        bounds=body.bounds * ratio,
-    )
+        body, hulls=hulls, mass=body.mass * density * ratio**3, centre=body.centre * ratio,
+        inertia=body.inertia * density * ratio**5, bounds=body.bounds * ratio,
+    )  # fmt: skip
 
 
 def density(file: ObjectFile) -> float:
@@ -150,12 +141,9 @@ def density(file: ObjectFile) -> float:
 
 
 def add_body(
-    spec: mujoco.MjSpec,
-    body: RigidBody,
-    name: str = "object",
-    parent: "mujoco.MjsBody | None" = None,
+    spec: mujoco.MjSpec, body: RigidBody, name: str = "object", parent: "mujoco.MjsBody | None" = None,
     free: bool | None = None,
-) -> "mujoco.MjsBody":
+) -> "mujoco.MjsBody":  # fmt: skip
     """Add an object to a MuJoCo model; the body frame is the object frame.
 
     The object does not depend on the scene: the scene's default classes do not apply to it.
@@ -203,13 +191,9 @@ def add_body(
         part = f"{name}_hull{k}"
         spec.add_mesh(plain, name=part, uservert=hull.vertices.ravel(), userface=hull.faces.ravel())
         added.add_geom(
-            plain,
-            name=part,
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=part,
-            condim=4,
+            plain, name=part, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part, condim=4,
             friction=[body.friction, TORSIONAL, ROLLING],
-        )
+        )  # fmt: skip
     return added
 
 

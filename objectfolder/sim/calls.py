@@ -13,7 +13,6 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import file_or_sample
 
 MAX_PRESSURE = 1000.0  #: greatest sound pressure that is observed, Pa
-COPIED_ATTRIBUTES = ("_np_random", "_np_random_seed", "spec")  #: attributes of gymnasium's that a copy keeps
 
 
 def open_files(objects: "ObjectFile | str | Path | Sequence[ObjectFile | str | Path]") -> list[ObjectFile]:

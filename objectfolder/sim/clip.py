@@ -157,9 +157,8 @@ class SceneCamera:
         out = np.full(len(rays), np.inf)
         near = np.flatnonzero(_meets(origins - at, rays, file.scale * 0.9))
         if len(near):
-            found, _ = file.surface.caster.first_hit(
-                (origins[near] - at) @ turn / file.scale, rays[near] @ turn
-            )
+            starts = (origins[near] - at) @ turn / file.scale
+            found, _ = file.surface.caster.first_hit(starts, rays[near] @ turn)
             out[near] = found * file.scale
         return out
 

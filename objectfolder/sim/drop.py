@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import gymnasium
 import mujoco
 import numpy as np
 from gymnasium import spaces
@@ -14,6 +13,7 @@ from objectfolder.base.materials import material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim import calls
 from objectfolder.sim.body import add_body, density, rigid_body, rotation, scaled_body
+from objectfolder.sim.game import Game
 from objectfolder.sim.hearing import Hearing
 from objectfolder.sim.sounding import Sounding, require_audible
 from objectfolder.sound.synthesis import count_samples
@@ -24,7 +24,7 @@ SIZES = 0.8, 1.25  #: range of the size, of the object's own
 _EAR = np.array([0.5, -0.4, 0.4])  # m
 
 
-class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class DropEnv(Game):
     """One unseen fall, registered as ``ObjectFolder/Drop-v0``.
 
     **Observation**: the sound of the fall, from the first contact, (samples,) float32, Pa.
@@ -46,50 +46,31 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Of sound.
     sample_rate : float
         Hz.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an argument is wrong, or on a step before a reset or with a wrong action.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it
+    _changing = ("_episode",)
 
     def __init__(
-        self,
-        objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
-        materials: str | Sequence[str] = MATERIALS,
-        seconds: float = 0.5,
-        sample_rate: float = 48000,
-    ):
+        self, objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
+        materials: str | Sequence[str] = MATERIALS, seconds: float = 0.5, sample_rate: float = 48000,
+    ):  # fmt: skip
         self.files = calls.open_files(objects)
         self.materials = calls.distinct_materials(materials)
         self._arguments = (self.files, self.materials, seconds, sample_rate)
         self._rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
         require_audible(self.files, self.materials, SIZES[0], sample_rate)
         self._bodies = [rigid_body(file, [file.to_mesh().convex_hull]) for file in self.files]
-        self.observation_space = spaces.Box(
-            -calls.MAX_PRESSURE, calls.MAX_PRESSURE, (self._samples,), np.float32
-        )
+        loudest = calls.MAX_PRESSURE
+        self.observation_space = spaces.Box(-loudest, loudest, (self._samples,), np.float32)
         self.action_space = spaces.MultiDiscrete([len(self.files), len(self.materials)])
-        self._episode: dict[str, Any] = {}
+        self._episode = {}
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Let an object fall."""
-        calls.refuse_options(options)
-        super().reset(seed=seed)
-        rng = self.np_random
+    def _begin(self, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:
         kind, stuff = int(rng.integers(len(self.files))), int(rng.integers(len(self.materials)))
         ratio = float(np.exp(rng.uniform(*np.log(SIZES))))
         height, turn, spin = rng.uniform(*HEIGHTS), rng.normal(size=4), rng.normal(size=3)
-        self._episode = {
-            "object": kind,
-            "material": stuff,
-            "scale": ratio * self.files[kind].scale,
-            "height": float(height),
-        }
+        scale = ratio * self.files[kind].scale
+        self._episode = {"object": kind, "material": stuff, "scale": scale, "height": float(height)}
         return self._simulate(ratio, height, turn / np.linalg.norm(turn), spin), dict(self._episode)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -107,17 +88,10 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def _simulate(self, ratio: float, height: float, turn: np.ndarray, spin: np.ndarray) -> np.ndarray:
         """Simulate a fall and return its sound from the first contact on."""
         file, stuff = self.files[self._episode["object"]], self.materials[self._episode["material"]]
-        body = scaled_body(
-            self._bodies[self._episode["object"]], ratio, material(stuff).density / density(file)
-        )
-        friction = material(stuff).friction
-        body = replace(body, friction=friction)
-        spec = mujoco.MjSpec()
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_PLANE,
-            size=[5, 5, 0.1],
-            friction=[friction, 0.005, 0.0001],
-        )
+        own, made = self._bodies[self._episode["object"]], material(stuff)
+        body = replace(scaled_body(own, ratio, made.density / density(file)), friction=made.friction)
+        spec, plane = mujoco.MjSpec(), mujoco.mjtGeom.mjGEOM_PLANE
+        spec.worldbody.add_geom(type=plane, size=[5, 5, 0.1], friction=[made.friction, 0.005, 0.0001])
         fallen = add_body(spec, body, "object")
         low = (body.points @ rotation(turn).T)[:, 2].min()
         fallen.pos, fallen.quat = [0, 0, height - low], turn
@@ -140,10 +114,3 @@ class DropEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         while len(sound) < start + self._samples:
             sound = np.concatenate([sound, hearing.simulate(data)])
         return sound[start : start + self._samples].clip(-calls.MAX_PRESSURE, calls.MAX_PRESSURE)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (
-            type(self),
-            self._arguments,
-            {name: getattr(self, name) for name in ("_episode", *calls.COPIED_ATTRIBUTES)},
-        )

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch.nn.functional import cross_entropy
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sim.tap import TapEnv
@@ -60,14 +61,9 @@ def features(sounds: np.ndarray, sample_rate: float) -> np.ndarray:
     quartiles = torch.where(fades, loss, torch.nan).nanquantile(torch.tensor(QUARTILES), 2).movedim(0, 2)
     known = fades.any(2)
     level = torch.log10(bands + HEARING_THRESHOLD)
-    parts = [
-        level.mean(2),
-        level.amax(2),
-        centre / own,
-        known.float(),
-        torch.where(known[..., None], quartiles, UNKNOWN_LOSS).flatten(1),
-        _histograms(loss, torch.where(fades, torch.log10(before / faint), 0.0)),
-    ]
+    parts = [level.mean(2), level.amax(2), centre / own, known.float()]
+    parts.append(torch.where(known[..., None], quartiles, UNKNOWN_LOSS).flatten(1))
+    parts.append(_histograms(loss, torch.where(fades, torch.log10(before / faint), 0.0)))
     return torch.cat(parts, 1).numpy()
 
 
@@ -127,9 +123,7 @@ class Ear:
             for _ in range(epochs):
                 for rows in torch.randperm(len(x)).split(64):
                     found = self.net(x[rows]).split(kinds, 1)
-                    loss = sum(
-                        torch.nn.functional.cross_entropy(of, y[rows, k]) for k, of in enumerate(found)
-                    )
+                    loss = sum(cross_entropy(of, y[rows, k]) for k, of in enumerate(found))
                     optimizer.zero_grad()
                     loss.backward()  # type: ignore[union-attr]
                     optimizer.step()
@@ -138,13 +132,8 @@ class Ear:
     @torch.no_grad()
     def __call__(self, heard: np.ndarray) -> np.ndarray:
         """Return the numbers of objects and materials (N, 2)."""
-        return np.stack(
-            [
-                of.argmax(1).numpy()
-                for of in self.net(_standardize(heard, self._mean, self._std)).split(self._kinds, 1)
-            ],
-            1,
-        )
+        found = self.net(_standardize(heard, self._mean, self._std)).split(self._kinds, 1)
+        return np.stack([of.argmax(1).numpy() for of in found], 1)
 
 
 class OddEar:
@@ -191,10 +180,10 @@ class OddEar:
                     order = torch.rand(len(some), count, most).argsort(-1)
                     tapped = order < torch.randint(most + 1, (len(some), count, 1))
                     embedded = self.tap(x[some])
-                    loss = torch.nn.functional.cross_entropy(self._scores(embedded, tapped), right[some])
+                    loss = cross_entropy(self._scores(embedded, tapped), right[some])
                     told = named(embedded).flatten(0, 2)
                     truth = made[some][:, :, None].expand(-1, -1, most).flatten()
-                    loss = loss + torch.nn.functional.cross_entropy(told, truth)
+                    loss = loss + cross_entropy(told, truth)
                     optimizer.zero_grad()
                     loss.backward()
                     optimizer.step()
@@ -209,9 +198,8 @@ class OddEar:
         count = [len(of) for of in taps]
         tapped = torch.arange(max(count)) < torch.tensor(count)[:, None]
         embedded = torch.zeros(len(taps), max(count), EMBEDDED)
-        embedded[tapped] = self.tap(
-            _standardize(np.stack([one for of in taps for one in of]), self._mean, self._std)
-        )
+        every = np.stack([one for of in taps for one in of])
+        embedded[tapped] = self.tap(_standardize(every, self._mean, self._std))
         scores = self._scores(embedded[None], tapped[None])
         found: np.ndarray = scores[0].softmax(0).numpy()
         return found

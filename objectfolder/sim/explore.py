@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
@@ -19,6 +18,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim import calls
 from objectfolder.sim.drop import SIZES
 from objectfolder.sim.fingers import sensor_angles
+from objectfolder.sim.game import Game
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.simulate import press
@@ -45,7 +45,7 @@ class Probe:
     touched: np.ndarray  #: (N,) bool
 
 
-class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
+class ExploreEnv(Game):
     """Name an object by touch, registered as ``ObjectFolder/Explore-v0``.
 
     **Observation**, a dict: ``touch``, the tactile image, (40, 30, 3) uint8 of a DIGIT; ``contact``, its
@@ -72,23 +72,14 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
     reduction : int
         Of the sensor's resolution, each way. With 3, images of a DIGIT have 53 x 40 pixels, enough for the
         CNN of stable-baselines3, which takes 36 x 36 or more.
-
-    Raises
-    ------
-    ObjectFolderError
-        If an argument is wrong, or on a step before a reset or with a wrong action.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it
+    _changing = ("_episode", "_touches")
 
     def __init__(
-        self,
-        objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
-        noise: float = 0.001,
-        limit: int = 30,
-        sensor: "str | SensorProfile" = "digit",
-        reduction: int = 4,
-    ):
+        self, objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
+        noise: float = 0.001, limit: int = 30, sensor: "str | SensorProfile" = "digit", reduction: int = 4,
+    ):  # fmt: skip
         self.files = calls.open_files(objects)
         self.noise, self.limit = finite_number("noise", noise), whole_number("limit", limit, 1)
         if self.noise < 0:
@@ -114,17 +105,10 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
                 "touched": spaces.Discrete(2),
             }
         )
-        self.action_space = spaces.Discrete(self.places + len(self.files))  # type: ignore[assignment]
-        self._episode: dict[str, Any] = {}
-        self._touches = 0
+        self.action_space = spaces.Discrete(self.places + len(self.files))
+        self._episode, self._touches = {}, 0
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Put an object on the table."""
-        calls.refuse_options(options)
-        super().reset(seed=seed)
-        rng = self.np_random
+    def _begin(self, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:
         kind = int(rng.integers(len(self.files)))
         scale = self.files[kind].scale * float(np.exp(rng.uniform(*np.log(SIZES))))
         self._episode = {"object": kind, "scale": scale, "yaw": float(rng.uniform(0, 2 * np.pi))}
@@ -145,11 +129,8 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
             azimuth, height = self._direction(np.array([chosen]))
             place = np.array([*(felt.radius[0] * azimuth[0, :2]), height[0]]) + error
             box: spaces.Box = self.observation_space["contact"]  # type: ignore[index]
-            observation = {
-                "touch": felt.images[0],
-                "contact": place.astype(np.float32).clip(box.low, box.high),
-                "touched": np.int64(1),
-            }
+            contact = place.astype(np.float32).clip(box.low, box.high)
+            observation = {"touch": felt.images[0], "contact": contact, "touched": np.int64(1)}
         self._touches += 1
         cut = self._touches >= self.limit
         if cut:
@@ -188,15 +169,8 @@ class ExploreEnv(gymnasium.Env[dict[str, Any], int]):
 
     def _empty_observation(self) -> dict[str, Any]:
         background = self._optics.background.numpy().reshape(self._profile.height, self._profile.width, 3)
-        return {
-            "touch": background.astype(np.uint8),
-            "contact": np.zeros(3, np.float32),
-            "touched": np.int64(0),
-        }
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        state = {name: getattr(self, name) for name in ("_episode", "_touches", *calls.COPIED_ATTRIBUTES)}
-        return type(self), self._arguments, state
+        nowhere = np.zeros(3, np.float32)
+        return {"touch": background.astype(np.uint8), "contact": nowhere, "touched": np.int64(0)}
 
 
 class Explorer:
@@ -219,14 +193,12 @@ class Explorer:
 
     def __init__(self, env: ExploreEnv, seed: int = 0, shapes: int = SHAPES, episodes: int = 150):
         self._env, self._rng = env, np.random.default_rng(seed)
-        every, rng = np.arange(env.places), self._rng
-        felt = [
-            env.feel(kind, file.scale * float(np.exp(size)), float(yaw), every)
-            for kind, file in enumerate(env.files)
-            for size, yaw in zip(
-                rng.uniform(*_LOG_SIZES, size=shapes), rng.uniform(0, 2 * np.pi / AZIMUTHS, shapes)
-            )
-        ]
+        every, rng, sector = np.arange(env.places), self._rng, 2 * np.pi / AZIMUTHS
+        felt = []
+        for kind, file in enumerate(env.files):
+            drawn = zip(rng.uniform(*_LOG_SIZES, size=shapes), rng.uniform(0, sector, shapes))
+            poses = [(file.scale * float(np.exp(size)), float(yaw)) for size, yaw in drawn]
+            felt += [env.feel(kind, *pose, every) for pose in poses]
         touched = np.stack([one.touched for one in felt])
         seen = _blocks(np.concatenate([one.images[one.touched] for one in felt]))
         self._mean = seen.mean(0)
@@ -290,13 +262,9 @@ class Explorer:
         return self._log_likelihoods(answer[None], np.array([touched]), place, every, widths)[0]
 
     def _log_likelihoods(
-        self,
-        answers: np.ndarray,
-        touched: np.ndarray,
-        place: int,
-        rows: np.ndarray,
+        self, answers: np.ndarray, touched: np.ndarray, place: int, rows: np.ndarray,
         widths: tuple[float, float],
-    ) -> np.ndarray:
+    ) -> np.ndarray:  # fmt: skip
         """Return logarithms of likelihoods of answers (M,), for hypotheses of some rows (R,); (M, R)."""
         sizes = self._scales(widths)
         a, b = answers / sizes, self._answers[rows, place] / sizes
@@ -305,9 +273,8 @@ class Explorer:
         alike = touched[:, None] == self._touched[rows, place]
         # A contact that the table does not know counts as one far from all others.
         far = -0.5 * 9 * len(sizes)
-        log = np.where(
-            both, np.maximum(-0.5 * squares, far + np.log(MISMATCH)), np.where(touched, far, 0.0)[:, None]
-        )
+        known = np.maximum(-0.5 * squares, far + np.log(MISMATCH))
+        log = np.where(both, known, np.where(touched, far, 0.0)[:, None])
         return log + np.log(np.where(alike, 1 - MISMATCH, MISMATCH))
 
     def _fit_widths(self, episodes: int) -> tuple[float, float]:

@@ -18,16 +18,12 @@ from objectfolder.sim.body import ROLLING, TORSIONAL, RigidBody, add_body, densi
 from objectfolder.sim.hulls import MAX_HULLS, convex_hulls
 from objectfolder.sim.visual import GREY, visual_mesh
 
+OwnHulls = Sequence[trimesh.Trimesh] | None  #: hulls of an object; None: computed
 _VISUAL, _COLLISION = 2, 3  # groups of geoms; MuJoCo's viewer shows only the first
 _NEEDED = 8 * 2**20  # approximate size of a folder with mesh and texture, bytes
 
 
-def write_mjcf(
-    file: ObjectFile,
-    out: str | Path,
-    max_hulls: int = MAX_HULLS,
-    hulls: Sequence[trimesh.Trimesh] | None = None,
-) -> Path:
+def write_mjcf(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hulls: OwnHulls = None) -> Path:
     """Write a folder that MuJoCo loads: ``mujoco.MjModel.from_xml_path("OUT/<key>/<key>.xml")``.
 
     The body, named after the object, has a free joint and the mass and inertia of `rigid_body`. Hulls collide
@@ -58,12 +54,7 @@ def write_mjcf(
     return Path(out) / file.key / f"{file.key}.xml"
 
 
-def write_urdf(
-    file: ObjectFile,
-    out: str | Path,
-    max_hulls: int = MAX_HULLS,
-    hulls: Sequence[trimesh.Trimesh] | None = None,
-) -> Path:
+def write_urdf(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hulls: OwnHulls = None) -> Path:
     """Write a folder with a URDF of one link; otherwise as `write_mjcf`.
 
     PyBullet reads the inertia only on request:
@@ -85,9 +76,8 @@ def _write_meshes(folder: Path, file: ObjectFile, body: RigidBody) -> bool:
     """Write the hulls and visual.obj with its texture, if any; return whether there is a texture."""
     for k, hull in enumerate(body.hulls):
         write_text(folder / _hull_name(k), export_obj(hull, include_normals=False, header=None))
-    text, more = export_obj(
-        visual_mesh(file), include_normals=True, return_texture=True, mtl_name="visual.mtl", header=None
-    )
+    options = {"include_normals": True, "return_texture": True, "mtl_name": "visual.mtl", "header": None}
+    text, more = export_obj(visual_mesh(file), **options)
     write_text(folder / "visual.obj", text)
     for name, content in more.items():
         (folder / name).write_bytes(content)
@@ -114,10 +104,8 @@ def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
         look.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     visual = f"{body.key}_visual"
     spec.add_mesh(name=visual, file="visual.obj", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-    alone = {"contype": 0, "conaffinity": 0, "density": 0}
-    added.add_geom(
-        name=visual, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=visual, material=name, group=_VISUAL, **alone
-    )
+    alone = {"contype": 0, "conaffinity": 0, "density": 0, "group": _VISUAL}
+    added.add_geom(name=visual, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=visual, material=name, **alone)
     try:
         spec.compile()
     except ValueError as error:  # such as of an object that is too small
@@ -159,7 +147,7 @@ def _numbers(*values: float | np.floating) -> str:
 
 @contextmanager
 def export_folder(
-    file: ObjectFile, out: str | Path, max_hulls: int, hulls: Sequence[trimesh.Trimesh] | None
+    file: ObjectFile, out: str | Path, max_hulls: int, hulls: OwnHulls
 ) -> Iterator[tuple[Path, RigidBody]]:
     """Give a folder to fill, which becomes ``OUT/<key>`` if all goes well, and the object's rigid body.
 

@@ -84,12 +84,9 @@ class Feeling:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        pads: str | Sequence[str],
-        objects: Objects,
+        self, model: mujoco.MjModel, pads: str | Sequence[str], objects: Objects,
         sensor: "str | SensorProfile" = "digit",
-    ):
+    ):  # fmt: skip
         require_compiled(model)
         self.profile = load_profile(sensor)
         if self.profile.gel == "rigid":
@@ -115,9 +112,8 @@ class Feeling:
             self._files[body], self._friction[body] = one.file, one.friction
         self._check_sizes()
         profile = self.profile
-        self._coarse = replace(
-            profile, height=profile.height // GRID_REDUCTION, width=profile.width // GRID_REDUCTION
-        )
+        height, width = profile.height // GRID_REDUCTION, profile.width // GRID_REDUCTION
+        self._coarse = replace(profile, height=height, width=width)
         self.markers = Markers().places(profile)
         half = profile.camera_to_gel * np.array(profile.half_extent)  # up, across
         across, up = np.meshgrid(*(s * np.linspace(-1, 1, n) for s, n in zip(half[::-1], SEARCH_RAYS)))
@@ -177,9 +173,7 @@ class Feeling:
                 continue
             side = pair.index(finger)
             place = (contact.pos - at) @ axes
-            if (
-                abs(place) > [SEARCH_RANGE, CONTACT_MARGIN * self._half[1], CONTACT_MARGIN * self._half[0]]
-            ).any():
+            if (abs(place) > [SEARCH_RANGE, *(CONTACT_MARGIN * self._half[::-1])]).any():
                 continue
             mujoco.mj_contactForce(model, data, k, wrench)
             on_second = wrench[:3] @ contact.frame.reshape(3, 3)
@@ -194,13 +188,9 @@ class Feeling:
         return body, force * [-1, -1, 1], (at - data.xpos[body]) @ turn, turn.T @ axes
 
     def _press(
-        self,
-        file: ObjectFile,
-        body: int,
-        chosen: list[int],
-        contacts: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]],
-        felt: dict[str, np.ndarray],
-    ) -> None:
+        self, file: ObjectFile, body: int, chosen: list[int],
+        contacts: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]], felt: dict[str, np.ndarray],
+    ) -> None:  # fmt: skip
         """Press the gels that touch one object; fill in the rows of what they feel."""
         places, axes = np.stack([contacts[k][2] for k in chosen]), np.stack([contacts[k][3] for k in chosen])
         met = self._measure_gaps(file, places, axes)
@@ -251,13 +241,9 @@ class Feeling:
         return _interpolate(forces, found.force.reshape(-1, DEPTH_LEVELS), levels)
 
     def _solve_shears(
-        self,
-        file: ObjectFile,
-        poses: tuple[np.ndarray, np.ndarray, np.ndarray],
-        depth: np.ndarray,
-        forces: np.ndarray,
-        friction: np.ndarray,
-    ) -> np.ndarray:
+        self, file: ObjectFile, poses: tuple[np.ndarray, np.ndarray, np.ndarray], depth: np.ndarray,
+        forces: np.ndarray, friction: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
         """Return the shears (N, 2) at which the gels bear sideways forces (N, 2), as far as they can."""
         size = np.linalg.norm(forces, axis=1)
         along = forces / np.maximum(size, 1e-12)[:, None]

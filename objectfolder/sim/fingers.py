@@ -182,7 +182,8 @@ def first_contact(file: ObjectFile, rest: np.ndarray, hands: np.ndarray) -> Firs
 
 def _pad_rays(rest: np.ndarray, hands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return origins on the faces of the open pads and closing directions; object frame, m, (N, 2, R, 3)."""
-    y, z = np.meshgrid(*(_cell_centers(half, count) for half, count in zip(PAD[1:], PAD_RAYS)), indexing="ij")
+    cells = (((np.arange(n) + 0.5) / n * 2 - 1) * half for half, n in zip(PAD[1:], PAD_RAYS))
+    y, z = np.meshgrid(*cells, indexing="ij")
     face = np.stack([0 * y.ravel(), y.ravel(), z.ravel()], 1)
     side = np.array([[[1.0, 0, 0]], [[-1.0, 0, 0]]])  # left, right
     starts, closing = face + OPEN * side, np.broadcast_to(-side, (2, *face.shape))
@@ -201,8 +202,3 @@ def _centroids(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Return means of the chosen points (N, 2, R, 3) of each pad; 0 where none is; (N, 2, 3)."""
     weights = chosen / np.maximum(chosen.sum(2, keepdims=True), 1)
     return (weights[..., None] * np.where(chosen[..., None], points, 0.0)).sum(2)
-
-
-def _cell_centers(half: float, count: int) -> np.ndarray:
-    """Return the centres of ``count`` equal parts of [-half, half]."""
-    return ((np.arange(count) + 0.5) / count * 2 - 1) * half

@@ -6,7 +6,6 @@ and sounds KHR_audio_rigid_bodies, draft of 16 August 2026 (khiner/MeshEditor 80
 
 import json
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from objectfolder.mesh.srgb import decode
 from objectfolder.mesh.textured import complete_document, y_up
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.body import RigidBody
-from objectfolder.sim.export import export_folder
+from objectfolder.sim.export import OwnHulls, export_folder
 from objectfolder.sim.hulls import MAX_HULLS
 from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image, visual_mesh
 from objectfolder.sound.gains_net import energy_weights
@@ -32,12 +31,7 @@ _COMPONENTS = {"<f4": 5126, "<u4": 5125}
 _TYPES = {1: "SCALAR", 3: "VEC3"}
 
 
-def write_glb(
-    file: ObjectFile,
-    out: str | Path,
-    max_hulls: int = MAX_HULLS,
-    hulls: Sequence[trimesh.Trimesh] | None = None,
-) -> Path:
+def write_glb(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hulls: OwnHulls = None) -> Path:
     """Write ``OUT/<key>/<key>.glb``, y up: textured surface, mass, convex hulls and vibration modes.
 
     A file without modes gets no sound. Modes are in descending order of their mean energy, so that the first
@@ -61,19 +55,15 @@ def _meshes(file: ObjectFile, body: RigidBody) -> bytes:
     """Return a binary glTF with the visual mesh and the hulls."""
     look = visual_mesh(file)
     texture, grey = texture_image(look), float(decode(np.float64(GREY)))  # factors are linear
+    color = [grey] * 3 + [1.0] if texture is None else None
     surface = trimesh.visual.material.PBRMaterial(
-        baseColorFactor=[grey] * 3 + [1.0] if texture is None else None,
-        baseColorTexture=texture,
-        roughnessFactor=ROUGHNESS,
-        metallicFactor=0.0,
+        baseColorFactor=color, baseColorTexture=texture, roughnessFactor=ROUGHNESS, metallicFactor=0.0
     )
     drawn = trimesh.Trimesh(
-        y_up(look.vertices),
-        look.faces,
-        vertex_normals=y_up(np.asarray(look.vertex_normals)),
+        y_up(look.vertices), look.faces, vertex_normals=y_up(np.asarray(look.vertex_normals)),
         visual=trimesh.visual.TextureVisuals(uv=getattr(look.visual, "uv", None), material=surface),
         process=False,
-    )
+    )  # fmt: skip
     scene = trimesh.Scene()
     scene.add_geometry(drawn, geom_name="visual")
     for k, hull in enumerate(body.hulls):
@@ -93,9 +83,8 @@ def _add_body(document: dict[str, Any], body: RigidBody) -> dict[str, Any]:
     document["nodes"] = [node]
     for k, name in enumerate(names):
         collider = {"geometry": {"node": count + 1 + k, "convexHull": True}, "physicsMaterial": 0}
-        document["nodes"].append(
-            {"name": f"{name}_collider", "extensions": {PHYSICS: {"collider": collider}}}
-        )
+        extensions = {PHYSICS: {"collider": collider}}
+        document["nodes"].append({"name": f"{name}_collider", "extensions": extensions})
     # Shapes are nodes of no scene, so that nobody draws them.
     document["nodes"] += [{"name": name, "mesh": numbers[name]} for name in names]
     document["scenes"], document["scene"] = [{"nodes": [0]}], 0
@@ -126,19 +115,14 @@ def _modal_model(
     energy = np.square(shapes).mean((0, 1)) * energy_weights(damped, damping)
     order = np.argsort(-energy, kind="stable")
     displaced = shapes[..., order].transpose(2, 0, 1).reshape(-1, 3)  # mode by mode
-    arrays = {
-        "frequencies": damped[order] / (2 * np.pi),
-        "decayRates": damping[order],
-        "positions": y_up(points),
-        "shapes": y_up(displaced),
-    }
-    model: dict[str, Any] = {
-        name: add_accessor(document, buffer, values.astype(np.float32)) for name, values in arrays.items()
-    }
-    model["indices"] = add_accessor(document, buffer, faces.reshape(-1).astype(np.uint32))
-    found: dict[str, Any] = {
-        "modalModels": [{"name": file.key, **model, "massProperties": describe_motion(body)}]
-    }
+    arrays = {"frequencies": damped[order] / (2 * np.pi), "decayRates": damping[order]}
+    arrays |= {"positions": y_up(points), "shapes": y_up(displaced)}
+    whole: dict[str, Any] = {"name": file.key}
+    for name, values in arrays.items():
+        whole[name] = add_accessor(document, buffer, values.astype(np.float32))
+    whole["indices"] = add_accessor(document, buffer, faces.reshape(-1).astype(np.uint32))
+    whole["massProperties"] = describe_motion(body)
+    found: dict[str, Any] = {"modalModels": [whole]}
     stored = file.header.get("material_properties")
     if stored:
         material = {"name": file.material, "density": stored["density"]}
@@ -146,7 +130,7 @@ def _modal_model(
         if not stored.get("loss_factor"):  # the draft knows no other law
             material |= {"alpha": stored["alpha"], "beta": stored["beta"]}
         found["acousticMaterials"] = [material]
-        found["modalModels"][0]["material"] = 0
+        whole["material"] = 0
     return found
 
 
@@ -205,11 +189,8 @@ def add_accessor(document: dict[str, Any], buffer: bytearray, values: np.ndarray
     document["bufferViews"].append({"buffer": 0, "byteOffset": len(buffer), "byteLength": values.nbytes})
     buffer.extend(values.tobytes())
     rows, kind = values.reshape(len(values), -1), _COMPONENTS[values.dtype.str]
-    accessor: dict[str, Any] = {
-        "bufferView": len(document["bufferViews"]) - 1,
-        "componentType": kind,
-        "count": len(values),
-    }
+    view = len(document["bufferViews"]) - 1
+    accessor: dict[str, Any] = {"bufferView": view, "componentType": kind, "count": len(values)}
     accessor |= {"type": _TYPES[rows.shape[1]], "min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
     document["accessors"].append(accessor)
     return len(document["accessors"]) - 1

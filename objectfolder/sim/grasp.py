@@ -22,6 +22,7 @@ from objectfolder.sim.body import Hulls
 from objectfolder.sim.camera import ExternalCamera
 from objectfolder.sim.features import CONTRAST, FeatureFunction, TouchFeatures
 from objectfolder.sim.fingers import Presses
+from objectfolder.sim.game import Game
 from objectfolder.sim.grasp_scene import lowest_hand
 from objectfolder.sim.grasp_task import STEPS, GraspTask, make_task
 from objectfolder.sim.gripper import STROKE
@@ -30,7 +31,7 @@ OBSERVATIONS = ("features", "tactile", "images", "width", "blind")
 STATE = 3  #: size of the state that is observed beside touches: step, height, opening
 
 
-class GraspEnv(gymnasium.Env[Any, np.ndarray]):
+class GraspEnv(Game):
     """One object and one gripper with two tactile sensors.
 
     ``gymnasium.make("objectfolder.sim:ObjectFolder/Grasp-v0", file="build/mug/ObjectFile.safetensors")``
@@ -54,23 +55,16 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
     Raises
     ------
     ObjectFolderError
-        If the object does not fit the gripper, or the file lacks touch. On a step before a reset, with a
-        wrong action, or after the end of an episode, and on a reset with options.
-
-    Notes
-    -----
-    A pickle holds the arguments, the episode and the random generator: a copy goes on as the original does.
+        If the object does not fit the gripper, or the file lacks touch; on a step after the end of an
+        episode; otherwise as `objectfolder.sim.game.Game`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012
 
     def __init__(
-        self,
-        file: ObjectFile | str | Path,
-        observation: str = "features",
-        hulls: Hulls = None,
+        self, file: ObjectFile | str | Path, observation: str = "features", hulls: Hulls = None,
         render_mode: str | None = None,
-    ):
+    ):  # fmt: skip
         self._arguments = (file, observation, hulls, render_mode)
         self.render_mode = calls.check_render_mode(render_mode)
         one_of("observation", observation, OBSERVATIONS)  # before hulls are computed
@@ -78,13 +72,8 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         self.observation_space = self._episodes.space()
         self.action_space = spaces.Box(-1, 1, (4,), np.float32)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode with the object at a random place."""
-        calls.refuse_options(options)
-        super().reset(seed=seed)
-        return _first(self._episodes.begin(1, self.np_random)), {}
+    def _begin(self, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:
+        return _first(self._episodes.begin(1, rng)), {}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move the hand, and grasp after the last step."""
@@ -102,9 +91,9 @@ class GraspEnv(gymnasium.Env[Any, np.ndarray]):
         return self._episodes.picture(0)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept, of = {name: getattr(self, name) for name in calls.COPIED_ATTRIBUTES}, self._episodes
-        # Places and hands are never changed in place, so that a copy may share them.
-        return type(self), self._arguments, (kept, (of.objects, of.hands, of.step))
+        made, arguments, kept = super().__reduce__()
+        of = self._episodes  # places and hands are never changed in place, so that a copy may share them
+        return made, arguments, (kept, (of.objects, of.hands, of.step))
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         """Restore the episode and the random generator of a pickle."""
@@ -144,15 +133,10 @@ class GraspVectorEnv(gymnasium.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
     }
 
     def __init__(
-        self,
-        num_envs: int = 1,
-        file: ObjectFile | str | Path | None = None,
-        observation: str = "features",
-        hulls: Hulls = None,
-        task: GraspTask | None = None,
-        features: FeatureFunction | None = None,
+        self, num_envs: int = 1, file: ObjectFile | str | Path | None = None, observation: str = "features",
+        hulls: Hulls = None, task: GraspTask | None = None, features: FeatureFunction | None = None,
         render_mode: str | None = None,
-    ):
+    ):  # fmt: skip
         self.render_mode = calls.check_render_mode(render_mode)
         one_of("observation", observation, OBSERVATIONS)
         if task is None:

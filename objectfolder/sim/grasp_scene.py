@@ -50,12 +50,9 @@ class Physics:
         spec.option.cone = getattr(mujoco.mjtCone, f"mjCONE_{self.cone.upper()}")
         spec.option.impratio = self.impratio
         spec.worldbody.add_geom(
-            name="table",
-            type=mujoco.mjtGeom.mjGEOM_PLANE,
-            size=[1, 1, 0.1],
-            condim=4,
+            name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], condim=4,
             friction=[0.5, 0.005, 0.0001],
-        )
+        )  # fmt: skip
         return spec
 
 
@@ -201,9 +198,8 @@ class GraspScene:
         models = [self._with_force(force) for force in np.asarray(forces, np.float64)]
         states = self._close_until_still(models, objects, hands)
         # Squeeze with the greatest force, until what the jaws pushed has come to rest as well.
-        controls = self.layout.constant_controls(
-            hands, np.full(len(hands), SHUT), self._steps(SQUEEZE_DURATION)
-        )
+        shut = np.full(len(hands), SHUT)
+        controls = self.layout.constant_controls(hands, shut, self._steps(SQUEEZE_DURATION))
         states, sensors = self._advance(models, states, controls)
         return ClosedGrasps(self.layout, models, hands, states, sensors)
 
@@ -213,17 +209,9 @@ class GraspScene:
         success = np.zeros(len(states), bool)
         success[held] = True
         slip = self._place_in_hand(states) - self._place_in_hand(closed.states)
-        return Outcomes(
-            objects=closed.objects,
-            hands=closed.hands,
-            width=closed.width,
-            touched=closed.touched,
-            contacts=closed.contacts,
-            forces=closed.forces,
-            rise=self._rise(states, closed),
-            slip=np.linalg.norm(slip, axis=1),
-            success=success,
-        )
+        same = ("objects", "hands", "width", "touched", "contacts", "forces")
+        moved = {"rise": self._rise(states, closed), "slip": np.linalg.norm(slip, axis=1)}
+        return Outcomes(**{name: getattr(closed, name) for name in same}, **moved, success=success)
 
     def grasp(self, objects: np.ndarray, hands: np.ndarray, forces: np.ndarray) -> Outcomes:
         """Close the jaws on objects, lift and hold them; parameters as of `close`.
@@ -300,9 +288,8 @@ class GraspScene:
         for part in (heights[: steps // 2], heights[steps // 2 :], np.full(steps, LIFT)):  # lift, hold
             controls = self.layout.constant_controls(closed.hands[held], np.full(len(held), SHUT), len(part))
             controls[:, :, self.layout.height_motor] += part
-            states[held], sensors = self._advance(
-                [closed.models[row] for row in held], states[held], controls
-            )
+            models = [closed.models[row] for row in held]
+            states[held], sensors = self._advance(models, states[held], controls)
             risen = self._rise(states, closed)[held] > HOLD_SHARE * part[-1]
             held = held[risen & (sensors[:, :, 0] > 0).all(1)]
         return states, held

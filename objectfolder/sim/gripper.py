@@ -68,26 +68,14 @@ def add_gripper(spec: mujoco.MjSpec, friction: float, reach: float = 0.0) -> Non
     for side, turn in zip(SIDES, ([1, 0, 0, 0], [0, 0, 0, 1])):
         jaw = hand.add_body(name=side, quat=turn, gravcomp=1)
         jaw.add_joint(
-            name=side,
-            type=slide,
-            axis=[1, 0, 0],
-            range=[0, OPEN],
-            limited=True,
-            damping=np.array([JOINT_DAMPING, 0, 0]),
-            armature=0.2,
-        )
+            name=side, type=slide, axis=[1, 0, 0], range=[0, OPEN], limited=True,
+            damping=np.array([JOINT_DAMPING, 0, 0]), armature=0.2,
+        )  # fmt: skip
         jaw.add_geom(name=f"{side}_finger", type=box, size=FINGER + up, pos=FINGER_AT + up, mass=0.1)
         jaw.add_geom(
-            name=f"{side}_pad",
-            type=box,
-            size=PAD + up,
-            pos=np.array([PAD[0], 0, 0]) + up,
-            mass=0.02,
-            condim=4,
-            friction=[friction, 0.005, 0.0001],
-            solref=[_PAD_SOFTNESS, 1],
-            priority=1,
-        )
+            name=f"{side}_pad", type=box, size=PAD + up, pos=np.array([PAD[0], 0, 0]) + up, mass=0.02,
+            condim=4, friction=[friction, 0.005, 0.0001], solref=[_PAD_SOFTNESS, 1], priority=1,
+        )  # fmt: skip
         _position(spec, side, STIFFNESS, DAMPING)
         _contact_sensor(spec, side)
     spec.add_exclude(bodyname1="left", bodyname2="right")
@@ -116,14 +104,10 @@ def _contact_sensor(spec: mujoco.MjSpec, side: str) -> None:
     fields = (data.mjCONDATA_FOUND, data.mjCONDATA_FORCE, data.mjCONDATA_POS)
     net_force = 3
     spec.add_sensor(
-        name=side,
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=mujoco.mjtObj.mjOBJ_GEOM,
-        objname=f"{side}_pad",
-        reftype=mujoco.mjtObj.mjOBJ_BODY,
-        refname="object",
+        name=side, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_GEOM,
+        objname=f"{side}_pad", reftype=mujoco.mjtObj.mjOBJ_BODY, refname="object",
         intprm=[sum(1 << int(field) for field in fields), net_force, 1],
-    )
+    )  # fmt: skip
 
 
 def hand_axes(hands: np.ndarray) -> np.ndarray:

@@ -96,14 +96,9 @@ class Hearing:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        objects: Objects,
-        listener: "str | Sequence[float] | np.ndarray",
-        sample_rate: float = 48000,
-        surroundings: str | Material = "wood",
-        seed: int = 0,
-    ):
+        self, model: mujoco.MjModel, objects: Objects, listener: "str | Sequence[float] | np.ndarray",
+        sample_rate: float = 48000, surroundings: str | Material = "wood", seed: int = 0,
+    ):  # fmt: skip
         require_compiled(model)
         self.sample_rate = checked_sample_rate(sample_rate)
         self._model, self._seed = model, whole_number("seed", seed)
@@ -127,12 +122,8 @@ class Hearing:
         longest = math.ceil(self.sample_rate * self._step) + 1
         needed = 16 * len(voices) * max(len(voice.poles) for voice in voices) * longest
         require_memory("Hearing", needed, f"lower the sample rate, {self.sample_rate:g} Hz")
-        self._stream = ModalStream(
-            [voice.poles for voice in voices],
-            self.sample_rate,
-            longest,
-            [voice.accelerated for voice in voices],
-        )
+        poles, accelerated = [voice.poles for voice in voices], [voice.accelerated for voice in voices]
+        self._stream = ModalStream(poles, self.sample_rate, longest, accelerated)
         self._reader = ContactReader(model, [*self._bodies])
         self.reset()
 
@@ -213,7 +204,8 @@ class Hearing:
                     turn = data.xmat[number].reshape(3, 3)
                     point = (impact.point - data.xpos[number]) @ turn
                     blows.setdefault(number, []).append((k, point, sign * impact.impulse @ turn))
-        durations = [self._contact_time([self._bodies.get(n) for n in one.bodies], one) for one in impacts]
+        contacts = [self._contact([self._bodies.get(number) for number in one.bodies]) for one in impacts]
+        durations = [hertz_time(*of, one.mass, one.speed) for of, one in zip(contacts, impacts)]
         hits, taken = [], np.zeros(len(impacts))
         for number, found in blows.items():
             body = self._bodies[number]
@@ -234,9 +226,6 @@ class Hearing:
             energies = share**2 * energy, impact.lost
             out.append(Strike(body.name, start, point, share * impulse, duration, impact.speed, *energies))
         return out
-
-    def _contact_time(self, both: "list[_Body | None]", impact: Impact) -> float:
-        return hertz_time(*self._contact(both), impact.mass, impact.speed)
 
     def _contact(self, both: "list[_Body | None]") -> tuple[float, float]:
         """Return the modulus of a contact, Pa, and its radius, m."""

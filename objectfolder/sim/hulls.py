@@ -49,12 +49,9 @@ def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[tri
         )
     shape = merge_meshes(outer)
     parts = coacd.run_coacd(
-        coacd.Mesh(shape.vertices, shape.faces),
-        threshold=_THRESHOLD,
-        max_convex_hull=max_hulls,
-        preprocess_mode="off",
-        **_SEARCH,
-    )
+        coacd.Mesh(shape.vertices, shape.faces), threshold=_THRESHOLD, max_convex_hull=max_hulls,
+        preprocess_mode="off", **_SEARCH,
+    )  # fmt: skip
     hulls = tuple(hull for points, _ in parts if (hull := _convex_hull(np.asarray(points), size)) is not None)
     for k, hull in enumerate(hulls):
         _check(hull, f"hull {k}", "check that the surface is closed")
@@ -164,9 +161,8 @@ def _parse(path: str | Path, arrays: dict[str, np.ndarray]) -> tuple[trimesh.Tri
     ):
         raise ObjectFolderError(f"{path} does not hold as many hulls as it counts; {remedy}")
     hulls = []
-    for k, (points, triangles) in enumerate(
-        zip(np.split(vertices, vertex_counts.cumsum()[:-1]), np.split(faces, face_counts.cumsum()[:-1]))
-    ):
+    parts = np.split(vertices, vertex_counts.cumsum()[:-1]), np.split(faces, face_counts.cumsum()[:-1])
+    for k, (points, triangles) in enumerate(zip(*parts)):
         name = f"{path}: hull {k}"
         if triangles.min() < 0 or triangles.max() >= len(points):
             raise ObjectFolderError(f"{name} has faces with missing vertices; {remedy}")

@@ -124,10 +124,8 @@ class ContactReader:
         held = np.array([pair in self._pending for pair in pairs])
         pressed = np.where(held, -(motion[::3] @ self._outside), 0.0).clip(0)
         approach = -velocity[:, 0] - pressed
-        faint = [
-            _MIN_SPEED_RATIO * self._pending[pair].speed if pair in self._pending else 0.0 for pair in pairs
-        ]
-        min_speed = np.maximum(self.min_speed, faint)
+        speeds = [self._pending[pair].speed if pair in self._pending else 0.0 for pair in pairs]
+        min_speed = np.maximum(self.min_speed, _MIN_SPEED_RATIO * np.array(speeds))
         met = new[live] & (approach > min_speed)
         impulses, out = np.zeros((count, 3)), []
         mobility = motion @ moved.T
@@ -152,26 +150,15 @@ class ContactReader:
                 row, normal = live[k], float(impulses[k, 0])
                 speed = float(approach[k] if met[k] else alone[k] / (1 + bounce[k]))
                 change = speed + float(rebound[k]) if met[k] else float(alone[k])
-                out.append(
-                    Impact(
-                        bodies=pairs[k],
-                        point=found.point[row],
-                        impulse=impulses[k] @ found.frame[row],
-                        normal=normal,
-                        speed=speed,
-                        mass=normal / change,
-                        lost=float(lost[k]),
-                        late=min(max(-float(found.distance[row]), 0.0) / speed, step),
-                    )
-                )
+                late = min(max(-float(found.distance[row]), 0.0) / speed, step)
+                impulse, gone = impulses[k] @ found.frame[row], float(lost[k])
+                place = pairs[k], found.point[row]
+                out.append(Impact(*place, impulse, normal, speed, normal / change, gone, late))
             for pair in hit - self._pending.keys():
                 mine = np.array([one == pair for one in pairs])
                 lasting = max(_time_constant(*ref) for ref in found.solref[live[mine]].tolist())
-                self._pending[pair] = _Pending(
-                    np.zeros(model.nv),
-                    math.ceil(_IMPACT_DURATION * lasting / step),
-                    float(approach[mine].max()),
-                )
+                steps, fastest = math.ceil(_IMPACT_DURATION * lasting / step), float(approach[mine].max())
+                self._pending[pair] = _Pending(np.zeros(model.nv), steps, fastest)
         force = found.force[live]
         given = np.einsum("kd,kdv->kv", impulses - step * force, motion.reshape(count, 3, -1))
         for k, pair in enumerate(pairs):
@@ -285,17 +272,11 @@ class _Contacts:
                 velocity[alike, 0] = (v[:, 0] + v[:, 1]) / 2
                 velocity[alike, 1:] = (v[:, ::2] - v[:, 1::2]) / (2 * mu[alike, :2])
         return cls(
-            bodies=[tuple(pair) for pair in model.geom_bodyid[geoms].tolist()],
-            pairs=geoms,
-            point=contact.pos[rows],
-            frame=contact.frame[rows].reshape(-1, 3, 3),
-            velocity=velocity,
-            carried=np.zeros(len(rows)),
-            force=force,
-            friction=mu[:, 0],
-            solref=contact.solref[rows],
+            bodies=[tuple(pair) for pair in model.geom_bodyid[geoms].tolist()], pairs=geoms,
+            point=contact.pos[rows], frame=contact.frame[rows].reshape(-1, 3, 3), velocity=velocity,
+            carried=np.zeros(len(rows)), force=force, friction=mu[:, 0], solref=contact.solref[rows],
             distance=contact.dist[rows],
-        )
+        )  # fmt: skip
 
 
 @dataclass

@@ -93,7 +93,8 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
         super().reset(seed=seed)
         self.env.seed(int(self.np_random.integers(2**31)))
         observation, _ = self.env.reset()
-        return self._inside(observation), {}
+        space: Box = self.observation_space  # type: ignore[assignment]
+        return np.clip(observation, space.low, space.high), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Simulate one control step, 12.5 ms."""
@@ -104,6 +105,3 @@ class MetaWorldReach(gymnasium.Env[np.ndarray, np.ndarray]):
     def close(self) -> None:
         """Release Meta-World's resources."""
         self.env.close()
-
-    def _inside(self, observation: np.ndarray) -> np.ndarray:
-        return np.clip(observation, self.observation_space.low, self.observation_space.high)  # type: ignore[attr-defined]

@@ -7,7 +7,6 @@ Meta-World 3.1.1 (Yu et al. 2020, CoRL). There is no Sawyer arm: the hand floats
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import mujoco
 import numpy as np
 from gymnasium.spaces import Box
@@ -18,6 +17,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim import calls
 from objectfolder.sim.body import Hulls, RigidBody, add_body, as_rigid_body
 from objectfolder.sim.drawing import draw_model, view_frame, view_rays
+from objectfolder.sim.game import Game
 
 SUBSTEPS = 5  #: simulation steps per control step
 ACTION_SCALE = 0.01  #: motion of the hand's target in a control step by an action of 1, m
@@ -29,8 +29,6 @@ OPENING = 0.1  #: opening of the fingers that is observed as 1, m
 SIGMOID = np.sqrt(1 / 0.1 - 1)  #: makes the reward's long tail 0.1 at the margin
 #: Camera of `ReachEnv.render`: position and target, m; vertical field of view, degrees.
 EYE, TARGET, FOV = np.array([1.1, 0.05, 0.6]), np.array([0.0, 0.74, 0.12]), 26.0
-#: Attributes of an environment that change.
-_STATE_ATTRIBUTES = ("data", "goal", "_margin", "_steps", "_previous", *calls.COPIED_ATTRIBUTES)
 _REACH_HIGH = np.array([0.525, 1.025, 0.7])
 _REACH_LOW = np.array([-0.525, 0.348, -0.0525])
 _STATE_LOW = np.concatenate([_REACH_LOW, [-1], np.full(3, -2.0), np.full(11, -1.0)])
@@ -45,7 +43,7 @@ MAX_HEIGHT = 0.15  #: height of an object that fits under the open gripper at it
 MAX_RADIUS = MIN_DISTANCE - SUCCESS_RADIUS
 
 
-class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class ReachEnv(Game):
     """Meta-World's reach-v3 with any object, registered as ``ObjectFolder/Reach-v0``.
 
     **Observation**, 39 numbers: the current state (18), the previous state (18), the goal (3). A state is the
@@ -74,13 +72,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     Raises
     ------
     ObjectFolderError
-        If the object is too large for the scene, or an argument is wrong. On a step before a reset or with a
-        wrong action, and on a reset with options.
-
-    Notes
-    -----
-    A pickle holds the arguments, the simulation, the episode and the random generator: a copy goes on as the
-    original does.
+        If the object is too large for the scene; otherwise as `objectfolder.sim.game.Game`.
 
     Examples
     --------
@@ -93,16 +85,13 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 80}  # noqa: RUF012 - as the base class has it
+    _changing = ("data", "goal", "_margin", "_steps", "_previous")
     mj_step = staticmethod(mujoco.mj_step)  #: makes the steps, so that `objectfolder.sim.senses` can listen
 
     def __init__(
-        self,
-        file: "ObjectFile | RigidBody | str | Path",
-        hulls: Hulls = None,
-        horizon: int = 500,
-        render_mode: str | None = None,
-        resolution: tuple[int, int] = (180, 240),
-    ):
+        self, file: "ObjectFile | RigidBody | str | Path", hulls: Hulls = None, horizon: int = 500,
+        render_mode: str | None = None, resolution: tuple[int, int] = (180, 240),
+    ):  # fmt: skip
         self.horizon = whole_number("horizon", horizon, 1)
         self.render_mode = calls.check_render_mode(render_mode)
         self.resolution = calls.check_resolution(resolution)
@@ -124,14 +113,9 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.goal = GOAL_LOW
         self._margin, self._steps, self._previous = 0.0, 0, np.zeros(18)  # no margin: not reset
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Reset the hand, and draw new places of the object and the goal."""
-        calls.refuse_options(options)
-        super().reset(seed=seed)
+    def _begin(self, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:
         mujoco.mj_resetData(self.model, self.data)
-        place, self.goal = draw_placement(self.np_random)
+        place, self.goal = draw_placement(rng)
         qpos = self.data.qpos
         qpos[self._hand] = self.data.mocap_pos[self._target] = HAND_START
         qpos[self._object : self._object + 3] = *place, self._height
@@ -162,9 +146,6 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves the previous step's positions
         rays = view_rays(view_frame(EYE, TARGET), FOV, *self.resolution)
         return draw_model(self.model, self.data, EYE, rays, *self.resolution)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._arguments, {name: getattr(self, name) for name in _STATE_ATTRIBUTES}
 
     def _state(self) -> np.ndarray:
         qpos = self.data.qpos
@@ -201,15 +182,13 @@ def reach_scene(body: RigidBody) -> mujoco.MjModel:
     spec.option.timestep = TIME_STEP
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     world, shapes = spec.worldbody, mujoco.mjtGeom
-    world.add_geom(
-        name="table", type=shapes.mjGEOM_PLANE, size=[2, 2, 0.1], pos=[0, 0.6, 0], rgba=[0.75, 0.6, 0.45, 1]
-    )
+    place = {"pos": [0, 0.6, 0], "rgba": [0.75, 0.6, 0.45, 1]}
+    world.add_geom(name="table", type=shapes.mjGEOM_PLANE, size=[2, 2, 0.1], **place)
     add_body(spec, body, "object")
     _add_hand(spec)
     goal = world.add_body(name="goal", mocap=True)
-    goal.add_geom(
-        type=shapes.mjGEOM_SPHERE, size=[0.02, 0, 0], contype=0, conaffinity=0, rgba=[0.85, 0.1, 0.1, 1]
-    )
+    seen = {"contype": 0, "conaffinity": 0, "rgba": [0.85, 0.1, 0.1, 1]}
+    goal.add_geom(type=shapes.mjGEOM_SPHERE, size=[0.02, 0, 0], **seen)
     return spec.compile()
 
 
@@ -225,18 +204,17 @@ def _add_hand(spec: mujoco.MjSpec) -> None:
         hand.add_joint(name=f"hand_{axis}", type=slide, axis=direction)
     hand.add_geom(type=box, size=[0.03, 0.055, 0.02], pos=[0, 0, 0.07], mass=0.5, rgba=[0.3, 0.3, 0.35, 1])
     for side, place, limits in (("right", -0.05, [0, 0.04]), ("left", 0.05, [-0.03, 0])):
-        finger = hand.add_body(name=f"finger_{side}", pos=[0, place, 0], gravcomp=1)
+        name = f"finger_{side}"
+        finger = hand.add_body(name=name, pos=[0, place, 0], gravcomp=1)
         finger.add_joint(
-            name=f"finger_{side}", type=slide, axis=[0, 1, 0], range=limits, limited=True,
+            name=name, type=slide, axis=[0, 1, 0], range=limits, limited=True,
             armature=100, damping=[1000, 0, 0],
         )  # fmt: skip
         finger.add_geom(
             type=box, size=[0.015, 0.006, 0.045], mass=0.1, condim=4, friction=[2, 0.1, 0.002],
             rgba=[0.6, 0.6, 0.65, 1],
         )  # fmt: skip
-        motor = spec.add_actuator(
-            name=f"finger_{side}", target=f"finger_{side}", trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_position(kp=400)
     spec.add_exclude(bodyname1="finger_right", bodyname2="finger_left")
     spec.add_equality(

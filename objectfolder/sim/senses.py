@@ -69,18 +69,11 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
     """
 
     def __init__(
-        self,
-        env: gymnasium.Env[Any, Any],
-        objects: Objects,
-        listener: "str | Sequence[float] | np.ndarray | None" = None,
-        pads: Sequence[str] = (),
-        seconds: float = 0.1,
-        sample_rate: float = 48000,
-        sensor: "str | SensorProfile" = "digit",
-        audio: str = "audio",
-        touch: str = "touch",
-        intercept: bool = False,
-    ):
+        self, env: gymnasium.Env[Any, Any], objects: Objects,
+        listener: "str | Sequence[float] | np.ndarray | None" = None, pads: Sequence[str] = (),
+        seconds: float = 0.1, sample_rate: float = 48000, sensor: "str | SensorProfile" = "digit",
+        audio: str = "audio", touch: str = "touch", intercept: bool = False,
+    ):  # fmt: skip
         objects, pads = name_objects(objects), pad_names(pads)
         gymnasium.utils.RecordConstructorArgs.__init__(
             self, objects=objects, listener=listener, pads=pads, seconds=seconds, sample_rate=sample_rate,

@@ -55,9 +55,8 @@ def merge_meshes(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     """Concatenate meshes into one."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts)]
-    return trimesh.Trimesh(
-        np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False
-    )
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
 
 
 def missing_library(library: str) -> ObjectFolderError:

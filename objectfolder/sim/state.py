@@ -39,11 +39,7 @@ REMEDY = (
     "expected finite numbers: set such mocap poses, controls and forces, or, if the simulation has diverged, "
     "use a shorter time step or softer contacts; then reset it"
 )
-_DIVERGED = (
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-)
+_DIVERGED = [getattr(mujoco.mjtWarning, f"mjWARN_BADQ{of}") for of in ("POS", "VEL", "ACC")]
 
 
 class StateCheck:
@@ -55,13 +51,9 @@ class StateCheck:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        sense: str,
-        bodies: Iterable[int],
-        fixed: Iterable[str],
+        self, model: mujoco.MjModel, sense: str, bodies: Iterable[int], fixed: Iterable[str],
         adaptable: Iterable[str],
-    ):
+    ):  # fmt: skip
         self._model, self._sense, self._fixed = model, sense, (*fixed,)
         self._vertices = _sample_vertices(model, bodies)
         self._known = {name: self._bytes(model, name) for name in (*fixed, *adaptable)}

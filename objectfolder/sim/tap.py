@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
 
@@ -13,6 +12,7 @@ from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.voice import Voice
 from objectfolder.sim import calls
 from objectfolder.sim.drop import MATERIALS, SIZES
+from objectfolder.sim.game import Game
 from objectfolder.sim.sounding import require_audible
 from objectfolder.sound.contact import contact_time, load_striker
 from objectfolder.sound.stream import ModalStream, Pulse
@@ -25,7 +25,7 @@ COST = 0.02  #: of a tap
 _EAR = np.array([0.5, -0.4, 0.4])  # m, from the tapped object
 
 
-class TapEnv(gymnasium.Env[dict[str, Any], int]):
+class TapEnv(Game):
     """Find the odd one by tapping, registered as ``ObjectFolder/Tap-v0``.
 
     **Observation**, a dict: ``sound`` of the last tap, (samples,) float32, Pa, silence at first; ``tapped``,
@@ -54,28 +54,19 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
     limit : int
         Greatest number of taps.
 
-    Raises
-    ------
-    ObjectFolderError
-        If an argument is wrong, or on a step before a reset or with a wrong action.
-
     Notes
     -----
     Taps use `ObjectFile.voice`, the modes that `objectfolder.sim.hearing.Hearing` plays, without a
     simulation: the objects hang free.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 - as the base class has it
+    _changing = ("_episode", "_taps")
 
     def __init__(
-        self,
-        objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
-        materials: Sequence[str] = MATERIALS,
-        count: int = 4,
-        seconds: float = 0.2,
-        sample_rate: float = 48000,
-        limit: int = 20,
-    ):
+        self, objects: "str | ObjectFile | Sequence[str | ObjectFile]" = ("mug", "die", "bell"),
+        materials: Sequence[str] = MATERIALS, count: int = 4, seconds: float = 0.2,
+        sample_rate: float = 48000, limit: int = 20,
+    ):  # fmt: skip
         self.files = calls.open_files(objects)
         self.materials = calls.distinct_materials(materials, 2)
         self.count, self.limit = whole_number("count", count), whole_number("limit", limit)
@@ -94,18 +85,12 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
                 "taps": spaces.Box(0, self.limit, (self.count,), np.int64),
             }
         )
-        self.action_space = spaces.Discrete(2 * self.count)  # type: ignore[assignment]
-        self._episode: dict[str, Any] = {}
+        self.action_space = spaces.Discrete(2 * self.count)
+        self._episode = {}
         self._voices: dict[int, Voice] = {}
         self._taps = np.zeros(self.count, np.int64)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Set up a row."""
-        calls.refuse_options(options)
-        super().reset(seed=seed)
-        rng = self.np_random
+    def _begin(self, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:
         kind, odd = int(rng.integers(len(self.files))), int(rng.integers(self.count))
         stuff, other = (int(k) for k in rng.choice(len(self.materials), 2, replace=False))
         ratio = np.exp(rng.uniform(*np.log(SIZES)))
@@ -158,10 +143,3 @@ class TapEnv(gymnasium.Env[dict[str, Any], int]):
             file = self.files[row["object"]]
             self._voices[number] = file.voice(self.sample_rate, stuff, float(row["scales"][number]))
         return self._voices[number]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (
-            type(self),
-            self._arguments,
-            {name: getattr(self, name) for name in ("_episode", "_taps", *calls.COPIED_ATTRIBUTES)},
-        )

@@ -19,7 +19,7 @@ from objectfolder.touch.profiles import SensorProfile, load_profile
 
 ROWS, COLUMNS = 16, 12  #: default taxels of a pad: 192
 CHANNELS = 3  #: depth, and speed of sliding along the two tangents of the gel
-_MESH, _TACTILE = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtSensor.mjSENS_TACTILE)
+_MESH, _TACTILE = mujoco.mjtGeom.mjGEOM_MESH, int(mujoco.mjtSensor.mjSENS_TACTILE)
 
 
 def taxel_mesh(
@@ -49,15 +49,10 @@ def taxel_mesh(
 
 
 def add_taxels(
-    spec: mujoco.MjSpec,
-    body: str,
-    profile: str | Path | SensorProfile,
-    rows: int = ROWS,
-    columns: int = COLUMNS,
-    pos: Sequence[float] = (0.0, 0.0, 0.0),
-    quat: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
-    name: str = "taxels",
-) -> None:
+    spec: mujoco.MjSpec, body: str, profile: str | Path | SensorProfile, rows: int = ROWS,
+    columns: int = COLUMNS, pos: Sequence[float] = (0.0, 0.0, 0.0),
+    quat: Sequence[float] = (1.0, 0.0, 0.0, 0.0), name: str = "taxels",
+) -> None:  # fmt: skip
     """Add taxels to a body of a model, with a sensor that reads them.
 
     The taxels collide with nothing: what touches them has to touch another geom of the body, such as a box or
@@ -102,15 +97,12 @@ def add_taxels(
     arrays = {"uservert": mesh.vertices, "userface": mesh.faces, "usernormal": frames}
     flat = {key: values.ravel() for key, values in arrays.items()}
     spec.add_mesh(plain, name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL, **flat)
-    alone = {"contype": 0, "conaffinity": 0, "density": 0}
-    found.add_geom(
-        plain, name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=pos, quat=quat, group=3, **alone
-    )
+    alone = {"contype": 0, "conaffinity": 0, "density": 0, "group": 3}
+    found.add_geom(plain, name=name, type=_MESH, meshname=name, pos=pos, quat=quat, **alone)
     kinds = {"objtype": mujoco.mjtObj.mjOBJ_MESH, "reftype": mujoco.mjtObj.mjOBJ_GEOM}
     spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TACTILE, objname=name, refname=name, **kinds)
-    touched = {
-        each.meshname for each in spec.geoms if each.type == _MESH and (each.contype or each.conaffinity)
-    }
+    collide = (each for each in spec.geoms if each.contype or each.conaffinity)
+    touched = {each.meshname for each in collide if each.type == _MESH}
     for each in spec.meshes:
         each.needsdf = int(each.needsdf or each.name in touched)
 

@@ -1,6 +1,5 @@
 """Export to OpenUSD: look and rigid body of an object, by the schemas UsdGeom, UsdShade and UsdPhysics."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,7 @@ import trimesh
 from objectfolder.mesh.srgb import decode
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.body import RigidBody, density
-from objectfolder.sim.export import export_folder
+from objectfolder.sim.export import OwnHulls, export_folder
 from objectfolder.sim.hulls import MAX_HULLS
 from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image, visual_mesh
 
@@ -20,12 +19,7 @@ if TYPE_CHECKING:
 TEXTURE = "visual.png"
 
 
-def write_usd(
-    file: ObjectFile,
-    out: str | Path,
-    max_hulls: int = MAX_HULLS,
-    hulls: Sequence[trimesh.Trimesh] | None = None,
-) -> Path:
+def write_usd(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hulls: OwnHulls = None) -> Path:
     """Write ``OUT/<key>/<key>.usda`` with its texture: metres, kilograms, z up.
 
     The default prim, named after the object, is a rigid body with mass, centre and principal moments of
@@ -81,9 +75,8 @@ def _add_look(stage: "Usd.Stage", key: str, look: trimesh.Trimesh, textured: boo
     shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
     color = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     if textured:
-        place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
-            "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
-        )
+        kind = Sdf.ValueTypeNames.TexCoord2fArray
+        place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, UsdGeom.Tokens.vertex)
         uv = getattr(look.visual, "uv", None)  # a textured mesh has them
         place.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(uv, np.float32)))
         reader = UsdShade.Shader.Define(stage, f"/{key}/materials/look/st")
@@ -127,9 +120,8 @@ def _add_mesh(stage: "Usd.Stage", path: str, mesh: trimesh.Trimesh) -> "UsdGeom.
     added = UsdGeom.Mesh.Define(stage, path)
     added.CreatePointsAttr(_vectors(mesh.vertices))
     added.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(mesh.faces)))
-    added.CreateFaceVertexIndicesAttr(
-        Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.reshape(-1), np.int32))
-    )
+    corners = np.ascontiguousarray(mesh.faces.reshape(-1), np.int32)
+    added.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners))
     added.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     added.CreateExtentAttr(_vectors(mesh.bounds))
     return added

@@ -103,14 +103,8 @@ def _paint(base_colors: BaseColors, corners: np.ndarray) -> tuple[np.ndarray, np
     image = np.full((TEXELS, TEXELS, 3), np.uint8(round(255 * GREY)))
     column, row = (origins[texel] + place).T
     image[row, column] = base_colors(points)
-    local = np.stack(
-        [
-            np.stack([0 * length, 0 * length], 1),
-            np.stack([length, 0 * length], 1),
-            np.stack([foot, height], 1),
-        ],
-        1,
-    )
+    zero = 0 * length
+    local = np.stack([np.stack(at, 1) for at in ((zero, zero), (length, zero), (foot, height))], 1)
     uv = (origins[:, None] + _FACE_MARGIN + 0.5 + density * local) / TEXELS
     return uv * [1, -1] + [0, 1], image
 

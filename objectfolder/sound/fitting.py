@@ -16,6 +16,7 @@ TOLERANCE = 0.01  # relative distance of a heard frequency from its mode
 MIN_MATCHES = 3
 MODES_PER_KNOT = 4  # of a loss factor over frequency
 MAX_KNOTS = 4
+ECHO = 0.003  #: unexplained energy; clean rings have a tenth of it, echoes at a tenth of the level as much
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,14 @@ class SoundFit:
     def frequency_error(self) -> float:
         """Root mean square of the relative frequency errors that are left."""
         return float(np.sqrt(np.mean(self.match.residual**2)))
+
+    @property
+    def unexplained(self) -> float:
+        """Median fraction of the energy around the matched modes that no decaying exponentials hold.
+
+        Above `ECHO` the decay is not that of the object alone: the fitted T60 is wrong.
+        """
+        return float(np.median(self.heard.unexplained[self.match.heard]))
 
     @property
     def left_out(self) -> np.ndarray:

@@ -18,7 +18,7 @@ from torch import nn
 
 from objectfolder.nets.siren import Siren
 from objectfolder.nets.spline import SplineGrid
-from objectfolder.nets.storage import UNFILLED, fill, from_codes, to_codes
+from objectfolder.nets.storage import UNFILLED, NetKind, fill, from_codes, to_codes, whole
 
 # Not the first sine layer: it is small, and its weights for position and features differ in magnitude.
 INT8 = ("grid.table", "sines.layers.1.weight", "output.weight")
@@ -134,3 +134,23 @@ def energy_weights(damped_frequency: np.ndarray, damping: np.ndarray) -> np.ndar
     The integral of (exp(-c t) sin(w t) / w)^2 over all times t > 0.
     """
     return 1 / (4 * damping * (damped_frequency**2 + damping**2))
+
+
+KINDS = {
+    "gains": NetKind(
+        GainsNet,
+        "modes",
+        {
+            "resolution": whole(1, 128, "cells of the grid a side"),
+            "channels": whole(1, 256),
+            "width": whole(1, 4096),
+            "features": whole(1, 4096),
+            "frequency": {
+                "type": "number",
+                "exclusiveMinimum": 0,
+                "maximum": 10000.0,
+                "description": "of the sines",
+            },
+        },
+    )
+}

@@ -14,7 +14,7 @@ from objectfolder.nets.siren import sine_bound
 from objectfolder.nets.spline import mark_touched
 from objectfolder.nets.storage import round_to_codes, round_with
 from objectfolder.sound.gains_net import GainsNet, GainsShape, energy_weights
-from objectfolder.sound.net_settings import GainsConfig
+from objectfolder.sound.net_settings import AudioConfig, GainsConfig
 
 ENERGY_SHARE = 0.8  # share of the energy-weighted error in the loss; the rest is weighted by gain
 DROPPED = 0.012  #: share (root mean square) of the weighted shapes dropped in training, for speed
@@ -32,6 +32,11 @@ class ModeSamples:
     damping: np.ndarray  #: (M,), 1/s
     train: np.ndarray  #: rows to learn from
     val: np.ndarray  #: rows of the validation
+
+
+def train(samples: ModeSamples, settings: AudioConfig, session: Session) -> tuple[GainsNet, list[CurvePoint]]:
+    """Train a net of this kind, as the stage asks."""
+    return train_gains(samples, settings.size(len(samples.damping)), settings.batch, session)
 
 
 def train_gains(

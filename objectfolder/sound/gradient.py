@@ -126,9 +126,8 @@ class Sound(AnswerModule):
         places, pushes = broadcast_rows(
             "points", finite_rows("points", points, 3), "forces", finite_rows("forces", forces, 3)
         )
-        settings = SoundSettings.checked(
-            *(sample_rate, duration, response, contact_time, material, scale, striker, len(places))
-        )
+        played = sample_rate, duration, response, contact_time, material, scale, striker
+        settings = SoundSettings(*played).checked(len(places))
         stuff = material if isinstance(material, Material) else settings.material
         shapes = self._shapes(points, places, tolerance, scale)
         tuning = self._sense.tuning(stuff, scale)

@@ -27,7 +27,7 @@ from objectfolder.stored.arguments import (
     true_or_false,
     usual_modes,
 )
-from objectfolder.stored.reading import StoredObject
+from objectfolder.stored.reading import StoredNet, StoredObject
 from objectfolder.stored.surface import TOLERANCE
 
 _BYTES_PER_SAMPLE = 8  # of an answer, while it is made
@@ -75,28 +75,17 @@ class SoundSettings:
     contact_time: float | None  #: seconds; 0 is an ideal impulse, None the striker's
     material: str | Material | None  #: None for the object's own
     scale: float | None  #: longest side, metres; None for the object's own
-    striker: Striker | None = None  #: None for steel, or an ideal impulse where contact times are not known
+    striker: Any = None  #: a `Striker`; None for steel, or an ideal impulse where contact times are not known
     heard: bool = False  #: whether a listener hears the strikes
 
-    @classmethod
-    def checked(
-        cls,
-        sample_rate: float,
-        duration: float,
-        response: str,
-        contact_time: float | None,
-        material: str | Material | None,
-        scale: float | None,
-        striker: str | Striker | None,
-        strikes: int,
-        heard: bool = False,
-    ) -> "SoundSettings":
-        """Check the arguments of a query for the sounds of so many strikes.
+    def checked(self, strikes: int) -> "SoundSettings":
+        """Check the arguments of a query for the sounds of so many strikes; the striker may be named.
 
         Raises ObjectFolderError if one is not of its type, a striker and a contact time are both given, the
         material is undamped, or the sounds do not fit into memory.
         """
-        stuff, size = struck_object(material, scale)
+        stuff, size = struck_object(self.material, self.scale)
+        striker, contact_time = self.striker, self.contact_time
         if isinstance(stuff, Material):
             stuff.require_damping()
         if striker is not None and contact_time is not None:
@@ -104,28 +93,21 @@ class SoundSettings:
                 f"striker is {quoted(striker)}, but contact_time says how long it touches; leave one of them "
                 "out"
             )
-        response = one_of("response", response, RESPONSES)
-        if heard and response != "displacement":
+        response = one_of("response", self.response, RESPONSES)
+        if self.heard and response != "displacement":
             raise ObjectFolderError(
                 f"response is {response!r}, but a listener hears pressure; leave response out"
             )
-        samples = count_samples(sample_rate, duration)
-        rate, seconds = float(sample_rate), float(duration)
+        samples = count_samples(self.sample_rate, self.duration)
+        rate, seconds = float(self.sample_rate), float(self.duration)
         require_memory(
             f"{strikes} sounds of {samples:,} samples ({seconds:g} s at {rate:g} Hz)",
             _BYTES_PER_SAMPLE * strikes * samples,
             "ask for a shorter duration, a lower rate or fewer strikes",
         )
-        return cls(
-            rate,
-            seconds,
-            response,
-            None if contact_time is None else checked_contact_time(contact_time),
-            stuff,
-            size,
-            None if striker is None else load_striker(striker),
-            heard,
-        )
+        contact_time = None if contact_time is None else checked_contact_time(contact_time)
+        striker = None if striker is None else load_striker(striker)
+        return SoundSettings(rate, seconds, response, contact_time, stuff, size, striker, self.heard)
 
 
 def struck_object(
@@ -143,26 +125,31 @@ def struck_object(
 class SoundSense(ABC):
     """What an Object File asks an audio net of any kind. Points are in the object frame, metres."""
 
-    has_modes: bool  #: whether the net knows mode shapes
+    has_modes = False  #: whether the net knows mode shapes
+
+    def __init__(self, stored: StoredNet):
+        self.net = stored.load()
+        self._stored, self._key, self._surface = stored, stored.key, stored.surface
 
     @property
-    @abstractmethod
     def damped_frequency(self) -> torch.Tensor:
         """Angular frequencies of the modes, rad/s; (M,), empty if they are not known."""
+        found: torch.Tensor = self.net.damped_frequency
+        return found.cpu()
 
-    @abstractmethod
     def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
         """Return the modes of this shape in another material or size."""
+        raise no_modes(self._key)
 
-    @abstractmethod
     def contact_time(
         self, striker: Striker, material: str | Material | None, scale: float | None
     ) -> float | None:
         """Return how long a striker touches an object of this shape, seconds; None if it is not known."""
+        return None
 
-    @abstractmethod
     def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
         """Return mass-normalised mode shapes, kg^-1/2; (N, 3, M) float32."""
+        raise no_modes(self._key)
 
     @abstractmethod
     def impact(
@@ -174,6 +161,13 @@ class SoundSense(ABC):
         precision, a listener is inside the object's ball, or the struck object's sound has other wavelengths,
         relative to its size, than the stored one's.
         """
+
+
+def no_modes(key: str) -> ObjectFolderError:
+    """Return the error of what needs modes, of a file that stores spectrograms."""
+    return ObjectFolderError(
+        f"{key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
+    )
 
 
 class SoundQueries(StoredObject):
@@ -270,10 +264,8 @@ class SoundQueries(StoredObject):
             contact time are given, or a delay without a listener.
         """
         strikes = Strikes.checked(points, forces, listener, delay, tolerance)
-        settings = SoundSettings.checked(
-            *(sample_rate, duration, response, contact_time, material, scale, striker, len(strikes.points)),
-            heard=listener is not None,
-        )
+        played = sample_rate, duration, response, contact_time, material, scale, striker, listener is not None
+        settings = SoundSettings(*played).checked(len(strikes.points))
         sense: SoundSense = self._parts.audio
         return like_first(sense.impact(strikes, settings, lambda: self._parts.radiation), points)
 

@@ -34,6 +34,7 @@ class Ringdown:
     frequency: np.ndarray  #: damped, Hz
     damping: np.ndarray  #: decay rates, 1/s
     level: np.ndarray  #: root mean square over the taps of the amplitude at the strike, full scale 1
+    unexplained: np.ndarray  #: fraction of the energy around it, noise aside, that no exponentials hold
 
     @property
     def decay_time(self) -> np.ndarray:
@@ -80,7 +81,7 @@ def ringdown(
     centres = np.array([centre for centre, _ in bands])
     # Bands overlap: a mode is taken from the one whose centre is nearest.
     parts = [found[np.abs(found[:, :1] - centres).argmin(1) == n] for n, (_, found) in enumerate(bands)]
-    rows = np.concatenate([np.zeros((0, 3)), *parts])
+    rows = np.concatenate([np.zeros((0, 4)), *parts])
     rows = rows[np.argsort(rows[:, 0])]
     return Ringdown(*rows.T)
 
@@ -106,16 +107,16 @@ def _bands(taps: Sequence[np.ndarray], rate: float, lowest: float, highest: floa
 
 
 def _band(taps: Sequence[np.ndarray], rate: float, centre: float) -> np.ndarray:
-    """Identify the modes of one band; rows of frequency, decay rate and level."""
+    """Identify the modes of one band; rows of a `Ringdown`."""
     step = max(1, int(rate / (2 * BAND)))
     window = signal.firwin(8 * step + 1, BAND / 2, fs=rate)
     parts = []
     for tap in taps:
         shifted = tap * np.exp(-2j * np.pi * centre / rate * np.arange(len(tap)))
         parts.append(signal.fftconvolve(shifted, window, "valid")[::step])
-    parts, sunk = _ringing(parts)
+    parts, noise = _ringing(parts)
     if not parts:
-        return np.zeros((0, 3))
+        return np.zeros((0, 4))
     lag = len(parts[0]) * 3 // 5
     hankel = np.concatenate([np.lib.stride_tricks.sliding_window_view(part, lag) for part in parts], axis=1)
     left, sizes, _ = np.linalg.svd(hankel, full_matrices=False)
@@ -125,30 +126,30 @@ def _band(taps: Sequence[np.ndarray], rate: float, centre: float) -> np.ndarray:
     frequency, damping = centre + s.imag / (2 * np.pi), -s.real
     powers = poles ** np.arange(len(parts[0]))[:, None]
     fitted = np.linalg.lstsq(powers, np.stack(parts, 1), rcond=None)[0]
-    if not sunk:
-        left = np.square(np.abs(powers @ fitted - np.stack(parts, 1))).sum()
-        if (
-            len(poles) > MAX_STEADY_MODES
-            or left > (1 - MIN_EXPLAINED_ENERGY) * np.square(np.abs(parts)).sum()
-        ):
-            return np.zeros((0, 3))  # noise, not a ring
+    left = np.mean(np.square(np.abs(powers @ fitted - np.stack(parts, 1)))) - (noise or 0)
+    unexplained = max(0.0, left / np.mean(np.square(np.abs(parts))))
+    if noise is None and (len(poles) > MAX_STEADY_MODES or unexplained > 1 - MIN_EXPLAINED_ENERGY):
+        return np.zeros((0, 4))  # noise, not a ring
     amplitude = np.abs(fitted)
     passed = (len(window) // 2) / rate  # s of each tap before the first decimated sample
     level = 2 * np.sqrt(np.mean(amplitude**2, 1)) * np.exp(damping * (passed + START))
     kept = (np.abs(frequency - centre) < BAND / 2) & (damping > MIN_DAMPING)
-    return np.stack([frequency, damping, level], 1)[kept]
+    return np.stack([frequency, damping, level, np.full(len(poles), unexplained)], 1)[kept]
 
 
-def _ringing(parts: list[np.ndarray]) -> tuple[list[np.ndarray], bool]:
-    """Cut decimated taps where the ring sinks into noise, and tell whether it does; drop those too short."""
+def _ringing(parts: list[np.ndarray]) -> tuple[list[np.ndarray], float | None]:
+    """Cut decimated taps where the ring sinks into noise; drop those too short.
+
+    Also returns the power of that noise; None if the ring outlasts the recording.
+    """
     parts = [part for part in parts if len(part) >= 2 * MIN_SAMPLES]
     if not parts:
-        return [], False
+        return [], None
     parts = [part[: min(map(len, parts))] for part in parts]
     power = np.mean([np.abs(part) ** 2 for part in parts], 0)
-    noise = np.median(power[-MIN_SAMPLES:])
+    noise = float(np.median(power[-MIN_SAMPLES:]))
     if power[:4].mean() <= 4 * ABOVE_NOISE**2 * noise:
-        return parts, False
+        return parts, None
     quiet = np.flatnonzero(ndimage.uniform_filter1d(power, 9) < ABOVE_NOISE**2 * noise)
     count = max(MIN_SAMPLES, int(quiet[0]) if len(quiet) else len(power))
-    return [part[:count] for part in parts], True
+    return [part[:count] for part in parts], noise

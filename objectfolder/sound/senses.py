@@ -17,7 +17,7 @@ from objectfolder.sound.bank import Bank
 from objectfolder.sound.click import SOUND_SPEED, recoil_pressure
 from objectfolder.sound.contact import Striker, contact_time, load_striker
 from objectfolder.sound.far_field import Radiation
-from objectfolder.sound.query import SoundSense, SoundSettings, Strikes
+from objectfolder.sound.query import SoundSense, SoundSettings, Strikes, no_modes
 from objectfolder.sound.spectrogram import DURATION, SAMPLE_RATE, invert_spectrogram
 from objectfolder.sound.synthesis import force_factors, gains, half_sine, response_at
 from objectfolder.sound.tuning import Tuning, retune, stored_modes
@@ -41,19 +41,8 @@ class ModalNet(Protocol):
 
 
 def sound_sense(stored: StoredNet) -> SoundSense:
-    """Load an audio net. The code of a kind is imported when a file holds it."""
-    if stored.kind == "gains":
-        from objectfolder.sound.gains_net import GainsNet
-
-        return ModalSense(stored.load(GainsNet), stored)
-    if stored.kind == "spectrogram":
-        from objectfolder.sound.spectrogram_net import SpectrogramNet
-
-        return SpectrogramSense(stored.load(SpectrogramNet), stored)
-    from objectfolder.stored.released import released_net
-
-    net = stored.load(released_net(stored.kind))
-    return ModalSense(net, stored) if stored.kind == "released_gains" else SpectrogramSense(net, stored)
+    """Load an audio net."""
+    return SENSES[stored.answers](stored)
 
 
 class ModalSense(SoundSense):
@@ -61,16 +50,12 @@ class ModalSense(SoundSense):
 
     has_modes = True
 
-    def __init__(self, net: ModalNet, stored: StoredNet):
-        self.net = net
-        self._stored, self._surface = stored, stored.surface
+    net: ModalNet
+
+    def __init__(self, stored: StoredNet):
+        super().__init__(stored)
         self._banks: Recent[tuple[Tuning, Bank]] = Recent(_BANKS)
         self._said: set[str] = set()
-
-    @property
-    @override
-    def damped_frequency(self) -> torch.Tensor:
-        return self.net.damped_frequency.cpu()
 
     @override
     def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
@@ -108,7 +93,7 @@ class ModalSense(SoundSense):
 
         Raises ObjectFolderError if the file does not say.
         """
-        header, key = self._stored.header, self._stored.key
+        header, key = self._stored.header, self._key
         if not self._described:
             raise ObjectFolderError(
                 f"{key}: the file stores no material properties (imported files do not); it "
@@ -125,7 +110,7 @@ class ModalSense(SoundSense):
 
     def _band(self) -> tuple[float, float]:
         """Band of natural frequencies (Hz) in which every mode is stored; all of them if it is not known."""
-        with report_damage(self._stored.key, "description of the sound"):
+        with report_damage(self._key, "description of the sound"):
             low, high = self._stored.header["audio"].get("band_hz", (0.0, math.inf))
             return float(low), float(high)
 
@@ -137,7 +122,7 @@ class ModalSense(SoundSense):
         """Return mode shapes (N, 3, M), kg^-1/2, at points (N, 3) of the surface, metres."""
         shapes = self.net.shapes(torch.from_numpy(self._surface.to_unit(points))).cpu().numpy()
         if not np.isfinite(shapes).all():
-            raise damaged_net(self._stored.key, "audio")
+            raise damaged_net(self._key, "audio")
         return shapes
 
     @override
@@ -206,14 +191,14 @@ class ModalSense(SoundSense):
         lasting = self.contact_time(striker or load_striker("steel"), material, scale)
         if lasting is None and striker is not None:
             raise ObjectFolderError(
-                f"{self._stored.key}: the file does not say what its modes are of, so how long a striker "
+                f"{self._key}: the file does not say what its modes are of, so how long a striker "
                 "touches is not known; leave striker out, which gives an ideal impulse, or give contact_time "
                 "instead"
             )
         return lasting or 0.0
 
     def _check_wavelengths(self, radiation: Radiation, tuning: Tuning, size: float) -> None:
-        key, own = self._stored.key, self.damped_frequency
+        key, own = self._key, self.damped_frequency
         if radiation.modes != len(own):
             raise ObjectFolderError(
                 f"{key}: the file holds the radiation of {radiation.modes} modes of {len(own)}; rebuild it"
@@ -234,7 +219,7 @@ class ModalSense(SoundSense):
         for note in tuning.notes:
             if note not in self._said:  # once, not at every strike
                 self._said.add(note)
-                log.warning("%s: %s", self._stored.key, note)
+                log.warning("%s: %s", self._key, note)
         surface = self._surface.resized(settings.scale)
         places = torch.from_numpy(surface.to_unit(surface.snap(strikes.points, strikes.tolerance)))
         for start in range(0, len(places), _BATCH):
@@ -305,32 +290,12 @@ class SpectralNet(Protocol):
 
 
 class SpectrogramSense(SoundSense):
-    """Sounds inverted from spectrograms of unit impulses: two seconds of displacement at 16 kHz."""
+    """Sounds inverted from spectrograms of unit impulses: two seconds of displacement at 16 kHz.
 
-    has_modes = False
+    The impulses are ideal, so no contact time is known.
+    """
 
-    def __init__(self, net: SpectralNet, stored: StoredNet):
-        self.net = net
-        self._key, self._surface = stored.key, stored.surface
-
-    @property
-    @override
-    def damped_frequency(self) -> torch.Tensor:
-        return self.net.damped_frequency.cpu()
-
-    @override
-    def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
-        raise no_modes(self._key)
-
-    @override
-    def contact_time(
-        self, striker: Striker, material: str | Material | None, scale: float | None
-    ) -> float | None:
-        return None  # the spectrograms are those of ideal impulses
-
-    @override
-    def mode_shapes(self, points: np.ndarray, tolerance: float) -> np.ndarray:
-        raise no_modes(self._key)
+    net: SpectralNet
 
     @override
     def impact(
@@ -367,13 +332,6 @@ class SpectrogramSense(SoundSense):
         return finite_sounds(sounds, strikes.impulses)
 
 
-def no_modes(key: str) -> ObjectFolderError:
-    """Return the error of what needs modes, of a file that stores spectrograms."""
-    return ObjectFolderError(
-        f"{key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
-    )
-
-
 def finite_sounds(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
     """Return sounds, or raise ObjectFolderError if impulses are too large for single precision."""
     if not np.isfinite(sounds).all():
@@ -382,3 +340,10 @@ def finite_sounds(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
             "the sound is linear in them: scale them down"
         )
     return sounds
+
+
+#: By what a net answers.
+SENSES: dict[str, type[ModalSense | SpectrogramSense]] = {
+    "modes": ModalSense,
+    "spectrograms": SpectrogramSense,
+}

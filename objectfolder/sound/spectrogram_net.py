@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from objectfolder.nets.positional import PointwiseNetwork
-from objectfolder.nets.storage import UNFILLED, fill, halve_weights
+from objectfolder.nets.storage import DEPTH, OCTAVES, UNFILLED, WIDTH, NetKind, fill, halve_weights
 from objectfolder.sound.spectrogram import SHAPE
 
 
@@ -98,3 +98,7 @@ def _coordinates(device: torch.device) -> torch.Tensor:
     """Return the frequency and time of every bin, each from -1 to 1; (bins, 2)."""
     axes = [torch.linspace(-1, 1, size, dtype=torch.float32, device=device) for size in SHAPE]
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).flatten(0, 1)
+
+
+_FIELDS = {"width": WIDTH, "depth": DEPTH, "point_octaves": OCTAVES, "bin_octaves": OCTAVES}
+KINDS = {"spectrogram": NetKind(SpectrogramNet, "spectrograms", _FIELDS)}

@@ -5,7 +5,7 @@ import torch
 
 from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
 from objectfolder.sound.gains_training import ModeSamples
-from objectfolder.sound.net_settings import SpectrogramConfig
+from objectfolder.sound.net_settings import AudioConfig, SpectrogramConfig
 from objectfolder.sound.spectrogram import spectrogram
 from objectfolder.sound.spectrogram_net import SpectrogramNet
 from objectfolder.sound.synthesis import sinusoid_bank
@@ -13,6 +13,13 @@ from objectfolder.sound.synthesis import sinusoid_bank
 RANGE_POINTS = 256  # training points that define the range of values
 VAL_SAMPLES = 1 << 14
 _PART = 1 << 12  # bins whose activations are kept for a gradient
+
+
+def train(
+    samples: ModeSamples, settings: AudioConfig, session: Session
+) -> tuple[SpectrogramNet, list[CurvePoint]]:
+    """Train a net of this kind, as the stage asks."""
+    return train_spectrogram(samples, settings.spectrogram, session)
 
 
 def train_spectrogram(

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from typing_extensions import TypeVar  # the standard one has defaults since Python 3.13
 
-from objectfolder.base.checks import TRANSFORMED, real_array
+from objectfolder.base.checks import TRANSFORMED, real_array, refuse_rows
 from objectfolder.base.errors import ObjectFolderError
 
 _KINDS = "cpu", "cuda", "mps", "xpu"  # of devices for which nets may be cast automatically
@@ -30,11 +30,7 @@ def finite_rows(name: str, values: object, width: int) -> np.ndarray:
         array = array[None]
     if array.ndim != 2 or array.shape[1] != width:
         raise ObjectFolderError(f"{name} has shape {array.shape}, expected (N, {width})")
-    wrong = np.flatnonzero(~np.isfinite(array).all(1))
-    if len(wrong):
-        raise ObjectFolderError(
-            f"{name}: row {wrong[0]} is {array[wrong[0]].tolist()}, expected finite numbers"
-        )
+    refuse_rows(name, ~np.isfinite(array).all(1), array, ", expected finite numbers")
     return array
 
 
@@ -52,9 +48,7 @@ def finite_scalars(name: str, values: object, count: int) -> np.ndarray:
     array = real_array(name, values)
     if array.ndim > 1 or array.size not in (1, count):
         raise ObjectFolderError(f"{name} has shape {array.shape}, expected one number or {count} of them")
-    wrong = np.flatnonzero(~np.isfinite(array))
-    if len(wrong):
-        raise ObjectFolderError(f"{name}: row {wrong[0]} is {array.flat[wrong[0]]}, expected finite numbers")
+    refuse_rows(name, ~np.isfinite(array), array.reshape(-1), ", expected finite numbers")
     return np.broadcast_to(array.reshape(-1), (count,)) if array.size == 1 else array
 
 

@@ -1,18 +1,17 @@
 """Header of an Object File: its version, and validation against the JSON Schema.
 
-docs/objectfile.md describes the header; objectfile.schema.json, next to this module, defines it.
+docs/objectfile.md describes the header; objectfile.schema.json, next to this module, defines it, but for nets
+that a build makes: those are in `objectfolder.stored.kinds`.
 """
 
 import json
 import re
+from collections.abc import Sequence
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from objectfolder.base.errors import ObjectFolderError, quoted, shortened
-
-if TYPE_CHECKING:
-    from jsonschema import Draft202012Validator
 
 FORMAT = (1, 5)  #: major, minor; a reader accepts every file of its major version
 MODALITIES = ("vision", "audio", "touch")
@@ -32,20 +31,9 @@ def format_name() -> str:
 
 
 @cache
-def schema() -> dict[str, Any]:
-    """Return the JSON Schema of the header."""
+def common_schema() -> dict[str, Any]:
+    """Return the JSON Schema of the header without the nets that a build makes."""
     return json.loads(resources.files(__package__).joinpath("objectfile.schema.json").read_text())
-
-
-def known_kinds(part: str) -> tuple[str, ...]:
-    """Return the kinds of a part (geometry, vision, audio, touch, radiation) that the schema describes."""
-    return tuple(_rules(part))
-
-
-def known_net(part: str, described: dict[str, Any]) -> dict[str, Any]:
-    """Return the configuration of a part's network, without unknown fields of newer versions."""
-    known = _rules(part)[described["kind"]]["properties"]["net"]["properties"]
-    return {name: value for name, value in described["net"].items() if name in known}
 
 
 def checked_header(header: Any, path: object) -> dict[str, Any]:
@@ -54,8 +42,8 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
     Returns dict: Copy of the header, converted to JSON types.
 
     Raises ObjectFolderError if it is not the header of an Object File, is of another major version, or
-    violates the schema. An unknown kind is rejected here, unless the file has a newer version: then it is
-    rejected when its part is queried.
+    violates the schema. Stages that write headers import no nets, so those are checked by
+    `objectfolder.stored.kinds.checked_nets`.
 
     Parameters
     ----------
@@ -87,18 +75,7 @@ def checked_header(header: Any, path: object) -> dict[str, Any]:
     for name in NAMES:
         if isinstance(header.get(name), str):
             checked_name(name, header[name], f"{path}: {name}")
-    problem = min(_validator().iter_errors(header), key=lambda e: (len(e.path), str(e.path)), default=None)
-    if problem is not None:
-        place = ".".join(map(str, problem.path)) or "its header"
-        raise ObjectFolderError(
-            f"{path}: {place}: {shortened(problem.message, 300)}; see objectfile.schema.json for what is "
-            "expected"
-        )
-    for part in (*PARTS, RADIATION):
-        kinds = known_kinds(part)
-        if version <= FORMAT and part in header and header[part]["kind"] not in kinds:
-            expected = " or ".join(map(repr, kinds))
-            raise ObjectFolderError(f"{path}: {part} of kind {header[part]['kind']!r}, expected {expected}")
+    require_valid(header, common_schema(), path)
     return header
 
 
@@ -107,20 +84,20 @@ def checked_name(name: str, value: str, place: str) -> str:
 
     Raises ObjectFolderError if it is not as the schema's pattern says; ``place`` begins the message.
     """
-    if not re.fullmatch(schema()["properties"][name]["pattern"], value):
+    if not re.fullmatch(common_schema()["properties"][name]["pattern"], value):
         raise ObjectFolderError(f"{place} is {quoted(value)}, expected {NAMES[name]}")
     return value
 
 
-@cache
-def _rules(part: str) -> dict[str, Any]:
-    """Return the schemas of a part's kinds."""
-    rules = schema()["properties"][part]["allOf"]
-    return {rule["if"]["properties"]["kind"]["const"]: rule["then"] for rule in rules}
-
-
-@cache
-def _validator() -> "Draft202012Validator":
+def require_valid(value: Any, schema: dict[str, Any], path: object, place: Sequence[str] = ()) -> None:
+    """Raise ObjectFolderError if a value at a place of the header of a file breaks a JSON Schema."""
     from jsonschema import Draft202012Validator
 
-    return Draft202012Validator(schema())
+    errors = Draft202012Validator(schema).iter_errors(value)
+    problem = min(errors, key=lambda e: (len(e.path), str(e.path)), default=None)
+    if problem is not None:
+        named = ".".join(map(str, [*place, *problem.path])) or "its header"
+        raise ObjectFolderError(
+            f"{path}: {named}: {shortened(problem.message, 300)}; what is expected: "
+            "`python -m objectfolder.stored.kinds` prints the schema"
+        )

@@ -13,7 +13,9 @@ import torch
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import friction_of
-from objectfolder.stored.header import PARTS, RADIATION, known_kinds, known_net
+from objectfolder.stored.header import PARTS, RADIATION
+from objectfolder.stored.kinds import known_kinds, known_net, net_kinds
+from objectfolder.stored.released import RELEASED, released_net
 from objectfolder.stored.surface import ObjectSurface
 
 _Value = TypeVar("_Value")
@@ -145,7 +147,16 @@ class StoredNet:
         """Configuration of the net, without fields that only a newer version knows."""
         return known_net(self.part, self.header[self.part])
 
-    def load(self, net: Any) -> Any:
-        """Build the net from its class, on its device."""
+    @property
+    def answers(self) -> str:
+        """What the net is asked for: a key of ``SENSES`` beside its kind."""
+        if self.kind in RELEASED:
+            return RELEASED[self.kind][2]
+        return str(net_kinds(self.part)[self.kind].answers)
+
+    def load(self) -> Any:
+        """Build the net, on its device."""
+        released = self.kind in RELEASED
+        net = released_net(self.kind) if released else net_kinds(self.part)[self.kind].net
         with report_damage(self.key, f"{self.part} net"):
             return net.from_tensors(self.tensors, self.config).to(self.device)

@@ -9,19 +9,20 @@ from typing import Any
 
 import numpy as np
 
-KINDS = {
-    "released_nerf": ("vision.released_net", "ReleasedNerf"),
-    "released_kilo": ("vision.released_kilo", "ReleasedKilo"),
-    "released_gains": ("sound.released_gains", "ReleasedGains"),
-    "released_spectrogram": ("sound.released_spectrogram", "ReleasedSpectrogram"),
-    "released_image": ("touch.released_net", "ReleasedImage"),
-    "released_depth": ("touch.released_net", "ReleasedDepth"),
+#: Module, class, and what the net is asked for, by kind.
+RELEASED = {
+    "released_nerf": ("vision.released_nerf", "ReleasedNerf", "pictures"),
+    "released_kilo": ("vision.released_kilo", "ReleasedKilo", "pictures"),
+    "released_gains": ("sound.released_gains", "ReleasedGains", "modes"),
+    "released_spectrogram": ("sound.released_spectrogram", "ReleasedSpectrogram", "spectrograms"),
+    "released_image": ("touch.released_images", "ReleasedImage", "images"),
+    "released_depth": ("touch.released_images", "ReleasedDepth", "depth maps"),
 }
 
 
 def released_net(kind: str) -> Any:
     """Return the net class of a kind."""
-    module, name = KINDS[kind]
+    module, name, _ = RELEASED[kind]
     return getattr(import_module(f"objectfolder.{module}"), name)
 
 

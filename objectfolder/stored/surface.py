@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from objectfolder.base.checks import finite_number
+from objectfolder.base.checks import finite_number, refuse_rows
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
@@ -100,10 +100,7 @@ class ObjectSurface:
 
     def _places(self, points: np.ndarray) -> np.ndarray:
         """Return points in the unit frame, if they are near enough to have a nearest one."""
-        wrong = np.flatnonzero((np.abs(points) > FARTHEST * self.scale).any(1))
-        if len(wrong):
-            raise ObjectFolderError(
-                f"points: row {wrong[0]} is {points[wrong[0]].tolist()}, expected coordinates of at most "
-                f"{FARTHEST * self.scale:g} m, {FARTHEST:g} times the object's size"
-            )
+        most = FARTHEST * self.scale
+        limits = f", expected coordinates of at most {most:g} m, {FARTHEST:g} times the object's size"
+        refuse_rows("points", (np.abs(points) > most).any(1), points, limits)
         return points / self.scale

@@ -14,6 +14,7 @@ import torch
 
 from objectfolder.base.recent import Recent
 from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.nets.storage import NetKind, real, whole
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, require_renderer
@@ -171,3 +172,28 @@ class GeometricTouch:
         net = cls(surface, scale, profile, offset, config["renderer"], background, device)
         net.smooth(int(config["smoothing"]))
         return net
+
+
+_SENSOR = {
+    "type": "object",
+    "required": ["name", "height", "width"],
+    "properties": {
+        "name": {"type": "string"},
+        "height": whole(2, 2048, "image rows"),
+        "width": whole(2, 2048, "image columns"),
+        "lights": {"type": "array", "maxItems": 64},
+    },
+    "description": "a sensor profile; docs/sensors.md lists its fields",
+}
+KINDS = {
+    "geometric": NetKind(
+        GeometricTouch,
+        "contacts",
+        {
+            "sensor": _SENSOR,
+            "depth_offset": real(-0.1, 0.1, "metres, added to the press depth"),
+            "renderer": {"enum": ["gel", "tacto"]},
+            "smoothing": whole(0, 64, "rounds in which normals are averaged, for renderer tacto"),
+        },
+    )
+}

@@ -4,11 +4,30 @@ from collections.abc import Callable
 
 import numpy as np
 
-from objectfolder.nets.fit import CurvePoint
+from objectfolder.mesh.isosurface import Isosurface
+from objectfolder.nets.fit import CurvePoint, Session
 from objectfolder.touch.geometric_net import GeometricTouch
+from objectfolder.touch.net_settings import TouchConfig
+from objectfolder.touch.profiles import SensorProfile
 
 #: Candidate rounds of smoothing for renderer tacto.
 SMOOTHING = (1, 2, 4, 8)
+ROWS = ("images", "points", "angles", "depths")  #: what is learnt from
+
+
+def train(
+    train: dict[str, np.ndarray],
+    val: dict[str, np.ndarray],
+    scale: float,
+    profile: SensorProfile,
+    surface: Callable[[], Isosurface],
+    settings: TouchConfig,
+    session: Session,
+) -> tuple[GeometricTouch, list[CurvePoint]]:
+    """Train a net of this kind, as the stage asks."""
+    net = GeometricTouch(surface(), scale, profile, renderer=str(train["renderer"]))
+    first, held_out = ({name: rows[name][: settings.contacts] for name in ROWS} for rows in (train, val))
+    return net, fit_contacts(net, first, held_out, settings.offset_span, settings.rounds, session.report)
 
 
 def fit_contacts(

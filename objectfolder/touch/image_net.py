@@ -11,7 +11,17 @@ import torch
 from torch import nn
 
 from objectfolder.nets.positional import PointwiseNetwork
-from objectfolder.nets.storage import UNFILLED, fill, halve_weights
+from objectfolder.nets.storage import (
+    DEPTH,
+    OCTAVES,
+    UNFILLED,
+    WIDTH,
+    NetKind,
+    fill,
+    halve_weights,
+    real,
+    whole,
+)
 
 
 class ImageTouch(nn.Module):
@@ -83,3 +93,27 @@ def _places(image_size: tuple[int, int], device: torch.device) -> torch.Tensor:
     """Return the column and row of every pixel, each from -1 to 1; (H W, 2)."""
     rows, columns = (torch.linspace(-1, 1, size, dtype=torch.float32, device=device) for size in image_size)
     return torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1).flatten(0, 1)
+
+
+KINDS = {
+    "image": NetKind(
+        ImageTouch,
+        "images",
+        {
+            "sensor": {"type": "string"},
+            "image_size": {
+                "type": "array",
+                "items": whole(1, 2048),
+                "minItems": 2,
+                "maxItems": 2,
+                "description": "rows, columns",
+            },
+            "press_depth": real(0, 1, "metres"),
+            "angle": {"type": "number", "description": "radians"},
+            "width": WIDTH,
+            "depth": DEPTH,
+            "point_octaves": OCTAVES,
+            "pixel_octaves": OCTAVES,
+        },
+    )
+}

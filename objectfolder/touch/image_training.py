@@ -8,12 +8,26 @@ import torch
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
 from objectfolder.touch.image_net import ImageTouch
-from objectfolder.touch.net_settings import ImageConfig
+from objectfolder.touch.net_settings import ImageConfig, TouchConfig
+from objectfolder.touch.profiles import SensorProfile
 
 VAL_SAMPLES = 1 << 14
 _PART = 1 << 12  # pixels whose activations are kept for a gradient
 # Largest difference of depths (metres) or angles (radians) that is attributed to rounding.
 _ALIKE = 1e-9
+
+
+def train(
+    train: dict[str, np.ndarray],
+    val: dict[str, np.ndarray],
+    scale: float,
+    profile: SensorProfile,
+    _surface: object,
+    settings: TouchConfig,
+    session: Session,
+) -> tuple[ImageTouch, list[CurvePoint]]:
+    """Train a net of this kind, as the stage asks."""
+    return train_image(train, val, scale, profile.name, settings.image, session)
 
 
 def train_image(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from objectfolder.base.checks import real_array, require_memory
+from objectfolder.base.checks import real_array, refuse_rows, require_memory
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.stored.arguments import (
     Answer,
@@ -93,52 +93,30 @@ class ContactPoses:
         return leaned
 
 
-@dataclass(frozen=True)
-class SidewaysMotion:
-    """Motion of N pressed objects against the sensor."""
+def checked_motion(
+    shear: np.ndarray, twist: Scalars, friction: Scalars, count: int, profile: SensorProfile
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return shears (N, 2), twists (N,) and coefficients of friction (N,) of N contacts; one serves all.
 
-    shear: np.ndarray  #: (N, 2) along image right and image up, metres
-    twist: np.ndarray  #: (N,) about the sensor's axis, anticlockwise in the image, radians
-    friction: np.ndarray  #: (N,) coefficients
-
-    @classmethod
-    def checked(
-        cls, shear: Rows | None, twist: Scalars, friction: Scalars, count: int, profile: SensorProfile
-    ) -> "SidewaysMotion":
-        """Check the arguments of a sheared press; one row or number serves all contacts.
-
-        Raises ObjectFolderError if shapes do not fit, values are not finite, a shear is longer than the
-        sensor's gel can be pressed in, a twist is beyond half a turn, or a friction is negative.
-        """
-        rows = np.zeros((1, 2)) if shear is None else finite_rows("shear", shear, 2)
-        if len(rows) not in (1, count):
-            raise ObjectFolderError(f"shear has {len(rows)} rows, expected one or {count} of them")
-        lengths, longest = np.hypot(*rows.T), profile.max_indentation
-        far = np.flatnonzero(lengths > longest)
-        if len(far):
-            raise ObjectFolderError(
-                f"shear: row {far[0]} is {lengths[far[0]]:g} m long, expected at most {longest:g} m, the "
-                f"maximal indentation of sensor {profile.name!r}; shears are in metres"
-            )
-        turns = finite_scalars("twist", twist, count)
-        _require_angles("twist", turns, MOST_TWIST)
-        coefficients = finite_scalars("friction", friction, count)
-        wrong = np.flatnonzero(coefficients < 0)
-        if len(wrong):
-            raise ObjectFolderError(
-                f"friction: row {wrong[0]} is {coefficients[wrong[0]]:g}, expected 0 or more"
-            )
-        return cls(np.broadcast_to(rows, (count, 2)), turns, coefficients)
+    Raises ObjectFolderError if shapes do not fit, numbers are not finite, a shear is longer than the sensor's
+    gel can be pressed in, a twist is beyond half a turn, or a friction is negative.
+    """
+    if len(shear) not in (1, count):
+        raise ObjectFolderError(f"shear has {len(shear)} rows, expected one or {count} of them")
+    lengths, longest = np.hypot(*shear.T), profile.max_indentation
+    limit = f"at most {longest:g} m, the maximal indentation of sensor {profile.name!r}"
+    refuse_rows("shear", lengths > longest, lengths, f" m long, expected {limit}; shears are in metres")
+    turns = finite_scalars("twist", twist, count)
+    _require_angles("twist", turns, MOST_TWIST)
+    coefficients = finite_scalars("friction", friction, count)
+    refuse_rows("friction", coefficients < 0, coefficients, ", expected 0 or more")
+    return np.broadcast_to(shear, (count, 2)), turns, coefficients
 
 
 def _require_angles(name: str, values: np.ndarray, most: float) -> None:
     """Raise ObjectFolderError if an angle is beyond a limit in either direction, as one in degrees is."""
-    wrong = np.flatnonzero(np.abs(values) > most + _ROUNDING)
-    if len(wrong):
-        raise ObjectFolderError(
-            f"{name}: row {wrong[0]} is {values[wrong[0]]:g} rad, expected at most {most:.3g} either way; "
-            "angles are in radians"
-        )
+    limit = f" rad, expected at most {most:.3g} either way; angles are in radians"
+    refuse_rows(name, np.abs(values) > most + _ROUNDING, values, limit)
 
 
 @dataclass(frozen=True)
@@ -155,16 +133,12 @@ class FixedContact:
 
     def require(self, contacts: ContactPoses) -> None:
         """Raise ObjectFolderError unless the contacts are of this depth and angle, without a tilt."""
+        trained = f"at depth {self.depth:g} m, angle {self.angle:g}, tilt 0"
         for name, known in {"depth": self.depth, "angle": self.angle, "tilt": 0.0}.items():
             values = getattr(contacts, name)
-            wrong = np.flatnonzero(np.abs(values - known) > 1e-6)
-            if len(wrong):
-                raise ObjectFolderError(
-                    f"{name}: row {wrong[0]} is {values[wrong[0]]:g}; a touch net of kind image is a "
-                    f"function of the point alone, trained at depth {self.depth:g} m, "
-                    f"angle {self.angle:g}, tilt 0; "
-                    "a net of kind geometric answers others (train_touch.net: geometric)"
-                )
+            said = f"; a touch net of kind image is a function of the point alone, trained {trained}; "
+            other = "a net of kind geometric answers others (train_touch.net: geometric)"
+            refuse_rows(name, np.abs(values - known) > 1e-6, values, said + other)
 
 
 class TouchSense(ABC):
@@ -356,18 +330,14 @@ class TouchQueries(StoredObject):
         """
         profile, dots = _profile(sensor), _dots(markers)
         rubbing = self.friction if friction is None else friction
-        moved = max(
-            1 if shear is None else len(finite_rows("shear", shear, 2)),
-            real_array("twist", twist).size,
-            real_array("friction", rubbing).size,
-        )
+        shears = np.zeros((1, 2)) if shear is None else finite_rows("shear", shear, 2)
+        moved = max(len(shears), real_array("twist", twist).size, real_array("friction", rubbing).size)
         contacts = ContactPoses.checked(points, depth, angle, tilt, azimuth, tolerance, moved)
-        motion = SidewaysMotion.checked(shear, twist, rubbing, len(contacts), profile or self.sensor_profile)
+        motion = checked_motion(shears, twist, rubbing, len(contacts), profile or self.sensor_profile)
         found = concatenate_touches(self.touch_sense.touches(contacts, profile), len(contacts))
-        if shear is None and not motion.twist.any() and dots is None:
+        if shear is None and not motion[1].any() and dots is None:
             return found
-        draw = partial(self.touch_sense.draw_gel, profile=found.profile)
-        return shear_touches(found, motion.shear, motion.twist, motion.friction, dots, draw)
+        return shear_touches(found, *motion, dots, partial(self.touch_sense.draw_gel, profile=found.profile))
 
     @usual_modes()
     def touches(

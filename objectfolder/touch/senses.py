@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from typing_extensions import override  # the standard one is there since Python 3.12
 
+from objectfolder.base.checks import refuse_rows
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.stored.reading import StoredNet, report_damage
 from objectfolder.stored.surface import UNMOVED
@@ -15,21 +16,12 @@ from objectfolder.touch.simulate import Touches
 
 if TYPE_CHECKING:
     from objectfolder.touch.geometric_net import GeometricTouch
-    from objectfolder.touch.released_net import ReleasedDepth
+    from objectfolder.touch.released_images import ReleasedDepth
 
 
 def touch_sense(stored: StoredNet) -> TouchSense:
-    """Load a touch net. The code of a kind is imported when a file holds it."""
-    if stored.kind == "geometric":
-        return GeometricSense(stored)
-    if stored.kind == "image":
-        from objectfolder.touch.image_net import ImageTouch
-
-        return ImageSense(stored.load(ImageTouch), stored)
-    from objectfolder.stored.released import released_net
-
-    net = stored.load(released_net(stored.kind))
-    return ImageSense(net, stored) if stored.kind == "released_image" else DepthMapSense(net, stored)
+    """Load a touch net."""
+    return SENSES[stored.answers](stored)
 
 
 class GeometricSense(TouchSense):
@@ -57,12 +49,8 @@ class GeometricSense(TouchSense):
         Raises ObjectFolderError if a point is off the surface, or a depth is not one of the net's sensor.
         """
         depth, limit = contacts.depth, net.profile.max_indentation
-        wrong = np.flatnonzero((depth < 0) | (depth > limit))
-        if len(wrong):
-            raise ObjectFolderError(
-                f"depth: row {wrong[0]} is {depth[wrong[0]]:g} m; the sensor {net.profile.name!r} takes "
-                f"0 to {limit:g} m"
-            )
+        takes = f" m; the sensor {net.profile.name!r} takes 0 to {limit:g} m"
+        refuse_rows("depth", (depth < 0) | (depth > limit), depth, takes)
         return self._surface.snap(contacts.points, contacts.tolerance, UNMOVED)
 
     @override
@@ -89,10 +77,11 @@ class ImageNet(Protocol):
 class ImageSense(TouchSense):
     """Touch by a net that stores the images of one press."""
 
-    def __init__(self, net: ImageNet, stored: StoredNet):
+    def __init__(self, stored: StoredNet):
         fixed = FixedContact.of(stored.config)
         assert fixed is not None
-        self.net, self._fixed = net, fixed
+        self.net: ImageNet = stored.load()
+        self._fixed = fixed
         self.key, self._surface = stored.key, stored.surface
 
     @override
@@ -125,17 +114,14 @@ class ImageSense(TouchSense):
 class DepthMapSense(TouchSense):
     """Touch by pressing a sensor's gel into the depth maps that a released net stores."""
 
-    def __init__(self, net: "ReleasedDepth", stored: StoredNet):
-        self.net, self.key, self._surface = net, stored.key, stored.surface
+    def __init__(self, stored: StoredNet):
+        self.net: ReleasedDepth = stored.load()
+        self.key, self._surface = stored.key, stored.surface
 
     @override
     def touches(self, contacts: ContactPoses, profile: SensorProfile | None) -> Iterator[Touches]:
-        turned = np.flatnonzero(contacts.angle)
-        if len(turned):
-            raise ObjectFolderError(
-                f"angle: row {turned[0]} is {contacts.angle[turned[0]]:g}; a released touch net knows tilt, "
-                "no rotation"
-            )
+        angle = contacts.angle
+        refuse_rows("angle", angle != 0, angle, "; a released touch net knows tilt, no rotation")
         return self.net.touches(*self._arguments(contacts), profile)
 
     @override
@@ -155,3 +141,11 @@ class DepthMapSense(TouchSense):
         self.net.require(contacts.depth, contacts.tilt)
         points = self._surface.to_unit(self._surface.snap(contacts.points, contacts.tolerance))
         return points, contacts.depth, contacts.tilt, contacts.azimuth
+
+
+#: By what a net answers.
+SENSES: dict[str, type[GeometricSense | ImageSense | DepthMapSense]] = {
+    "contacts": GeometricSense,
+    "images": ImageSense,
+    "depth maps": DepthMapSense,
+}

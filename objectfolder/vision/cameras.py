@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from objectfolder.base.checks import finite_number, real_array, whole_number
+from objectfolder.base.checks import finite_number, real_array, refuse_rows, whole_number
 from objectfolder.base.errors import ObjectFolderError
 
 CAMERA_RADIUS = 2.5  #: training cameras sit on this sphere (supplementary C)
@@ -163,12 +163,9 @@ def look_at(
     target = np.asarray(target, np.float64)
     backward = positions - target
     distance = np.linalg.norm(backward, axis=1, keepdims=True)
-    wrong = np.flatnonzero(~(np.isfinite(positions).all(1) & (distance[:, 0] > 1e-9)))
-    if len(wrong):
-        raise ObjectFolderError(
-            f"camera: row {wrong[0]} is at {positions[wrong[0]].tolist()}, expected a place that is finite "
-            f"and away from the point it looks at, {target.tolist()}"
-        )
+    possible = np.isfinite(positions).all(1) & (distance[:, 0] > 1e-9)
+    expected = f", expected a place that is finite and away from the point it looks at, {target.tolist()}"
+    refuse_rows("camera", ~possible, positions, expected)
     backward = backward / distance
     right = np.cross(up_directions(backward), backward)
     right /= np.linalg.norm(right, axis=1, keepdims=True)

@@ -14,7 +14,7 @@ from torch import nn
 from objectfolder.mesh.grid import ascent
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.positional import HiddenLinear, SkipNetwork, append_octaves
-from objectfolder.nets.storage import UNFILLED, fill, halve_weights
+from objectfolder.nets.storage import DEPTH, OCTAVES, UNFILLED, WIDTH, NetKind, fill, halve_weights, whole
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.volume import Rays, resample, sample_strata, visibility
@@ -233,3 +233,20 @@ def pixel_centres(intrinsics: Intrinsics) -> np.ndarray:
     """Return the image positions of the pixel centres, row by row; (H W, 2)."""
     rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width]
     return np.stack([columns.ravel(), rows.ravel()], 1) + 0.5
+
+
+_FIELDS = {
+    "width": WIDTH,
+    "depth": DEPTH,
+    "branch_width": WIDTH,
+    "branch_depth": DEPTH,
+    "point_octaves": OCTAVES,
+    "direction_octaves": OCTAVES,
+    "coarse_samples": whole(2, 4096, "of a ray"),
+    "fine_samples": whole(1, 4096, "of a ray"),
+}
+_HULL = {"hull_cells": whole(1, 256, "a side of the cube")}
+KINDS = {
+    "osf": NetKind(OsfNet, "pictures", _FIELDS, slow=True),
+    "osf_hull": NetKind(OsfNet, "pictures", _FIELDS | _HULL, slow=True),
+}

@@ -10,7 +10,7 @@ from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.fit import CurvePoint, Session, choose_part_size, fit_papers_net, sum_in_parts
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.color import display_error, on_white
-from objectfolder.vision.net_settings import OsfConfig
+from objectfolder.vision.net_settings import OsfConfig, VisionConfig
 from objectfolder.vision.osf_net import OsfNet, pixel_centres
 from objectfolder.vision.visual_hull import visual_hull
 from objectfolder.vision.volume import Rays
@@ -38,6 +38,18 @@ class _Pixels:
         rays = Rays.through_cube(self.origins[view], self.directions[index], BOUND)
         seen = torch.stack(net(rays, self.lights[view], generator))
         return display_error(seen, self.target[index]).square().mean((1, 2))
+
+
+def train(
+    train: dict[str, np.ndarray],
+    val: dict[str, np.ndarray],
+    _surface: object,
+    _scene: object,
+    settings: VisionConfig,
+    session: Session,
+) -> tuple[OsfNet, list[CurvePoint]]:
+    """Train a net of this kind, as the stage asks."""
+    return train_osf(train, val, settings.osf, session)
 
 
 def train_osf(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from objectfolder.base.checks import real_array, require_memory
+from objectfolder.base.checks import real_array, refuse_rows, require_memory
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.stored.arguments import (
     Answer,
@@ -241,10 +241,6 @@ def _poses(places: np.ndarray) -> np.ndarray:
 
 def require_near(name: str, positions: np.ndarray) -> None:
     """Raise ObjectFolderError unless positions (N, 3) are finite and near enough for single precision."""
-    wrong = np.flatnonzero(~(np.abs(positions) <= MAX_COORDINATE).all(1))
-    if len(wrong):
-        raise ObjectFolderError(
-            f"{name}: row {wrong[0]} is at {positions[wrong[0]].tolist()}, expected finite coordinates of "
-            f"at most {MAX_COORDINATE:g}: positions are in the unit frame, in which the object's longest "
-            "side is 1"
-        )
+    limits = f", expected finite coordinates of at most {MAX_COORDINATE:g}: positions are in the unit frame"
+    near = (np.abs(positions) <= MAX_COORDINATE).all(1)
+    refuse_rows(name, ~near, positions, f"{limits}, in which the object's longest side is 1")

@@ -11,7 +11,7 @@ import torch
 
 from objectfolder.nets.positional import append_octaves
 from objectfolder.nets.released_network import float_tensors
-from objectfolder.vision.released_net import March, ReleasedVision
+from objectfolder.vision.released_nerf import March, ReleasedVision
 
 MARGIN = 0.001  #: points closer to the boundary of the grid count as outside
 MAX_CELLS = 1 << 18

@@ -18,34 +18,21 @@ from objectfolder.vision.query import VisionSense, require_near
 from objectfolder.vision.view import Shader, draw
 
 if TYPE_CHECKING:
-    from objectfolder.vision.surface_net import Baked
+    from objectfolder.vision.surface_net import Baked, SurfaceNet
 
 _CHUNK = 2**17  # points whose base colours are evaluated at once
 
-#: Kinds of the paper's VisionNet.
-OSF_KINDS = ("osf", "osf_hull")
-
 
 def vision_sense(stored: StoredNet) -> VisionSense:
-    """Load a vision net. The code of a kind is imported when a file holds it."""
-    if stored.kind == "surface":
-        return SurfaceSense(stored)
-    if stored.kind in OSF_KINDS:
-        from objectfolder.vision.osf_net import OsfNet
-
-        return VolumeSense(stored.load(OsfNet).picture, stored.key)
-    from objectfolder.stored.released import released_net
-
-    return VolumeSense(stored.load(released_net(stored.kind)).picture, stored.key)
+    """Load a vision net."""
+    return SENSES[stored.answers](stored)
 
 
 class SurfaceSense(VisionSense):
     """Vision by shading the stored surface."""
 
     def __init__(self, stored: StoredNet):
-        from objectfolder.vision.surface_net import SurfaceNet
-
-        self.net: SurfaceNet = stored.load(SurfaceNet)
+        self.net: SurfaceNet = stored.load()
         self._stored = stored
         self._lock = threading.RLock()
 
@@ -91,11 +78,13 @@ class VolumeSense(VisionSense):
     These nets know point lights only: a distant light is one at distance 1, where they were trained.
     """
 
-    def __init__(self, picture: Drawer, key: str):
+    def __init__(self, stored: StoredNet):
+        picture: Drawer = stored.load().picture
+
         def draw_under_point(pose: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> Picture:
             return picture(pose, light[:3], intrinsics)
 
-        self._picture = _refuse_damage(draw_under_point, key)
+        self._picture = _refuse_damage(draw_under_point, stored.key)
 
     @override
     def drawer(self, supersample: bool) -> Drawer:
@@ -112,3 +101,7 @@ def _refuse_damage(drawer: Drawer, key: str) -> Drawer:
         return picture
 
     return draw_checked
+
+
+#: By what a net answers.
+SENSES: dict[str, type[SurfaceSense | VolumeSense]] = {"surface": SurfaceSense, "pictures": VolumeSense}

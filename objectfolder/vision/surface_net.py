@@ -20,7 +20,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.hashgrid import HashGrid
-from objectfolder.nets.storage import UNFILLED, fill
+from objectfolder.nets.storage import UNFILLED, NetKind, fill, real, whole
 from objectfolder.vision.bsdf import fresnel, principled
 from objectfolder.vision.lighting import toward
 from objectfolder.vision.radiosity import Radiosity
@@ -354,3 +354,21 @@ def _mlp(inputs: int, width: int, outputs: int, depth: int) -> nn.Sequential:
         layer for a, b in itertools.pairwise(sizes) for layer in (nn.Linear(a, b), nn.ReLU(inplace=True))
     ]
     return nn.Sequential(*hidden, nn.Linear(width, outputs))
+
+
+KINDS = {
+    "surface": NetKind(
+        SurfaceNet,
+        "surface",
+        {
+            "levels": whole(1, 16, "of the hash grid `grid`"),
+            "features": whole(1, 8, "of a level"),
+            "table_bits": whole(1, 19, "a level has at most 2^table_bits entries"),
+            "coarsest": whole(1, 4096, "cells a side"),
+            "finest": whole(1, 8192, "cells a side"),
+            "width": whole(1, 1024, "of the hidden layers"),
+            "roughness": real(0, 1),
+            "metallic": real(0, 1),
+        },
+    )
+}

@@ -1,5 +1,6 @@
 """Training of VisionNet ``surface``: first on the mesh's appearance at surface points, then on views."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.cameras import camera_rays, image_intrinsics
 from objectfolder.vision.color import MIN_FOREGROUND_ALPHA
-from objectfolder.vision.net_settings import SurfaceConfig
+from objectfolder.vision.net_settings import SurfaceConfig, VisionConfig
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.surface_net import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.trace import trace
@@ -72,6 +73,18 @@ class _Pixels:
         # Linearised sRGB error: noisy samples have the right mean in linear radiance, not after encoding.
         error = (radiance - target) * srgb.encode_slope(radiance.detach())
         return error.square().mean()
+
+
+def train(
+    train: dict[str, np.ndarray],
+    val: dict[str, np.ndarray],
+    surface: Callable[[], Isosurface],
+    scene: Callable[[], Scene],
+    settings: VisionConfig,
+    session: Session,
+) -> tuple[SurfaceNet, list[CurvePoint]]:
+    """Train a net of this kind, as the stage asks."""
+    return train_surface(surface(), scene(), train, val, settings, session)
 
 
 def train_surface(

@@ -49,10 +49,7 @@ Selection: type[Record] = create_model(
 def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
     """Validate everything, before a long build starts.
 
-    Raises
-    ------
-    ObjectFolderError
-        If a value is wrong or missing, or a name at the top is unknown.
+    Raises ObjectFolderError if a value is wrong or missing, or a name at the top is unknown.
     """
     check_entries(values, path)
     for name in SECTIONS:
@@ -63,11 +60,8 @@ def check_all(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
 def check_entries(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
     """Validate everything but the stages' settings, whose modules take seconds to import.
 
-    Raises
-    ------
-    ObjectFolderError
-        If an object, a procedural object, a shared value or a choice of benchmarks is wrong or missing, a
-        section is missing, or a name at the top is unknown.
+    Raises ObjectFolderError if an object, a procedural object, a shared value or a choice of benchmarks is
+    wrong or missing, a section is missing, or a name at the top is unknown.
     """
     check_own(values, path)
     for name in SECTIONS:
@@ -78,11 +72,8 @@ def check_entries(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> Non
 def check_own(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
     """Validate what no preset holds: names at the top, objects, and the choice of benchmarks.
 
-    Raises
-    ------
-    ObjectFolderError
-        If an object, a procedural object or a choice of benchmarks is wrong or missing, a name at the top is
-        unknown, or DVC does not see a parameter.
+    Raises ObjectFolderError if an object, a procedural object or a choice of benchmarks is wrong or missing,
+    a name at the top is unknown, or DVC does not see a parameter.
     """
     check_seen(values, path)
     known = ("objects", "procedural", "benchmarks", *Shared.model_fields, *SECTIONS)
@@ -111,10 +102,7 @@ def check_own(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
 def check_object(key: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> ObjectEntry:
     """Return one object's entry, whose material must be known and whose wall must have room.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such entry, or a field is wrong.
+    Raises ObjectFolderError if there is no such entry, or a field is wrong.
     """
     entry = object_entry(key, values, path)
     try:

@@ -7,6 +7,7 @@ stale.
 import ast
 import hashlib
 import inspect
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -20,36 +21,20 @@ from objectfolder.workspace.layout import MATERIALS
 from objectfolder.workspace.params import PARAMS_FILE, read
 
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+#: Text that names modules which are imported by name, such as all nets of a sense.
+_PATTERN = re.compile(rf"{PACKAGE}(\.\w+)*\.\*\w+")
 PACKAGES = (PACKAGE, "stages")  #: packages of the project
 #: Files and folders of the package that stages read; a workspace without the package depends on digests.
-DATA = (
-    f"{PACKAGE}/benchmarks/data",
-    f"{PACKAGE}/stored/objectfile.schema.json",
-    PROFILES,
-)
+DATA = (f"{PACKAGE}/benchmarks/data", f"{PACKAGE}/stored/objectfile.schema.json", PROFILES)
 
 
 def imported_files(script: str | Path, root: str | Path = ".") -> list[str]:
-    """List the project files that a script imports, directly or indirectly.
+    """List the project files that a script imports, directly or indirectly, and the script itself; sorted.
 
-    Parameters
-    ----------
-    script : Path
-        The script, relative to ``root``.
-    root : Path
-        Workspace. It contains ``stages``; a package that it does not contain is the installed one.
-
-    Returns
-    -------
-    list of str
-        Sorted, relative to ``root`` or to the directory that contains the package, with the script itself;
-        empty files (``__init__.py``) are left out.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a file is not Python, or a stage imports a module of the workspace beside its packages, where the
-        pipeline would not see changes.
+    They and ``script`` are relative to the workspace ``root``, or to the directory that contains the package
+    if the workspace has none; empty files (``__init__.py``) are left out. Raises ObjectFolderError if a file
+    is not Python, or a stage imports a module of the workspace beside its packages, where the pipeline would
+    not see changes.
     """
     todo, found = [Path(script).as_posix()], set()
     while todo:
@@ -77,17 +62,8 @@ def code_digest(function: Callable[..., Any]) -> str:
 def code_text(name: str, root: str | Path = ".") -> str | None:
     """Return the digests of what a stage imports, or of files of the package that stages read.
 
-    Parameters
-    ----------
-    name : str
-        A stage, a file or folder in `DATA`, or the material of an object: ``materials/KEY``.
-    root : Path
-        Workspace.
-
-    Returns
-    -------
-    str or None
-        A digest and a name per line; None if there is no such stage, file or object.
+    ``name``: a stage, a file or folder in `DATA`, or the material of an object, ``materials/KEY``. Returns a
+    digest and a name per line; None if there is no such stage, file or object.
     """
     folder, _, key = name.partition("/")
     if folder == MATERIALS:
@@ -121,12 +97,8 @@ def _objects(path: Path, _content: bytes) -> dict[str, Any]:
 def content_digest(path: Path) -> str:
     """Return the SHA-256 of what runs of a module, or of all of another file; hexadecimal.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it does not exist.
-    SyntaxError, ValueError
-        If it should be a module, but is not Python.
+    Raises ObjectFolderError if it does not exist; SyntaxError or ValueError if it should be a module, but is
+    not Python.
     """
     if path.suffix != ".py" or not path.is_file():
         return file_digest(path)
@@ -148,7 +120,6 @@ def _digests(names: list[str], root: str | Path) -> str:
 
 
 def _names_below(name: str, root: str | Path) -> list[str]:
-    """List the files in a folder of `DATA`."""
     folder = located(name, root)
     files = {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
     own = Path(root, SENSORS)
@@ -158,7 +129,6 @@ def _names_below(name: str, root: str | Path) -> list[str]:
 
 
 def _modules(name: str, root: str | Path) -> set[str]:
-    """Return the modules of the project that a file imports."""
     try:
         modules = _imports(located(name, root).read_text(encoding="utf-8"), ".".join(Path(name).parts[:-1]))
     except (SyntaxError, UnicodeDecodeError) as error:
@@ -206,6 +176,8 @@ def _parsed(source: str) -> tuple[str, frozenset[tuple[int, str]]]:
         elif isinstance(node, ast.ImportFrom):
             module = node.module or ""
             imports |= {(node.level, name) for name in (module, *(f"{module}.{a.name}" for a in node.names))}
+        elif isinstance(node, ast.Constant) and _PATTERN.fullmatch(str(node.value)):
+            imports.add((0, str(node.value)))
     return digest, frozenset((level, name.lstrip(".")) for level, name in imports)
 
 
@@ -229,7 +201,10 @@ def _spell(node: ast.AST, words: list[str]) -> None:
 
 
 def _files(module: str, root: str | Path = ".") -> list[str]:
-    """Return the module's file and the ``__init__.py`` of every package above it."""
+    """Return the module's file and the ``__init__.py`` of every package above it, or files of a pattern."""
     parts = module.split(".")
     names = ["/".join((*parts[:i], "__init__.py")) for i in range(1, len(parts) + 1)]
-    return [name for name in (*names, "/".join(parts) + ".py") if located(name, root).is_file()]
+    folder = "/".join(parts[:-1])
+    found = sorted(located(folder, root).glob(f"{parts[-1]}.py")) if "*" in parts[-1] else []
+    names += [f"{folder}/{file.name}" for file in found] or ["/".join(parts) + ".py"]
+    return [name for name in names if located(name, root).is_file()]

@@ -34,43 +34,21 @@ GROUPS = ("objects", "procedural")
 
 @dataclass(frozen=True)
 class Upgrade:
-    """What an upgrade changed in a workspace.
+    """What an upgrade changed in a workspace."""
 
-    Parameters
-    ----------
-    changed : tuple of str
-        Files of the package that differ from those that the workspace was of.
-    written : tuple of str
-        Files of the workspace that were replaced or added.
-    removed : tuple of str
-        Files of the workspace that the version no longer has.
-    conflicts : tuple of str
-        Files that were edited here and are new in this version: the new text lies beside them.
-    params : tuple of str
-        Settings that were added to ``params.yaml``, with the values of the preset quick.
-    """
-
-    changed: tuple[str, ...]
-    written: tuple[str, ...]
-    removed: tuple[str, ...]
+    changed: tuple[str, ...]  #: files of the package that differ from those that the workspace was of
+    written: tuple[str, ...]  #: files of the workspace that were replaced or added
+    removed: tuple[str, ...]  #: files of the workspace that the version no longer has
+    #: Files that were edited here and are new in this version: the new text lies beside them.
     conflicts: tuple[str, ...]
-    params: tuple[str, ...]
+    params: tuple[str, ...]  #: settings added to ``params.yaml``, with the values of the preset quick
 
 
 def create_workspace(root: Path, start: Callable[[Path], None]) -> None:
-    """Make a workspace without objects.
+    """Make a workspace without objects in a folder that is not there, or is empty.
 
-    Parameters
-    ----------
-    root : Path
-        Folder to make, or an empty one.
-    start : callable
-        Makes a folder a Git and DVC repository, or raises.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the folder holds files or lies in a workspace, or it cannot be written; nothing is left there then.
+    ``start`` makes it a Git and DVC repository, or raises. Raises ObjectFolderError if the folder holds files
+    or lies in a workspace, or it cannot be written; nothing is left there then.
     """
     _check_place(root)
     made = not root.exists()
@@ -130,11 +108,8 @@ def upgrade_workspace(root: Path) -> Upgrade:
     Files that were edited are kept; of one that is new in this version, the new text is written beside it.
     Own settings are kept, and those that are new get the values of the preset quick.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the workspace does not run the installed package, or its settings are not valid in this version;
-        nothing is changed then.
+    Raises ObjectFolderError if the workspace does not run the installed package, or its settings are not
+    valid in this version; nothing is changed then.
     """
     if not is_recorded(root):
         if not (root / PARAMS_FILE).is_file():

@@ -113,23 +113,9 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     Keys are made from file or subfolder names, which keep their numbers where others have the same words.
     Folders such as ``meshes`` or ``google_16k`` belong to the object of the folder above.
     ``materials.csv`` (lines ``name,material``) or ``materials.yaml`` (``name: material``) in the folder
-    assigns materials by file, subfolder or key.
-
-    Parameters
-    ----------
-    folder : Path
-    material : str, optional
-        Default for objects that the list does not name.
-
-    Returns
-    -------
-    list of Candidate
-        Ordered by name. Candidates with a duplicate key have a refusal.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no mesh, or the list of materials is invalid or names an unknown object.
+    assigns materials by file, subfolder or key; ``material`` is that of the others. Returns candidates by
+    name; those with a duplicate key have a refusal. Raises ObjectFolderError if there is no mesh, or the list
+    of materials is invalid or names an unknown object.
     """
     listed = _materials(folder)
     found = [(path.stem, [path]) for path in _meshes(folder)]
@@ -256,26 +242,10 @@ def examine(
 ) -> Examination:
     """Load a candidate's mesh, close its surface and voxelize it in memory.
 
-    Parameters
-    ----------
-    candidate : Candidate
-    values : dict
-        Contents of ``params.yaml``.
-    scale : float or None
-        Longest side, metres; None takes the mesh's own.
-    up : {"y", "z"} or None
-        None guesses from the file format.
-    unit : {"m", "cm", "mm"}
-        Unit of the mesh's coordinates.
-    wall : float, optional
-        Thickness that open sheets get, metres.
-    bridge : {"all", "fem", "off"}
-        Where to fill small gaps.
-
-    Raises
-    ------
-    ObjectFolderError
-        If it cannot become an object.
+    ``values``: contents of ``params.yaml``; ``scale``: longest side, metres, None takes the mesh's own;
+    ``up``: None guesses from the file format; ``unit``: of the mesh's coordinates; ``wall``: thickness that
+    open sheets get, metres; ``bridge``: where to fill small gaps, "all", "fem" or "off". Raises
+    ObjectFolderError if it cannot become an object.
     """
     if candidate.refusal is not None:
         raise ObjectFolderError(candidate.refusal)
@@ -418,11 +388,7 @@ def examination_table(examinations: Sequence[Examination], up_given: bool) -> Ta
         if shown.refusal is not None:
             row.append(Text("refused", style="bold red"))
         else:
-            row += [
-                _digits(shown.scale),
-                shown.up + ("" if up_given else "?"),
-                str(shown.pieces),
-            ]
+            row += [_digits(shown.scale), shown.up + ("" if up_given else "?"), str(shown.pieces)]
             row += [CLOSED if shown.rung == "keep" else shown.rung, _digits(shown.volume * 1e6)]
         result.add_row(*row)
     return result

@@ -32,14 +32,8 @@ PIPELINE_FILES = (
 def located(name: str, root: str | Path = ".") -> Path:
     """Return the path of a file of the package or the workspace.
 
-    A workspace without the package may hold sensor profiles in `SENSORS`; they come before the package's.
-
-    Parameters
-    ----------
-    name : str
-        Relative to the workspace, or to the directory that contains the package.
-    root : Path
-        Workspace.
+    ``name`` is relative to the workspace ``root``, or to the directory that contains the package. A workspace
+    without the package may hold sensor profiles in `SENSORS`; they come before the package's.
     """
     root = Path(root)
     if name.partition("/")[0] != PACKAGE or not runs_installed(root):
@@ -66,10 +60,7 @@ def is_recorded(root: str | Path = ".") -> bool:
 def pipeline_folder() -> Path:
     """Return the folder of the files that a workspace starts from.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the installed package lacks them.
+    Raises ObjectFolderError if the installed package lacks them.
     """
     packaged = INSTALLED / PIPELINE
     home = packaged if packaged.is_dir() else INSTALLED  # in a clone: the repository itself
@@ -113,10 +104,7 @@ def changed_files(root: str | Path = ".") -> list[str]:
 def check_installed(root: str | Path = ".") -> None:
     """Check that the installed package is the one that a workspace records, if it records one.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is another version, or was edited.
+    Raises ObjectFolderError if it is another version, or was edited.
     """
     if is_recorded(root) and (changed := changed_files(root)):
         differing = "1 file differs" if len(changed) == 1 else f"{len(changed)} files differ"

@@ -129,10 +129,7 @@ def add_mesh(
 def _place_material(given: str, root: Path) -> tuple[str, str]:
     """Return what names a material in ``params.yaml``, and the text of a file to write there, if any.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is no material's, or ``materials/`` has another of its name.
+    Raises ObjectFolderError if the file is no material's, or ``materials/`` has another of its name.
     """
     if not is_yaml_name(given):
         return given, ""
@@ -156,10 +153,7 @@ def set_material(key: str, described: dict[str, Any], root: Path = Path()) -> No
 def object_files(mesh: Path, attachments: Sequence[Path] = ()) -> dict[PurePosixPath, Path]:
     """Map the files of an object's folder, the mesh first, to those that they are copied from.
 
-    Raises
-    ------
-    ObjectFolderError
-        If a file is missing, or has a name that is reserved or given to another.
+    Raises ObjectFolderError if a file is missing, or has a name that is reserved or given to another.
     """
     sources: dict[PurePosixPath, Path] = {}
     folded: dict[str, Path] = {}
@@ -203,10 +197,7 @@ def _reserved(name: str) -> bool:
 def check_new(key: str, values: dict[str, Any], root: Path = Path(), mesh: Path | None = None) -> Path:
     """Return the folder for the files of a new object, of a mesh that lies elsewhere.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the key is not valid, or taken.
+    Raises ObjectFolderError if the key is not valid, or taken.
     """
     check_key(key)
     home = root / "data" / "objects" / key
@@ -230,19 +221,11 @@ def check_new(key: str, values: dict[str, Any], root: Path = Path(), mesh: Path 
 
 
 def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
-    """Enter a catalogue's procedural objects and object entries in ``params.yaml``.
+    """Enter a catalogue's procedural objects and object entries in ``params.yaml``; return the keys added.
 
-    Identical entries that exist already are skipped.
-
-    Returns
-    -------
-    Keys that were added.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such catalogue, an entry is invalid, or another one has its key; if the mesh of a new
-        object is neither there nor procedural; or if there are files where a new procedural object's will be.
+    Identical entries that exist already are skipped. Raises ObjectFolderError if there is no such catalogue,
+    an entry is invalid, or another one has its key; if the mesh of a new object is neither there nor
+    procedural; or if there are files where a new procedural object's will be.
     """
     params_path = root / params.PARAMS_FILE
     if not catalogue.is_file():

@@ -113,10 +113,7 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
 
     A stage that a build runs gets the values that the build recorded, whatever the file says by then.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is missing, not YAML, or an object key is not a slug.
+    Raises ObjectFolderError if it is missing, not YAML, or an object key is not a slug.
     """
     path = Path(path)
     held = Path(os.environ.get(HELD_PARAMS, path)) if path == Path(PARAMS_FILE) else path
@@ -140,15 +137,7 @@ def read(path: str | Path = PARAMS_FILE) -> dict[str, Any]:
 def name_as_today(values: Any) -> list[str]:
     """Rename parameters that earlier versions called otherwise, in place.
 
-    Parameters
-    ----------
-    values : any
-        Contents of ``params.yaml``; anything but a mapping with procedural objects is left as it is.
-
-    Returns
-    -------
-    list of str
-        What to write instead, for each of them.
+    Anything but a mapping with procedural objects is left as it is. Returns what to write instead, for each.
     """
     entries = values.get("procedural") if isinstance(values, dict) else None
     changes = []
@@ -188,10 +177,8 @@ def check_root(root: Path) -> None:
 def check_slug(key: Any, where: str = "object key") -> str:
     """Return a slug, as object keys are; see `objectfolder.workspace.stages.check_key`.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is not a slug, or too long. DVC drops integer keys silently and takes a dot for a path.
+    Raises ObjectFolderError if it is not a slug, or too long. DVC drops integer keys silently and takes a dot
+    for a path.
     """
     if isinstance(key, str) and len(key) <= MAX_KEY and KEY.fullmatch(key):
         return key
@@ -213,10 +200,7 @@ def check_slug(key: Any, where: str = "object key") -> str:
 def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> ObjectEntry:
     """Validate one object's entry.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is none, or a field is wrong.
+    Raises ObjectFolderError if there is none, or a field is wrong.
     """
     if key not in values["objects"]:
         known = ", ".join(values["objects"]) or "none yet"
@@ -234,19 +218,9 @@ def object_entry(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
 
 
 def stage_params(config: type[Config], key: str, path: str | Path = PARAMS_FILE) -> StageParams[Config]:
-    """Return the parameters of a stage of one object.
+    """Return the parameters of a stage of one object; ``config`` is the dataclass of its section.
 
-    Parameters
-    ----------
-    config : type
-        Dataclass of the stage's section, one of `SECTIONS`.
-    key : str
-        Object key.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the section or the object's entry is missing or wrong.
+    Raises ObjectFolderError if the section or the object's entry is missing or wrong.
     """
     values = read(path)
     entry = object_entry(check_slug(key), values, path)
@@ -255,21 +229,10 @@ def stage_params(config: type[Config], key: str, path: str | Path = PARAMS_FILE)
 
 
 def settings(config: type[Config], values: dict[str, Any], path: str | Path = PARAMS_FILE) -> Config:
-    """Check a section and return it as its dataclass.
+    """Check a section and return it as its dataclass ``config``, one of `SECTIONS`.
 
-    Parameters
-    ----------
-    config : type
-        One of `SECTIONS`.
-    values : dict
-        Contents of ``params.yaml``, perhaps with a preset merged into it.
-    path : path
-        Named in errors.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the section is missing, or a field is missing, unknown or wrong.
+    ``values``: contents of ``params.yaml``, perhaps with a preset merged into it; ``path``: named in errors.
+    Raises ObjectFolderError if the section is missing, or a field is missing, unknown or wrong.
     """
     name: str = config.section  # type: ignore[attr-defined]
     require_section(name, values, path)
@@ -290,7 +253,6 @@ def settings(config: type[Config], values: dict[str, Any], path: str | Path = PA
 
 
 def _names(settings: dict[str, Any]) -> set[str]:
-    """Return the names of settings, at any depth."""
     inner = [_names(value) for value in settings.values() if isinstance(value, dict)]
     return {*settings}.union(*inner)
 
@@ -332,10 +294,8 @@ def require_section(name: str, values: dict[str, Any], path: str | Path = PARAMS
 def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dict[str, Any]]:
     """Return the generator of a procedural object and its parameters.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such object; or if ``dvc repro`` runs this, which would not see a parameter change.
+    Raises ObjectFolderError if there is no such object; or if ``dvc repro`` runs this, which would not see a
+    parameter change.
     """
     values = read(path)
     entry = values["procedural"].get(key)
@@ -350,10 +310,7 @@ def procedural_entry(key: str, path: str | Path = PARAMS_FILE) -> tuple[str, dic
 def check_seen(values: Any, path: str | Path = PARAMS_FILE, where: str = "") -> None:
     """Check that DVC's run cache sees all parameters, at any depth.
 
-    Raises
-    ------
-    ObjectFolderError
-        If one has a name in `UNSEEN_BY_DVC`.
+    Raises ObjectFolderError if one has a name in `UNSEEN_BY_DVC`.
     """
     for name, value in values.items() if isinstance(values, dict) else enumerate(values):
         if name in UNSEEN_BY_DVC:

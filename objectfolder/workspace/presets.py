@@ -20,23 +20,8 @@ DEFAULT = "quick"
 def apply_preset(name: str, root: Path = Path(), dry_run: bool = False) -> list[str]:
     """Give the stage sections of ``params.yaml`` the settings of a preset; objects and seed stay.
 
-    Parameters
-    ----------
-    name : str
-    root : Path
-        Workspace.
-    dry_run : bool
-        Whether to change nothing.
-
-    Returns
-    -------
-    list of str
-        Settings that change, with both values.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such preset, or it or an entry of ``params.yaml`` that it does not hold is invalid.
+    A dry run changes nothing. Returns the settings that change, with both values. Raises ObjectFolderError if
+    there is no such preset, or it or an entry of ``params.yaml`` that it does not hold is invalid.
     """
     params_path = root / PARAMS_FILE
     with edited(params_path, dry_run) as (document, values):
@@ -53,10 +38,7 @@ def apply_preset(name: str, root: Path = Path(), dry_run: bool = False) -> list[
 def read_preset(name: str, root: Path = Path()) -> tuple[dict[str, Any], Path]:
     """Return all sections of a preset, and the path of its overlay.
 
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such preset, or it is not a mapping.
+    Raises ObjectFolderError if there is no such preset, or it is not a mapping.
     """
     folder = root / "params"
     path = folder / f"{name}.yaml"

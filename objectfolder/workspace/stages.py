@@ -43,8 +43,8 @@ class Stage:
     #: Memory is above the largest peaks in docs/measurements. One core, because outputs must not depend on
     #: the number of threads. Timeouts are an order of magnitude above the longest run.
     needs: Needs = Needs()
-    of_kind: Mapping[str, Needs] = field(default_factory=dict)  #: needs by net or renderer, if others
-    kind_in: str = ""  #: section with that net, if not its own
+    of_renderer: Mapping[str, Needs] = field(default_factory=dict)  #: needs by renderer, if others
+    net_in: str = ""  #: section whose net it trains or asks; one of the paper needs `PAPERS_NET`
     task: bool = False  #: whether it is a benchmark task: ``objectfolder/benchmarks/tasks`` declares it
     splits: tuple[str, ...] = ()  #: that are listed; none: objects are
     hulls: bool = False  #: whether its objects must be listed under ``decompose``
@@ -52,7 +52,6 @@ class Stage:
 
 _FEM, _DATA = "objectfolder.sound.fem.settings", "objectfolder.benchmarks.datasets.settings"
 _TASKS, _POLICIES = "objectfolder.benchmarks.tasks", "objectfolder.benchmarks.models.settings"
-_OSF = {"osf": PAPERS_NET}
 _BOTH = ("seen", "unseen")
 STAGES = {
     "hash_code": Stage("first"),
@@ -70,41 +69,40 @@ STAGES = {
         {"mitsuba-cuda": Needs(30, gpus=0.5, memory_mb=2000, timeout=3 * HOUR)},
     ),
     "render_touch": Stage(
-        "object",
-        "objectfolder.touch.settings:RenderTouchConfig",
-        Needs(3, memory_mb=1000, timeout=3 * HOUR),
+        "object", "objectfolder.touch.settings:RenderTouchConfig", Needs(3, memory_mb=1000, timeout=3 * HOUR)
     ),
     "train_vision": Stage(
-        "object", "objectfolder.vision.net_settings:VisionConfig", Needs(18, memory_mb=2000), _OSF
+        "object",
+        "objectfolder.vision.net_settings:VisionConfig",
+        Needs(18, memory_mb=2000),
+        net_in="train_vision",
     ),
     "train_audio": Stage(
         "object",
         "objectfolder.sound.net_settings:AudioConfig",
         Needs(20, memory_mb=1500),
-        {"spectrogram": PAPERS_NET},
+        net_in="train_audio",
     ),
     "train_touch": Stage(
         "object",
         "objectfolder.touch.net_settings:TouchConfig",
         Needs(5, memory_mb=1500),
-        {"image": PAPERS_NET},
+        net_in="train_touch",
     ),
     "pack": Stage("object", needs=Needs(memory_mb=800)),
     "evaluate": Stage(
         "object",
         "objectfolder.objectfile.settings:EvaluateConfig",
         Needs(9, memory_mb=2000, timeout=3 * HOUR),
-        _OSF,
-        "train_vision",
+        net_in="train_vision",
     ),
     "observe": Stage(
         "on demand",
         f"{_DATA}:ObserveConfig",
         Needs(5, memory_mb=1500, timeout=3 * HOUR),
-        _OSF,
-        "train_vision",
+        net_in="train_vision",
     ),
-    "close_ups": Stage("on demand", "", Needs(5, memory_mb=1500, timeout=3 * HOUR), _OSF, "train_vision"),
+    "close_ups": Stage("on demand", "", Needs(5, memory_mb=1500, timeout=3 * HOUR), net_in="train_vision"),
     "recognize": Stage(
         "listed", f"{_TASKS}.recognize:RecognizeConfig", TRAINING, task=True, splits=("seen",)
     ),

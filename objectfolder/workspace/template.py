@@ -58,20 +58,9 @@ def tool_files() -> dict[str, str]:
 def foreign_code(root: Path, graphs: Iterable[Path]) -> dict[str, str]:
     """Map the files whose code a build of a workspace runs and this version did not write to their contents.
 
-    They are graphs, files of ``stages``, and modules at the top level, which Python finds before others. The
-    clone that the package runs from has none.
-
-    Parameters
-    ----------
-    root : Path
-        Workspace, an absolute path.
-    graphs : iterable of Path
-        Files with the commands of stages, absolute paths.
-
-    Returns
-    -------
-    dict of str to str
-        Digest or target of a link by name, sorted.
+    They are ``graphs`` (files with the commands of stages), files of ``stages``, and modules at the top
+    level, which Python finds before others. The clone that the package runs from has none. Paths are
+    absolute. Returns the digest or the target of a link by name, sorted.
     """
     if root == INSTALLED:
         return {}
@@ -91,14 +80,9 @@ def foreign_code(root: Path, graphs: Iterable[Path]) -> dict[str, str]:
 
 
 def note_foreign_code(root: Path, graphs: Iterable[Path], folder: Path) -> None:
-    """Warn that a build of a workspace runs code of its own, see `foreign_code`: once, until that changes.
+    """Warn that a build runs code of the workspace, see `foreign_code`: once, until that changes.
 
-    Parameters
-    ----------
-    root, graphs
-        See `foreign_code`.
-    folder : Path
-        For the record of what was said.
+    ``folder`` keeps the record of what was said.
     """
     if not (code := foreign_code(root, graphs)):
         return
@@ -123,10 +107,8 @@ def graph_of_installed(text: str) -> str:
     A dependency on the package becomes one on `objectfolder.workspace.installed.RECORD` and on the folder of
     sensors, and one on a file in it becomes one on its digest, which ``hash_code`` writes.
 
-    Raises
-    ------
-    ObjectFolderError
-        If a stage depends on a file of the package that `objectfolder.workspace.code_digests.DATA` lacks.
+    Raises ObjectFolderError if a stage depends on a file of the package that
+    `objectfolder.workspace.code_digests.DATA` lacks.
     """
 
     def replacement(match: re.Match[str]) -> str:

@@ -79,8 +79,7 @@ def test_the_next_command_is_in_one_line(built, recordings, monkeypatch):
 def test_density_and_poissons_ratio_stay_as_they_are(built, recordings):
     own = {"base": "ceramic", "density": 2400.0, "poisson_ratio": 0.22}
     write_json(
-        Build("mug").modal,
-        {"material": "ceramic", "material_properties": own_material(own).properties()},
+        Build("mug").modal, {"material": "ceramic", "material_properties": own_material(own).properties()}
     )
     assert run("mug", *recordings).exit_code == 0
     entry = params.read()["objects"]["mug"]["material"]

@@ -362,24 +362,6 @@ def test_damaged_cached_object_does_not_replace_what_a_stage_wrote(workspace, ca
     assert verify(["prepare@mug"], workspace.root, jobs=1).findings == ()
 
 
-def test_damaged_cached_data_is_an_error_that_names_it(make_workspace, caplog):
-    workspace = make_workspace(
-        "stages: {use: {cmd: cp data.txt copy.txt, deps: [data.txt], outs: [copy.txt]}}\n"
-    )
-    data = workspace.root / "data.txt"
-    data.write_text("precious\n")
-    workspace.dvc("add", "data.txt")
-    spoil(next(path for path in (workspace.root / ".dvc/cache/files/md5").rglob("*") if path.is_file()))
-    data.unlink()
-    summary = build(root=workspace.root)
-    assert names(summary.failures) == ["data.txt.dvc"]
-    assert "data.txt" in summary.failures[0].error
-    assert "data.txt: its copy in the cache" in caplog.text
-    assert not data.exists()
-    data.write_text("precious\n")
-    assert build(root=workspace.root).ok
-
-
 @pytest.mark.parametrize(
     "damaged",
     [
@@ -463,31 +445,6 @@ def test_params_broken_during_a_build_are_not_read(workspace, broken):
     path.write_bytes(good)
     assert build(root=workspace.root).counts()[StageOutcome.SKIPPED] == len(everything())
     workspace.check_clean()
-
-
-def test_params_changed_while_a_stage_runs_are_not_taken_for_those_it_has_read(make_workspace):
-    workspace = make_workspace(
-        "stages:\n"
-        "  slow:\n"
-        "    cmd: cp params.yaml read && touch started && while [ ! -e go ]; do sleep 0.05; done\n"
-        "    deps: [steps.py]\n"
-        "    params: [objects.mug.material]\n"
-        "    outs: [read]\n"
-    )
-
-    def change():
-        wait_for((workspace.root / "started").exists)
-        workspace.params(mug={"material": "glass"})
-        (workspace.root / "go").touch()
-
-    with meanwhile(change):
-        summary = build(root=workspace.root)
-    assert summary.ok  # as what it was when the stage began
-    assert build(root=workspace.root).with_status(StageOutcome.RAN)
-    assert "mug: {size: 1, material: glass}" in (workspace.root / "read").read_text()
-    workspace.params()
-    assert build(root=workspace.root).with_status(StageOutcome.RESTORED)
-    assert "glass" not in (workspace.root / "read").read_text()
 
 
 # Stages that misbehave

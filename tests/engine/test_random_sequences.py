@@ -3,6 +3,7 @@
 import shutil
 import signal
 import sys
+import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.prune import prune, survey
 from objectfolder.engine.status import Outlook, State, status
 from objectfolder.engine.summary import Finished, StageOutcome, Started
+from objectfolder.engine.unchanged import CLOCK, recall
 from objectfolder.engine.verify import verify
 
 from . import tiny_project
@@ -304,6 +306,8 @@ class Sequence(RuleBasedStateMachine):
         assert not [path for path in self.root.rglob("*.tmp*") if path.is_file()]
         self.lost = self.lost and (bool(targets) or bool(broken))
         self.locks.append(self.lock.read_bytes())
+        time.sleep(CLOCK / 1e9)
+        build(targets, BuildOptions(remember=time.time_ns()), self.root)
 
     def check_build_from_nothing(self):
         """Build in an empty cache, and compare all bytes."""
@@ -354,6 +358,9 @@ class Sequence(RuleBasedStateMachine):
         if not self.mesh.exists():  # a build brings back what was recorded
             self.sources = replace(self.sources, mesh=self.recorded_mesh)
         states = self.states()
+        if recalled := recall((), self.root):
+            self.counts["recalled"] += 1
+            assert {states[address] for address in recalled.stages} == {State.FRESH}
         truth = self.truth
         if states.pop(MESH, None) is State.FRESH:
             assert self.mesh.read_text() == self.sources.mesh

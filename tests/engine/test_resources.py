@@ -6,6 +6,7 @@ import pytest
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.resources import NEEDS, Machine, Needs, cores, free_memory, machine_gpus, needs_of
 from objectfolder.engine.workers import LocalWorkers
+from objectfolder.workspace.stages import PAPERS_NET, STAGES
 
 GB = 1000
 
@@ -110,9 +111,10 @@ def test_gpus_are_counted_as_cuda_does_not_named_as_on_the_host(monkeypatch, tmp
 
 def test_needs_come_from_the_stage_and_its_net_or_renderer():
     params = {"train_vision": {"net": "osf"}, "render_views": {"renderer": "mitsuba-cuda"}, "modal": 3}
-    assert needs_of("train_vision@mug", params) == NEEDS["train_vision/osf"]
-    assert needs_of("render_views@mug", params) == NEEDS["render_views/mitsuba-cuda"]
+    assert needs_of("train_vision@mug", params) == PAPERS_NET
+    assert needs_of("render_views@mug", params) == STAGES["render_views"].of_renderer["mitsuba-cuda"]
     assert needs_of("train_vision@mug", {"train_vision": {"net": "surface"}}) == NEEDS["train_vision"]
+    assert needs_of("train_touch@mug", {"train_touch": {"net": "image"}}) == PAPERS_NET
     for stage in ("evaluate", "observe"):  # which query the net that another stage trained
         needs = needs_of(f"{stage}@mug", params | {stage: {}})
         assert (needs.gpus, needs.timeout) == (1.0, None)

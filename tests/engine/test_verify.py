@@ -247,12 +247,6 @@ def kill_repair(workspace, steps):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("steps", [1, 6])
-def test_a_killed_repair_loses_nothing(workspace, steps):
-    assert kill_repair(workspace, steps)
-
-
-@pytest.mark.slow
 def test_a_repair_killed_at_any_point_loses_nothing(workspace):
     steps = 0
     while kill_repair(workspace, steps):

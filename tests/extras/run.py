@@ -57,7 +57,7 @@ EXTRAS = (
     Extra("cycles", ("[cycles]",), "bpy", "cycles", (RENDERERS,)),
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),
     Extra("s3", ("[s3]", "moto[s3,server]"), "dvc-s3", "s3 or outage", ("tests/engine/test_remotes.py",)),
-    Extra("usd", ("[usd]",), "usd-core", "usd", ("tests/envs/test_usd_export.py",)),
+    Extra("usd", ("[usd]",), "usd-core", "usd", ("tests/sim/test_usd_export.py",)),
     Extra(
         "lerobot",
         # The last for Python 3.11, and the last.

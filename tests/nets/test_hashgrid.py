@@ -47,19 +47,6 @@ def test_resolutions_grow_geometrically_to_the_finest():
     assert HashGrid(1, 2, 15, 4, 16).resolutions == [4]
 
 
-def test_dense_levels_reproduce_a_trilinear_function(x):
-    grid = HashGrid(levels=2, features=1, table_bits=15, coarsest=5, finest=9)
-    with torch.no_grad():
-        for level, r in enumerate(grid.resolutions):
-            i = torch.arange(grid.offsets[level + 1] - grid.offsets[level])
-            node = torch.stack([i % (r + 1), i // (r + 1) % (r + 1), i // (r + 1) ** 2], 1) / r
-            grid.table[grid.offsets[level] : grid.offsets[level + 1], 0] = 1 + node @ torch.tensor(
-                [2.0, -3, 5]
-            )
-    exact = 1 + x @ torch.tensor([2.0, -3, 5])
-    torch.testing.assert_close(grid(x), exact[:, None].expand(-1, 2), atol=1e-5, rtol=0)
-
-
 def test_forward_and_backward_equal_autograd_through_plain_torch(grid, x):
     weight = torch.randn(200, 8, generator=torch.Generator().manual_seed(2))
     gradients = []
@@ -105,9 +92,7 @@ def test_both_ways_to_the_gradient_agree():
 def test_sums_of_rows_have_the_derivative_of_their_formula():
     generator = torch.Generator().manual_seed(0)
     table = torch.randn(40, 3, generator=generator, requires_grad=True)
-    rows = torch.randint(
-        0, 30, (200, 27), generator=generator
-    )  # some repeat within a sum, some are never taken
+    rows = torch.randint(0, 30, (200, 27), generator=generator)  # some repeat in a sum, some are never taken
     weights, ahead = torch.randn(200, 27, generator=generator), torch.randn(200, 3, generator=generator)
     sums = WeightedRows.apply(table, rows, weights)
     expected = torch.einsum("pk,pkc->pc", weights, table[rows])

@@ -48,10 +48,7 @@ def make_session(path, report):
 
 def train_papers(train):
     def run(path, report):
-        session = Session(
-            torch.Generator().manual_seed(0), checkpoint=Checkpoint(path, "task"), report=report
-        )
-        net, curve = train(session)
+        net, curve = train(make_session(path, report))
         return net.state_dict(), curve
 
     return run

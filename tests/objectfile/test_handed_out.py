@@ -33,9 +33,10 @@ def test_the_surface_is_read_only_and_still_answers(brick_path):
     np.testing.assert_array_equal(brick.touch(points), other.touch(points))
     np.testing.assert_array_equal(brick.nearest(2 * points)[0], other.nearest(2 * points)[0])
     mesh = brick.to_mesh()
-    mesh.vertices[:] = 0  # a copy
+    mesh.vertices[:] = mesh.faces[:] = 0  # copies
     assert not np.shares_memory(mesh.vertex_normals, surface.normals)
     np.testing.assert_array_equal(brick.bounds, other.bounds)
+    np.testing.assert_array_equal(surface.faces, other.surface.faces)
 
 
 def test_points_are_drawn_with_a_seed_a_generator_or_fresh_entropy(brick):

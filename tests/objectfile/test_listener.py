@@ -14,6 +14,7 @@ from objectfolder.sound.far_field import Radiation
 from objectfolder.sound.stream import ModalStream, Pulse
 
 UP = [[0.0, 0.0, 1.0]]
+AS_FAST_A_BAR = dataclasses.replace(material("plastic"), poisson_ratio=0.1)
 
 
 @pytest.fixture
@@ -77,18 +78,16 @@ def _reference(brick, point, place, contact):
     return np.fft.irfft(moved * np.fft.rfft(force), samples)[: 4410 * over : over]
 
 
-@pytest.mark.parametrize(("striker", "most"), [("wood", 0.2), ("rubber", 0.2), ("finger", 0.2)])
-def test_during_the_contact_it_is_that_of_the_modes_acceleration(brick, struck, striker, most):
+@pytest.mark.parametrize("striker", ["wood", "rubber", "finger"])
+def test_during_the_contact_it_is_that_of_the_modes_acceleration(brick, struck, striker):
     """Not of the force: a slow one bends the object, which moves no air."""
     place = np.array([[0.3, 0.4, 1.2]])
     contact = brick.contact_time(striker)
-    sound, expected = (
-        _ringing(brick, struck[:1], place, striker),
-        _reference(brick, struck[:1], place, contact),
-    )
+    sound = _ringing(brick, struck[:1], place, striker)
+    expected = _reference(brick, struck[:1], place, contact)
     during = slice(0, int(contact * RATE) + 1)
     error, size = (np.sqrt(np.square(x[during]).mean()) for x in (sound - expected, expected))
-    assert error < most * size
+    assert error < 0.2 * size
 
 
 @pytest.mark.parametrize("striker", ["rubber", "finger"])
@@ -176,17 +175,13 @@ def test_only_what_is_silent_is_called_silent(brick, struck, caplog):
 
 def test_another_size_sounds_the_same_at_proportional_places(brick, struck):
     """Pressure per impulse falls with the third power of the size, as one over the mass."""
-    options = {"contact_time": 0.0, "material": Material("own", **_without_damping(brick))}
+    own = {k: v for k, v in brick.header["material_properties"].items() if k != "loss_factor"}
+    undamped = Material("own", **own | {"alpha": 1e-9, "beta": 0.0})  # none at all is refused
+    options = {"contact_time": 0.0, "material": undamped}
     small = brick.impact(struck, UP, 96000, 0.1, listener=[[0.0, 0.3, 0.4]], **options)
-    large = brick.impact(
-        2 * struck, UP, 48000, 0.2, listener=[[0.0, 0.6, 0.8]], scale=2 * brick.scale, **options
-    )
+    options |= {"scale": 2 * brick.scale, "listener": [[0.0, 0.6, 0.8]]}
+    large = brick.impact(2 * struck, UP, 48000, 0.2, **options)
     np.testing.assert_allclose(8 * large, small, atol=2e-3 * np.abs(small).max())
-
-
-def _without_damping(brick):
-    kept = {k: v for k, v in brick.header["material_properties"].items() if k != "loss_factor"}
-    return kept | {"alpha": 1e-9, "beta": 0.0}  # none at all is refused
 
 
 @pytest.mark.parametrize(
@@ -200,20 +195,20 @@ def _without_damping(brick):
         ({"response": "velocity"}, "leave response out"),
         ({"material": "steel"}, "build the object in this material"),
         (
-            {"material": dataclasses.replace(material("plastic"), poisson_ratio=0.1)},  # as fast a bar
+            {"material": AS_FAST_A_BAR},
             r"0\.90 to 1\.6\d times the wavelength.*build the object in this material",
         ),
         ({"delay": 1}, "delay is of type int"),
+        (
+            {"points": np.zeros(3), "forces": np.ones((4, 3)), "listener": np.ones((2, 3))},
+            "forces has 4 rows, listener 2",
+        ),
     ],
 )
 def test_what_cannot_be_heard_is_refused(brick, struck, changed, match):
+    asked = {"points": struck, "forces": UP, "listener": [[0, 0, 1.0]]}
     with pytest.raises(ObjectFolderError, match=match):
-        brick.impact(struck, UP, **({"listener": [[0, 0, 1.0]]} | changed))
-
-
-def test_the_argument_that_has_rows_is_named(brick, struck):
-    with pytest.raises(ObjectFolderError, match="forces has 4 rows, listener 2"):
-        brick.impact(struck[0], np.ones((4, 3)), listener=np.ones((2, 3)))
+        brick.impact(**asked | changed)
 
 
 def test_older_files_say_what_they_lack(brick, struck):

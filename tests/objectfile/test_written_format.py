@@ -18,12 +18,10 @@ def stored(brick_path):
     outer, body = json.loads(raw[8 : 8 + length]), raw[8 + length :]
     header = json.loads(outer.pop("__metadata__")["objectfolder"])
     dtypes = {"U8": np.uint8, "I8": np.int8, "F16": np.float16, "F32": np.float32, "F64": np.float64}
-    tensors = {
-        name: np.frombuffer(body[slice(*entry["data_offsets"])], dtypes[entry["dtype"]]).reshape(
-            entry["shape"]
-        )
-        for name, entry in outer.items()
-    }
+    tensors = {}
+    for name, entry in outer.items():
+        values = np.frombuffer(body[slice(*entry["data_offsets"])], dtypes[entry["dtype"]])
+        tensors[name] = values.reshape(entry["shape"])
     return header, tensors
 
 
@@ -161,9 +159,8 @@ def test_the_papers_network_of_spectrograms(spectrograms, rng):
 def test_the_papers_network_of_views(rng):
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        net = OsfNet(
-            4, 8, width=16, depth=7, branch_width=8, branch_depth=2, point_octaves=3, direction_octaves=2
-        )
+        octaves = {"point_octaves": 3, "direction_octaves": 2}
+        net = OsfNet(4, 8, width=16, depth=7, branch_width=8, branch_depth=2, **octaves)
     tensors, config = net.to_tensors()
     net = OsfNet.from_tensors(tensors, config)
     point = rng.uniform(-0.5, 0.5, (50, 3))

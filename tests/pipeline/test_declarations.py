@@ -136,24 +136,26 @@ MAX_MODULES = {
     "radiation": 35,
     "render_views": 49,
     "render_touch": 38,
-    "train_vision": 72,
-    "train_audio": 33,
-    "train_touch": 49,
+    "train_vision": 70,
+    "train_audio": 31,
+    "train_touch": 48,
     "pack": 17,
-    "evaluate": 106,
-    "observe": 108,
-    "close_ups": 112,
-    "decompose": 102,
-    "grasp_data": 119,
+    "evaluate": 100,
+    "observe": 102,
+    "close_ups": 106,
+    "decompose": 96,
+    "grasp_data": 113,
     # Of benchmarks: those that ask for samples alone, and those that ask an object.
     "samples": 50,
-    "objects": 136,
-    "reconstruct": 130,
+    "objects": 130,
+    "reconstruct": 124,
 }
 
 
 def test_stages_import_few_modules():
-    counts = {stage: len(modules(stage)) for stage in STAGES}
+    """Those of nets are not counted: a new kind may be added."""
+    named = ("_net.py", "_training.py")
+    counts = {stage: len([file for file in modules(stage) if not file.endswith(named)]) for stage in STAGES}
     print(*(f"{stage:16}{count:4}" for stage, count in counts.items()), sep="\n")
     kinds = {name: "samples" if splits else "objects" for name, splits in stages.BENCHMARKS.items()}
     most = {stage: MAX_MODULES.get(stage) or MAX_MODULES[kinds[stage]] for stage in STAGES}

@@ -5,7 +5,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
@@ -49,6 +48,7 @@ def test_everything_is_built_and_a_second_build_runs_nothing(built):
         assert 0 <= metrics["audio"]["lost_energy"] < 0.5
     assert built.build() == set()
     summary = built.cli("build").stdout
+    built.run("-c", "from objectfolder.engine.unchanged import recall; assert recall()")
     for key in ("cube", "bell"):
         uncertainty = json.loads((built.root / f"build/{key}/modal.json").read_text())[
             "frequency_uncertainty"
@@ -85,22 +85,6 @@ def test_visual_mesh_surface_and_object_file_share_a_frame(built):
         intrinsics = Intrinsics(*rgba.shape[:2], float(views["focal"]))
     drawn = draw(bell.surface, lambda s, *_: torch.zeros(len(s.points), 3), pose, light, intrinsics)
     assert np.abs(drawn.rgba[..., 3] - rgba[..., 3]).mean() < 0.02
-
-
-def test_dvc_repro_of_one_stage_finds_it_up_to_date(built):
-    output = built.run("-m", "dvc", "repro", "train_audio@cube").stdout
-    assert "'train_audio@cube' didn't change, skipping" in output
-
-
-@pytest.mark.slow
-def test_changed_material_reruns_the_audio_lane_of_that_object_only(built):
-    with built.edit() as values:
-        values["objects"]["cube"]["material"] = "plastic"
-    audio = {f"{stage}@cube" for stage in ("modal", "radiation", "train_audio", "pack")}
-    assert built.build("pack@cube", "pack@bell") == {"hash_code", *audio}
-    with built.edit() as values:
-        values["objects"]["cube"]["material"] = "wood"
-    assert built.build() == set()  # all restored from the run cache
 
 
 def test_a_material_that_no_object_uses_reruns_nothing(built):
@@ -169,16 +153,6 @@ def test_a_smaller_object_is_not_solved_again(built):
         build.solved_modes.write_bytes(solved)
     built.build("cube")
     assert build.modes.read_bytes() == before
-
-
-@pytest.mark.slow
-def test_changed_training_reruns_that_lane_only(built):
-    with built.edit() as values:
-        values["train_audio"]["sizes"][0]["steps"] += 50
-    assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
-    with built.edit() as values:
-        values["train_audio"]["sizes"][0]["steps"] -= 50
-    assert built.build() == set()  # restored
 
 
 @pytest.mark.slow
@@ -310,25 +284,6 @@ def test_published_query_formats(built, tmp_path):
     assert "(2, 5), expected (N, 6)" in refused.stderr
 
 
-@pytest.mark.slow  # tests/engine has the cheap ones
-def test_killed_stage_leaves_nothing_half_written_and_the_next_build_resumes(workspace):
-    workspace.build("normalize@cube")
-    command = [sys.executable, "-c", "from objectfolder.cli import main; main()", "build", "voxelize@cube"]
-    engine = subprocess.Popen(command, cwd=workspace.root, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    log = workspace.root / "build/.logs/voxelize@cube.log"
-    deadline = time.monotonic() + 60
-    while not log.exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    engine.send_signal(signal.SIGKILL)
-    engine.communicate()
-    for name in ("solid.npz", "sdf.npz"):
-        path = workspace.root / "build/cube" / name
-        if path.exists():
-            np.load(path, allow_pickle=False).close()  # whole, or not there
-    assert workspace.build("voxelize@cube") <= {"voxelize@cube"}
-    assert (workspace.root / "build/cube/sdf.npz").exists()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_training_leaves_nothing_and_restarts_to_the_same_bytes(built, how):
@@ -359,37 +314,12 @@ def test_an_interrupted_training_leaves_nothing_and_restarts_to_the_same_bytes(b
     assert {path: path.read_bytes() for path in outputs} == before
 
 
-@pytest.mark.slow  # tests/engine has it of stages that cost nothing
-def test_a_broken_object_does_not_stop_the_others(workspace):
-    home = workspace.root / "data/objects/cube"
-    home.mkdir(parents=True)
-    (home / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")
-    with workspace.edit() as values:
-        del values["procedural"]["cube"]
-        values["objects"]["cube"]["mesh"] = "data/objects/cube/mesh.obj"
-    done = workspace.cli("build", "normalize", ok=False)
-    assert done.returncode == 1
-    assert "NaN" in done.stdout + done.stderr
-    assert "data/objects/cube/mesh.obj" in done.stdout + done.stderr
-    assert (workspace.root / "build/bell/surface.ply").exists()
-
-
 def test_unwritable_build_directory_is_said_before_anything_runs(workspace):
     (workspace.root / "build").write_text("a file where the folder should be")
     done = workspace.cli("build", ok=False)
     assert done.returncode == 1
     assert "cannot write build" in done.stderr
     assert not (workspace.root / "dvc.lock").exists()
-
-
-@pytest.mark.parametrize("key", [7, "a.b", "Mug", "modal"])
-def test_bad_object_keys_are_refused_with_the_reason(workspace, key):
-    with workspace.edit() as values:
-        values["objects"][key] = values["objects"]["cube"]
-    done = workspace.cli("build", ok=False)
-    assert done.returncode == 1
-    assert f"{key!r} is not a valid object key" in done.stderr.replace("\n", " ")
-    shutil.rmtree(workspace.root)
 
 
 @pytest.mark.slow

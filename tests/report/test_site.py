@@ -1,21 +1,20 @@
 """The site of a report."""
 
 import base64
-import io
 import json
 import re
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
-from PIL import Image
+from folders import contents
+from own_workspace import ROOT
+from refusals import refused
+from web_pages import NEEDS_CHROMIUM, check_whole, heard, page_data, run_node, seen
 
 from objectfolder.base.arrays import read_npz, write_npz
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import file_digest, read_json, write_json
 from objectfolder.cli import app
 from objectfolder.engine.process import CommandResult
@@ -27,16 +26,10 @@ from objectfolder.stored.header import PARTS
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.workspace.layout import Build
 
-VIEWER = Path(__file__).parents[2] / "viewer"
 
-
-def script(page, name):
-    """JSON that a page holds."""
-    return json.loads(re.search(rf'<script type="application/json" {name}>(.*?)</script>', page)[1])
-
-
-def picture(uri):
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))).convert("RGB"))
+def rows_of(page):
+    """Rows of the overview."""
+    return page_data(page.read_text(), 'id="data"')["rows"]
 
 
 @pytest.fixture(scope="module")
@@ -47,29 +40,17 @@ def workspace(brick, tmp_path_factory):
     cameras = look_at(np.array([[2.0, 1, 1], [-1.5, 1, 1.5]]))
     light = np.array([[0.5, 0.5, 0.9], [-0.5, 0.5, 0.9]])
     intrinsics = Intrinsics.square(32)
-    rgba = brick.render(cameras, light, intrinsics=intrinsics).rgba
-    write_npz(
-        build.views("test"),
-        **{"rgba": rgba, "camera_to_world": cameras, "light": light},
-        **{"focal": np.float64(intrinsics.focal), "center": np.full((2, 2), 16.0)},
-    )
+    views = {"rgba": brick.render(cameras, light, intrinsics=intrinsics).rgba, "camera_to_world": cameras}
+    views |= {"light": light, "focal": np.float64(intrinsics.focal), "center": np.full((2, 2), 16.0)}
+    write_npz(build.views("test"), **views)
     points = brick.sample_surface(6, seed=3)
-    depths, angles = np.full(6, 1e-3), np.linspace(0, 1, 6)
-    images = brick.touch(points, depths, angles)
-    obstructed = np.array([0, 0, 0, 0, 0, 0.2])
-    write_npz(
-        build.touch("test"),
-        **{"images": images, "points": points, "depths": depths, "angles": angles, "obstructed": obstructed},
-    )
+    touches = {"points": points, "depths": np.full(6, 1e-3), "angles": np.linspace(0, 1, 6)}
+    images = brick.touch(*touches.values())
+    write_npz(build.touch("test"), **touches, images=images, obstructed=np.array([0, 0, 0, 0, 0, 0.2]))
     tuning = brick.tuning()
-    write_npz(
-        build.modes,
-        points=points / brick.scale,
-        split=np.array([0, 0, 0, 1, 2, 2]),
-        shapes=brick.mode_shapes(points),
-        damped_frequency=tuning.damped_frequency.double().numpy(),
-        damping=tuning.damping.double().numpy(),
-    )
+    modes = {name: getattr(tuning, name).double().numpy() for name in ("damped_frequency", "damping")}
+    modes |= {"points": points / brick.scale, "shapes": brick.mode_shapes(points)}
+    write_npz(build.modes, **modes, split=np.array([0, 0, 0, 1, 2, 2]))
     vision = {"psnr": 40.0, "baseline_white": 9.0, "views": 2}
     vision |= {"best_view": 0, "median_view": 1, "worst_view": 1}
     scores = {"vision": vision, "audio": {}, "touch": {}, "file_bytes": 1000}
@@ -103,16 +84,13 @@ def test_truth_that_the_file_answers_differs_by_nothing(workspace):
     assert all("score" not in view for view in studio)
     for strip in (*compared, *report.detail["touches"]):
         assert strip["score"] > 60
-        truth, answer, difference = np.split(picture(strip["source"]).astype(int), 3, axis=1)
+        truth, answer, difference = np.split(seen(strip["source"]).astype(int), 3, axis=1)
         assert np.abs(truth - answer).mean() < 4  # lossy
         assert difference.mean() > 250  # white
     assert report.detail["touches"][-1]["title"] == "1 mm deep, obstructed"
     assert report.detail["costs"] == [["modal", 23.46, 12.35, 456.0], ["evaluate", 2.0, 3.0, 300.0]]
     for sound in report.detail["sounds"]:
-        truth, answer = (
-            soundfile.read(io.BytesIO(base64.b64decode(sound[name].partition(",")[2])))[0]
-            for name in ("truth", "answer")
-        )
+        truth, answer = (heard(sound[name])[0] for name in ("truth", "answer"))
         assert np.abs(truth).max() == pytest.approx(0.9, abs=1e-3)
         assert np.abs(truth - answer).max() < 1e-3
 
@@ -133,21 +111,21 @@ def played(file, path):
     """Sounds of a file's report and their sample rate."""
     file.save(path)
     sounds = object_report(path).detail["sounds"]
-    heard = [soundfile.read(io.BytesIO(base64.b64decode(s["answer"].partition(",")[2]))) for s in sounds]
-    return sounds, [sound for sound, _ in heard], {rate for _, rate in heard}
+    answers, rates = zip(*[heard(sound["answer"]) for sound in sounds])
+    return sounds, answers, {*rates}
 
 
 @pytest.mark.parametrize(("highest", "rate"), [(7990, 16000), (20000, 48000)])
 def test_every_mode_is_heard_and_drawn(brick, tmp_path, caplog, highest, rate):
     damped = np.linspace(0.7, 1, 12, dtype=np.float32) * 2 * np.pi * highest
     file = ObjectFile(brick.header, dict(brick.tensors) | {"audio.damped_frequency": damped}, "brick")
-    sounds, heard, rates = played(file, tmp_path / "high.safetensors")
+    sounds, answers, rates = played(file, tmp_path / "high.safetensors")
     assert rates == {rate}
     assert "silent" not in caplog.text
-    for sound, answer in zip(sounds, heard):
+    for sound, answer in zip(sounds, answers):
         assert np.abs(answer).max() == pytest.approx(0.9, abs=1e-3)
         assert re.fullmatch(rf"0 to {rate // 2000} kHz upwards, 0 to (0.\d|1) s to the right", sound["axes"])
-        brightest = picture(sound["source"]).mean((1, 2)).argmax()
+        brightest = seen(sound["source"]).mean((1, 2)).argmax()
         assert 0.69 * highest < (1 - brightest / 257) * rate / 2 < 1.01 * highest
 
 
@@ -195,14 +173,9 @@ def test_an_object_without_a_part_is_reported_with_the_others(brick, tmp_path, p
 def test_a_site_loads_nothing_but_its_own_scripts(brick_path, tmp_path):
     page = write_site([brick_path], tmp_path / "site", {"spoon": {"material": "steel", "scale": 0.2}})
     assert page == tmp_path / "site" / "index.html"
-    assert sorted(str(p.relative_to(page.parent)) for p in page.parent.rglob("*.*")) == [
-        *("index.html", "objects/brick.js", "viewer.js")
-    ]
-    text = page.read_text()
-    assert not re.search(
-        r"""(src|href)=["'](?!data:|#)""", re.sub(r"<script.*?</script>", "", text, flags=re.S)
-    )
-    spoon, brick = script(text, 'id="data"')["rows"]
+    assert contents(page.parent).keys() == {"index.html", "objects/brick.js", "viewer.js"}
+    check_whole(page.read_text())
+    spoon, brick = rows_of(page)
     assert (spoon["missing"], spoon["material"], brick["key"]) == (True, "steel", "brick")
     detail = (page.parent / "objects" / "brick.js").read_text()
     assert json.loads(detail[len("objectfolderReport(") : -3])["key"] == "brick"
@@ -214,22 +187,22 @@ def test_a_single_file_holds_everything(brick_path, tmp_path):
     page = write_site([brick_path], tmp_path / "report.html", single_file=True)
     assert list(tmp_path.iterdir()) == [page]
     text = page.read_text()
-    assert base64.b64decode(script(text, 'data-report="brick"')["file"]) == brick_path.read_bytes()
-    assert len(script(text, 'id="viewer"')) > 50_000
+    assert base64.b64decode(page_data(text, 'data-report="brick"')["file"]) == brick_path.read_bytes()
+    assert len(page_data(text, 'id="viewer"')) > 50_000
 
 
 def test_the_same_object_gives_the_same_report(brick_path, report):
     assert object_report(brick_path) == report
 
 
+def renamed(report, key):
+    return replace(report, row=report.row | {"key": key}, detail=report.detail | {"key": key})
+
+
 @pytest.fixture
 def hundred(report, monkeypatch, tmp_path):
     """Site of a hundred objects, which are the brick under other names."""
-
-    def renamed(path, costs):
-        return replace(report, row=report.row | {"key": path.name}, detail=report.detail | {"key": path.name})
-
-    monkeypatch.setattr("objectfolder.report.site.object_report", renamed)
+    monkeypatch.setattr("objectfolder.report.site.object_report", lambda path, _: renamed(report, path.name))
     monkeypatch.setattr("objectfolder.report.site.read_key", lambda path: path.name)
     return write_site([Path(f"brick_{n}") for n in range(100)], tmp_path / "site")
 
@@ -241,10 +214,9 @@ def test_the_overview_of_a_hundred_objects_holds_none_of_their_files(hundred):
 
 @pytest.mark.usefixtures("quick")
 def test_two_files_of_one_object_are_refused(brick_path, tmp_path):
-    with pytest.raises(ObjectFolderError, match="another file holds an object of the key brick"):
-        write_site([brick_path, brick_path], tmp_path / "site")
-    with pytest.raises(ObjectFolderError, match="another file holds an object of the key brick"):
-        write_site([brick_path], tmp_path / "site", {"brick": {"material": "steel", "scale": 0.2}})
+    for paths, missing in (([brick_path] * 2, {}), ([brick_path], {"brick": {"material": "steel"}})):
+        taken = "another file holds an object of the key brick"
+        refused(taken, write_site, paths, tmp_path / "site", missing)
     assert not (tmp_path / "site").exists()
 
 
@@ -252,12 +224,10 @@ def test_two_files_of_one_object_are_refused(brick_path, tmp_path):
 def three(brick, report, tmp_path, monkeypatch):
     """Files of three objects, the second truncated; the report of the others is that of the brick."""
 
-    def renamed(path, costs):
-        if path.stem == "two":
-            return object_report(path, costs)
-        return replace(report, row=report.row | {"key": path.stem}, detail=report.detail | {"key": path.stem})
+    def reported(path, costs):
+        return object_report(path, costs) if path.stem == "two" else renamed(report, path.stem)
 
-    monkeypatch.setattr("objectfolder.report.site.object_report", renamed)
+    monkeypatch.setattr("objectfolder.report.site.object_report", reported)
     paths = [tmp_path / f"{key}.safetensors" for key in ("one", "two", "three")]
     for path in paths:
         ObjectFile(brick.header | {"key": path.stem}, brick.tensors).save(path)
@@ -277,7 +247,7 @@ def test_a_mode_that_does_not_decay_has_no_time_to_decay(brick, tmp_path):
 def test_a_damaged_object_fails_alone(three, tmp_path, capsys):
     site = tmp_path / "site"
     assert app(["report", *map(str, three), "--no-open", "--out", str(site)], standalone_mode=False) == 1
-    one, two, last = script((site / "index.html").read_text(), 'id="data"')["rows"]
+    one, two, last = rows_of(site / "index.html")
     assert (one["key"], two["key"], last["key"]) == ("one", "two", "three")
     assert two["failed"] == ["Object can be reported"]
     assert "neither an Object File nor another readable" in two["warnings"][0]
@@ -287,26 +257,23 @@ def test_a_damaged_object_fails_alone(three, tmp_path, capsys):
 
 
 def test_a_damaged_file_is_not_taken_for_the_object_of_its_name(three, tmp_path):
-    failed = []
-    missing = {"two": {"material": "steel"}}
+    failed, missing = [], {"two": {"material": "steel"}}
     page = write_site(three[:2], tmp_path / "site", missing, on_failure=lambda key, error: failed.append(key))
     assert failed == [str(three[1])]
-    rows = script(page.read_text(), 'id="data"')["rows"]
-    assert {row["key"] for row in rows} == {"one", "two", str(three[1])}
+    assert {row["key"] for row in rows_of(page)} == {"one", "two", str(three[1])}
 
 
 def test_a_site_is_written_whole_or_not_at_all(three, tmp_path):
     site = tmp_path / "site"
     write_site(three[:1], site)
-    before = {path: path.read_bytes() for path in site.rglob("*") if path.is_file()}
-    with pytest.raises(ObjectFolderError, match="neither an Object File"):
-        write_site(three[::-1], site)
-    assert {path: path.read_bytes() for path in site.rglob("*") if path.is_file()} == before
+    before = contents(site)
+    refused("neither an Object File", write_site, three[::-1], site)
+    assert contents(site) == before
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(ObjectFolderError, match=r"absent\.safetensors does not exist; expected"):
-        app(["report", str(tmp_path / "absent.safetensors"), "--no-open"], standalone_mode=False)
+    command = ["report", str(tmp_path / "absent.safetensors"), "--no-open"]
+    refused(r"absent\.safetensors does not exist; expected", app, command, standalone_mode=False)
 
 
 @pytest.fixture
@@ -318,6 +285,12 @@ def bare(monkeypatch):
     monkeypatch.setattr("objectfolder.report.facts._seen", lambda file: False)
 
 
+@pytest.fixture
+def copied(workspace, tmp_path):
+    """A copy of the workspace."""
+    return Build("brick", shutil.copytree(workspace.root, tmp_path / "workspace"))
+
+
 @pytest.mark.usefixtures("bare")
 def test_costs_are_left_out_if_not_asked_for(workspace):
     assert len(object_report(workspace.object_file).detail["costs"]) == 2
@@ -325,10 +298,8 @@ def test_costs_are_left_out_if_not_asked_for(workspace):
 
 
 @pytest.mark.usefixtures("bare")
-def test_scores_of_another_file_are_left_out(workspace, tmp_path):
-    root = tmp_path / "workspace"
-    shutil.copytree(workspace.root, root)
-    build = Build("brick", root)
+def test_scores_of_another_file_are_left_out(copied):
+    build = copied
     write_json(build.metrics, read_json(build.metrics) | {"file_sha256": "0" * 64})
     report = object_report(build.object_file)
     assert report.row["scores"] == {"file_bytes": float(f"{build.object_file.stat().st_size:.4g}")}
@@ -339,11 +310,9 @@ def test_scores_of_another_file_are_left_out(workspace, tmp_path):
 
 
 @pytest.fixture
-def moved_on(workspace, tmp_path, monkeypatch):
+def moved_on(copied, monkeypatch):
     """The workspace after its modes and touches were made again, for another material and sensor."""
-    root = tmp_path / "workspace"
-    shutil.copytree(workspace.root, root)
-    build = Build("brick", root)
+    build = copied
     modes = read_npz(build.modes)
     write_npz(build.modes, **modes | {"damped_frequency": modes["damped_frequency"] * 1.1})
     touches = read_npz(build.touch("test"))
@@ -367,70 +336,45 @@ def test_truth_of_another_file_is_left_out(workspace, moved_on, scored):
 
 
 @pytest.mark.usefixtures("bare")
-def test_a_link_into_the_cache_is_of_its_workspace(workspace, tmp_path):
-    root = tmp_path / "workspace"
-    shutil.copytree(workspace.root, root)
-    build, cached = Build("brick", root), root / ".dvc/cache/files/md5/ab/cdef"
+def test_a_link_into_the_cache_is_of_its_workspace(copied):
+    cached = copied.root / ".dvc/cache/files/md5/ab/cdef"
     cached.parent.mkdir(parents=True)
-    build.object_file.rename(cached)
-    build.object_file.symlink_to(cached)
-    report = object_report(build.object_file)
+    copied.object_file.rename(cached)
+    copied.object_file.symlink_to(cached)
+    report = object_report(copied.object_file)
     assert report.row["scores"]["vision.psnr"] == 40.0
     assert len(report.detail["costs"]) == 2
 
 
-def test_report_reports_on_a_workspace(workspace, tmp_path, monkeypatch, capsys):
-    root = tmp_path / "workspace"
-    shutil.copytree(workspace.root, root)
-    shutil.copy(Path(__file__).parents[2] / "params.yaml", root)
-    params = (root / "params.yaml").read_text()
-    (root / "params.yaml").write_text(params.replace("  mug: {mesh", "  brick: {mesh"))
-    monkeypatch.chdir(root)
+def test_report_reports_on_a_workspace(copied, monkeypatch, capsys):
+    params = (ROOT / "params.yaml").read_text()
+    (copied.root / "params.yaml").write_text(params.replace("  mug: {mesh", "  brick: {mesh"))
+    monkeypatch.chdir(copied.root)
     app(["report", "--no-open"], standalone_mode=False)
-    rows = script((root / "site" / "index.html").read_text(), 'id="data"')["rows"]
-    assert {row["key"]: bool(row.get("missing")) for row in rows} == {
-        "die": True,
-        "bell": True,
-        "brick": False,
-    }
+    missing = {row["key"]: bool(row.get("missing")) for row in rows_of(Path("site/index.html"))}
+    assert missing == {"die": True, "bell": True, "brick": False}
     assert capsys.readouterr().out.endswith(": 1 object\n")
 
 
 def test_report_says_that_nothing_is_built(tmp_path, monkeypatch):
-    shutil.copy(Path(__file__).parents[2] / "params.yaml", tmp_path)
+    shutil.copy(ROOT / "params.yaml", tmp_path)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ObjectFolderError, match=r"no object of params\.yaml is built"):
-        app(["report", "--no-open"], standalone_mode=False)
+    refused(r"no object of params\.yaml is built", app, ["report", "--no-open"], standalone_mode=False)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    shutil.which("node") is None or not (VIEWER / "node_modules").exists(),
-    reason="needs node and `npm ci` in viewer/",
-)
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+@NEEDS_CHROMIUM
 @pytest.mark.parametrize("single_file", [False, True])
 def test_the_report_in_chromium(workspace, tmp_path, single_file):
     missing = {"spoon": {"material": "steel", "scale": 0.2}}
     page = write_site([workspace.object_file], tmp_path / "report.html", missing, single_file)
-    done = subprocess.run(
-        ["node", "tests/report.mjs", str(page), str(tmp_path)], cwd=VIEWER, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    run_node("report.mjs", page, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    shutil.which("node") is None or not (VIEWER / "node_modules").exists(),
-    reason="needs node and `npm ci` in viewer/",
-)
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+@NEEDS_CHROMIUM
 def test_the_overview_of_a_hundred_objects_is_smooth(hundred):
-    done = subprocess.run(
-        ["node", "tests/overview.mjs", str(hundred)], cwd=VIEWER, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    found = json.loads(run_node("overview.mjs", hundred))
     print(found)
     # Of the page's own work, with room for a busy machine.
     assert found["cards"] == 100

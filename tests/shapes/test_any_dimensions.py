@@ -79,13 +79,9 @@ def table(width: float, long: float, high: float, thick: float, slim: float, sha
     length, height = width * (1 + 1.5 * long), width * (0.4 + high)
     top = 0.01 * length + thick * (0.2 * height - 0.01 * length)
     leg = 0.03 * length + slim * (0.14 * width - 0.03 * length)
-    under = {
-        "apron": 0.2 * thick * (height - top),
-        "overhang": 0.15 * width * slim,
-        "taper": 0.4 + 0.6 * high,
-    }
+    under = {"apron": 0.2 * thick * (height - top), "overhang": 0.15 * width * slim}
     sizes = {"length": length, "width": width, "height": height, "top": top, "leg_size": leg}
-    return sizes | under | {"shape": shape, "base": base, "bevel": 0.0}
+    return sizes | under | {"taper": 0.4 + 0.6 * high, "shape": shape, "base": base, "bevel": 0.0}
 
 
 def stool(diameter: float, high: float, thick: float, slim: float, wide: float, legs: int) -> Sizes:
@@ -185,13 +181,9 @@ SLOW = {
     ),
     "toy": (toy, st.floats(0.03, 0.5), st.floats(0.75, 1.3), st.integers(3, 8), one_of(KINDS)),
 }
-any_size = settings(
-    max_examples=6,
-    deadline=None,
-    derandomize=True,
-    phases=[Phase.generate],
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+slow = [HealthCheck.too_slow, HealthCheck.data_too_large]
+once = {"derandomize": True, "phases": [Phase.generate]}
+any_size = settings(max_examples=6, deadline=None, suppress_health_check=slow, **once)
 
 
 @pytest.mark.parametrize("generator", [*FAST, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])

@@ -18,10 +18,8 @@ from objectfolder.shapes.extrusion import (
     round_corners,
     triangulate,
 )
-from objectfolder.shapes.shelf import shelf, shelf_levels
-from objectfolder.shapes.stool import stool
+from objectfolder.shapes.furniture import shelf, shelf_levels, stool, table
 from objectfolder.shapes.sweep import bar
-from objectfolder.shapes.table import table
 
 
 def test_a_board_of_another_seed_is_another_piece_of_wood():
@@ -61,11 +59,8 @@ def test_prism_has_the_volume_of_its_rounded_edges(steps):
 
 
 def test_prism_with_holes_has_their_genus_and_an_even_mesh():
-    rings = [
-        rectangle(0.3, 0.2, 0.02),
-        polygon(32, 0.03)[::-1],
-        polygon(6, 0.02)[::-1] + np.array([0.1, 0.03]),
-    ]
+    holes = [polygon(32, 0.03)[::-1], polygon(6, 0.02)[::-1] + np.array([0.1, 0.03])]
+    rings = [rectangle(0.3, 0.2, 0.02), *holes]
     plate = prism(rings, 0.02, 0.01)
     assert plate.genus() == 2
     assert plate.volume() == pytest.approx(0.02 * sum(map(area, rings)), rel=1e-12)
@@ -105,11 +100,9 @@ def test_texture_shows_the_paint_of_each_point():
         return 0.5 + 0.45 * np.sin(points * [7, 9, 8])
 
     axes = frame([0.3, 0.2, -0.9])
-    solids = [
-        prism([rectangle(0.5, 0.3, 0.04)], 0.06, 0.03, 0.01),
-        bar((0, 0, 0.03), (0.3, 0.2, -0.87), (0.1, 0.06), 0.04),
-    ]
-    parts = [PaintedPart.of(solids[0], paint), PaintedPart.of(solids[1], paint, axes)]
+    plate = prism([rectangle(0.5, 0.3, 0.04)], 0.06, 0.03, 0.01)
+    leg = bar((0, 0, 0.03), (0.3, 0.2, -0.87), (0.1, 0.06), 0.04)
+    parts = [PaintedPart.of(plate, paint), PaintedPart.of(leg, paint, axes)]
     mesh: Any = assemble(union(parts), parts, Look("plastic", 1.0), 512)
     rng = np.random.default_rng(1)
     weights = rng.dirichlet([0.4] * 3, len(mesh.faces))[:, :, None]
@@ -118,11 +111,10 @@ def test_texture_shows_the_paint_of_each_point():
     low = np.floor(uv).astype(int)
     image = mesh.texture[::-1] / 255
     shown = np.zeros((len(uv), 3))
-    for dx in (0, 1):
-        for dy in (0, 1):
-            share = np.prod(1 - np.abs(uv - low - [dx, dy]), axis=1)
-            at = np.clip(low + np.array([dx, dy]), 0, 511)
-            shown += share[:, None] * image[at[:, 1], at[:, 0]]
+    for step in np.ndindex(2, 2):
+        share = np.prod(1 - np.abs(uv - low - step), axis=1)
+        column, row = np.clip(low + np.array(step), 0, 511).T
+        shown += share[:, None] * image[row, column]
     assert np.abs(shown - paint(points)).max() < 0.02
 
 

@@ -1,15 +1,17 @@
 """What holds for the objects of every generator."""
 
+import inspect
 from functools import cache
 
 import numpy as np
 import pytest
 from assembled import check_charts, check_charts_apart, check_solid, check_texture, welded
 from procedural_cases import APPLIANCES, CASES, GENUS, SAMPLE, SMALL, STARTERS, VESSELS
+from refused import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes import GENERATORS, generate
+from objectfolder.shapes.parameters import Size
 
 NAMES = [
     pytest.param(name, marks=pytest.mark.slow) if name in APPLIANCES and name not in SAMPLE else name
@@ -65,6 +67,20 @@ def test_colours_agree_across_seams(name):
     assert np.mean(np.abs(colour - mean[group])[twins].max(1) < limit) > share
 
 
+@pytest.mark.parametrize("generator", GENERATORS)
+def test_every_dimension_is_a_finite_number_and_most_are_positive(generator):
+    parameters = inspect.signature(GENERATORS[generator]).parameters.values()
+    dimensions = [p for p in parameters if isinstance(p.default, float)]
+    assert dimensions
+    for one in dimensions:
+        positive = one.annotation == Size
+        if (generator, one.name) != ("cup", "foot_radius"):  # unused without a stem
+            for wrong in (np.nan, "big", True, *((0.0, -1, np.inf) if positive else ())):
+                words = "a positive, finite number" if positive else ""
+                with refused(f"{generator}: {one.name}={wrong!r}: expected {words}"):
+                    generate(generator, **{one.name: wrong})
+
+
 TABLE = {"length": 1.5, "width": 0.8, "height": 0.74, "top": 0.03, "leg_size": 0.06, "apron": 0.08}
 TABLE |= {"overhang": 0.03, "bevel": 0.002}
 BLOCK = {"length": 0.1, "width": 0.08, "height": 0.04, "diameter": 0.016, "depth": 0.02, "rounding": 0.001}
@@ -91,25 +107,19 @@ def test_object_of_twice_the_size_has_eight_times_the_volume(generator, lengths,
     [
         ("anvil", {}, "unknown generator 'anvil'.*bell, block.*wrench"),
         ("mug", {"colour": 3}, "unknown parameter 'colour'.*radius"),
-        ("mug", {"radius": 0.0}, r"radius=0\.0.*positive"),
-        ("mug", {"height": float("nan")}, "height=nan.*finite"),
         ("mug", {"wall": 0.03}, "wall=0.03.*expected"),
         ("mug", {"bottom": 0.09}, "bottom=0.09.*expected"),
         ("mug", {"handle_reach": 0.3}, "handle_reach=0.3.*handle"),
         ("mug", {"texture_size": 0}, "texture_size=0.*texels"),
         ("mug", {"texture_size": 100.5}, "texture_size=100.5.*texels"),
-        ("die", {"edge": -0.05}, "edge=-0.05.*positive"),
-        ("die", {"edge": "big"}, "edge='big'.*positive"),
         ("die", {"fillet": 0.02}, "fillet=0.02.*pips"),
         ("bell", {"wall": 0.02}, "wall=0.02.*expected"),
         ("bell", {"radius": 0.2}, "height=0.09.*expected"),
-        ("bowl", {"radius": 0.0}, r"bowl: radius=0\.0.*positive"),
         ("bowl", {"wall": 0.03}, "bowl: wall=0.03.*expected"),
         ("bowl", {"foot_radius": 0.07}, "bowl: foot_radius=0.07.*70 %"),
         ("bowl", {"fullness": 1.0}, r"bowl: fullness=1\.0.*cone to cylinder"),
         ("bowl", {"lobes": 2}, "bowl: lobes=2.*from 3 to 12"),
         ("bowl", {"finish": "velvet"}, "unknown finish 'velvet'"),
-        ("bowl", {"texture_size": 3}, "bowl: texture_size=3.*texels"),
         ("cup", {"rounding": 0.05}, "cup: rounding=0.05.*radius of the base"),
         ("cup", {"stem": 0.09}, "cup: stem=0.09.*65 %"),
         ("cup", {"stem": -1.0}, r"cup: stem=-1\.0.*positive"),
@@ -118,24 +128,19 @@ def test_object_of_twice_the_size_has_eight_times_the_volume(generator, lengths,
         ("bottle", {"neck_radius": 0.05}, "bottle: neck_radius=0.05.*90 %"),
         ("bottle", {"height": 0.1}, "bottle: height=0.1.*neck, shoulder and a body"),
         ("vase", {"neck": 0.3}, "vase: neck=0.3.*above the belly"),
-        ("vase", {"base_radius": float("nan")}, "vase: base_radius=nan.*finite"),
         ("pan", {"handle_width": 0.2}, "pan: handle_width=0.2.*wall can hold"),
         ("pan", {"handle_length": 2.0}, r"pan: handle_length=2\.0.*0.5 to 3 radii"),
         ("teapot", {"lid_radius": 0.06}, "teapot: lid_radius=0.06.*35 %"),
         ("teapot", {"height": 0.5}, "teapot: height=0.5.*1.3 to 3 radii"),
         ("teapot", {"texture_size": 64}, "texture_size=64.*charts.*larger"),
-        ("table", {"length": 0.0}, r"table: length=0\.0.*positive"),
         ("table", {"length": 9.0}, "table: length=9.0.*expected"),
         ("table", {"leg_size": 0.3}, "leg_size=0.3.*expected"),
         ("table", {"bevel": 0.03}, "bevel=0.03.*expected"),
         ("table", {"apron": 0.6}, "apron=0.6.*expected"),
         ("table", {"shape": "star"}, "shape='star'.*rectangle, oval"),
         ("table", {"base": "one"}, "base='one'.*legs, pillar"),
-        ("table", {"finish": "gold"}, "unknown finish 'gold'"),
-        ("table", {"texture_size": 64}, "texture_size=64.*charts"),
         ("stool", {"legs": 2}, "legs=2.*whole number from 3 to 6"),
         ("stool", {"legs": 3.5}, "legs=3.5.*whole number"),
-        ("stool", {"splay": float("nan")}, "splay=nan.*expected"),
         ("stool", {"rung_height": 0.44}, "rung_height=0.44.*clear of the seat"),
         ("stool", {"color": "red"}, "color='red'.*hexadecimal"),
         ("shelf", {"bays": 0}, "bays=0.*whole number from 1 to 8"),
@@ -143,7 +148,6 @@ def test_object_of_twice_the_size_has_eight_times_the_volume(generator, lengths,
         ("shelf", {"back": 0.001}, "back=0.001.*expected"),
         ("shelf", {"front": "glass"}, "front='glass'.*open, doors, drawers"),
         ("shelf", {"board_thickness": 0.1}, "board_thickness=0.1.*expected"),
-        ("wrench", {"length": -1}, "length=-1.*positive"),
         ("wrench", {"length": 0.05}, "length=0.05.*expected"),
         ("wrench", {"thickness": 0.03}, "thickness=0.03.*expected"),
         ("wrench", {"ends": "hook"}, "ends='hook'.*combination, open, ring"),
@@ -163,15 +167,12 @@ def test_object_of_twice_the_size_has_eight_times_the_volume(generator, lengths,
         ("toy", {"kind": "robot"}, "kind='robot'.*car, truck, duck, rings"),
         ("toy", {"plump": 3}, "plump=3.*expected"),
         ("toy", {"count": 20}, "count=20.*whole number"),
-        ("toy", {"texture_size": 64}, "texture_size=64.*charts"),
         ("electronics", {"kind": "lantern"}, "kind='lantern'.*television, radio, clock"),
-        ("electronics", {"span": 0}, "span=0.*positive"),
         ("electronics", {"plump": 2}, "plump=2.*expected"),
         ("appliance", {"kind": "oven"}, "kind='oven'.*toaster, lantern, iron, dryer"),
         ("appliance", {"plump": 0.5}, "plump=0.5.*expected"),
-        ("appliance", {"texture_size": 63}, "texture_size=63.*expected"),
     ],
 )
 def test_impossible_requests_are_refused(generator, parameters, words):
-    with pytest.raises(ObjectFolderError, match=words):
+    with refused(words):
         generate(generator, **parameters)

@@ -2,17 +2,14 @@ import manifold3d
 import numpy as np
 import pytest
 from assembled import crossings, welded
-from procedural_cases import CLUB, LADLE, MALLET, SMALL, TOOLS
+from procedural_cases import CLUB, LADLE, MALLET, SMALL
 
 from objectfolder.shapes.airplane import TIP, airplane
 from objectfolder.shapes.block import block
 from objectfolder.shapes.hammer import hammer
 from objectfolder.shapes.spoon import spoon
-from objectfolder.shapes.toy import KINDS, ramp, toy
+from objectfolder.shapes.toy import ramp, toy
 from objectfolder.shapes.wrench import JAW_ANGLE, RECESS, wrench
-
-#: Handles and holes (the genus) of each object; toys have no designed genus.
-GENUS = dict.fromkeys(TOOLS, 0) | {"wrench": 1, "ring wrench": 2, "peg block": 9} | dict.fromkeys(KINDS)
 
 
 def test_wings_are_lenses_as_thick_as_asked():
@@ -60,9 +57,7 @@ def test_bar_of_a_wrench_is_as_thick_as_asked_and_thinner_in_its_panels():
 def test_hammer_has_the_size_asked_for(parameters):
     mesh = hammer(**parameters, texture_size=SMALL)
     size = np.ptp(mesh.bounds, axis=0)
-    head_length, diameter = (
-        parameters.get(k, v) for k, v in (("head_length", 0.13), ("head_diameter", 0.03))
-    )
+    head_length, diameter = parameters.get("head_length", 0.13), parameters.get("head_diameter", 0.03)
     assert mesh.bounds[1, 0] == pytest.approx(parameters.get("length", 0.32), abs=1e-9)
     assert size[1] == pytest.approx(head_length, rel=0.02)
     assert diameter * 0.999 <= size[2] <= 1.15 * diameter
@@ -101,9 +96,7 @@ def polygon_area(sides: int, diameter: float) -> float:
 @pytest.mark.parametrize(("hole", "sides"), [("round", 32), ("square", 4), ("hexagon", 6)])
 def test_block_lacks_the_volume_of_its_holes(hole, sides, depth):
     l, w, h, d = 0.12, 0.10, 0.05, 0.02
-    mesh = block(
-        l, w, h, rows=2, columns=3, diameter=d, depth=depth, hole=hole, rounding=0, texture_size=SMALL
-    )
+    mesh = block(l, w, h, "holes", 2, 3, d, depth, hole, rounding=0, texture_size=SMALL)
     np.testing.assert_allclose(mesh.bounds, [[-l / 2, -w / 2, 0], [l / 2, w / 2, h]], atol=1e-9)
     surface = welded(mesh)
     assert surface.volume == pytest.approx(l * w * h - 6 * polygon_area(sides, d) * (depth or h), rel=1e-9)

@@ -2,14 +2,15 @@
 
 import copy
 import pickle
+from functools import partial
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from refused import refused
 
 import objectfolder.sim  # noqa: F401, registers
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sim.calls import distinct_materials, object_file, open_files
 from objectfolder.sim.drop import DropEnv
 from objectfolder.sim.explore import AZIMUTHS, HEIGHTS, ExploreEnv
@@ -27,17 +28,14 @@ def make(brick_path, brick, hulls):
         "grasp": lambda: GraspEnv(brick_path, "width", hulls),
         "reach": lambda: ReachEnv(brick_path, parts),
         "grasps": lambda: GraspVectorEnv(2, brick_path, "blind", hulls),
-        "drop": lambda **given: DropEnv(
-            **{"objects": [brick], "materials": ["plastic"], "seconds": 0.03} | given
-        ),
-        "tap": lambda **given: TapEnv(
-            **{"objects": [brick], "seconds": 0.03, "count": 3, "limit": 6} | given
-        ),
-        "explore": lambda **given: ExploreEnv(**{"objects": [brick]} | given),
+        "drop": partial(DropEnv, objects=[brick], materials=["plastic"], seconds=0.03),
+        "tap": partial(TapEnv, objects=[brick], seconds=0.03, count=3, limit=6),
+        "explore": partial(ExploreEnv, objects=[brick]),
     }
     return lambda name, **given: made[name](**given)
 
 
+PLACES = AZIMUTHS * HEIGHTS
 SINGLE, GAMES = ("grasp", "reach"), ("drop", "tap", "explore")
 EVERY = pytest.mark.parametrize("name", [*SINGLE, "grasps", *GAMES])
 WRONG = {
@@ -59,7 +57,7 @@ def test_a_wrong_action_is_refused_and_changes_nothing(make, name, wrong):
     env.reset(seed=0)
     twin.reset(seed=0)
     good = np.full(env.action_space.shape, 0.25)
-    with pytest.raises(ObjectFolderError, match=r"action is .* 4 finite numbers in \[-1, 1\]"):
+    with refused(r"action is .* 4 finite numbers in \[-1, 1\]"):
         env.step(wrong(good))
     assert observed(env.step(good)) == observed(twin.step(good))
 
@@ -80,7 +78,7 @@ def observed(step):
 @EVERY
 def test_a_step_before_a_reset_is_refused(make, name):
     env = make(name)
-    with pytest.raises(ObjectFolderError, match=r"call reset\(\) first"):
+    with refused(r"call reset\(\) first"):
         env.step(np.zeros(env.action_space.shape))
 
 
@@ -88,7 +86,7 @@ def test_a_step_before_a_reset_is_refused(make, name):
 def test_a_picture_before_a_reset_is_refused(make, name):
     env = make(name)
     env.render_mode = "rgb_array"
-    with pytest.raises(ObjectFolderError, match=r"call reset\(\) first"):
+    with refused(r"call reset\(\) first"):
         env.render()
 
 
@@ -96,7 +94,7 @@ def test_a_picture_before_a_reset_is_refused(make, name):
 def test_options_of_a_reset_are_refused(make, name):
     env = make(name)
     env.reset(seed=0, options={})
-    with pytest.raises(ObjectFolderError, match=r"options \{'goal': \[0, 0, 0\]\}, but"):
+    with refused(r"options \{'goal': \[0, 0, 0\]\}, but"):
         env.reset(options={"goal": [0, 0, 0]})
 
 
@@ -106,7 +104,7 @@ def test_a_step_after_the_end_is_refused(make):
     done = False
     while not done:
         *_, done, _, _ = env.step(np.zeros(4))
-    with pytest.raises(ObjectFolderError, match=r"has ended after 2 steps; call reset\(\)"):
+    with refused(r"has ended after 2 steps; call reset\(\)"):
         env.step(np.zeros(4))
 
 
@@ -120,7 +118,7 @@ def test_a_copy_goes_on_as_the_original(make, name, how):
     env.action_space.seed(0)
     first, actions = np.zeros_like(env.action_space.sample()), [env.action_space.sample() for _ in range(30)]
     fresh = how(env)
-    with pytest.raises(ObjectFolderError, match="call reset"):
+    with refused("call reset"):
         fresh.step(first)
     env.reset(seed=3)
     if name != "drop":  # whose episodes have one step
@@ -135,6 +133,35 @@ def test_a_copy_goes_on_as_the_original(make, name, how):
             break
     assert content(env.reset()[0]) == content(twin.reset()[0])  # of the same random generator
     assert content(fresh.reset(seed=3)[0]) == content(env.reset(seed=3)[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "answer", "worth"),
+    [
+        ("drop", {"materials": ["wood", "steel"]}, lambda told, off: [0, told["material"] ^ off], 0.5),
+        ("tap", {}, lambda told, off: 3 + (told["odd"] + off) % 3, 0.0),
+        ("explore", {"objects": ["mug", "die"]}, lambda told, off: PLACES + (told["object"] ^ off), 0.0),
+    ],
+)
+def test_the_right_answer_is_rewarded_and_ends_the_episode(make, name, given, answer, worth):
+    """Half a reward for the right object of the wrong material."""
+    env = make(name, **given)
+    for off, expected in ((0, 1.0), (1, worth)):
+        _, info = env.reset(seed=5)
+        _, reward, ended, cut, after = env.step(np.array(answer(info, off)))
+        assert (reward, ended, cut) == (expected, True, False)
+        assert repr(after) == repr(info)
+    with refused("was not reset"):
+        env.step(np.array(answer(info, 0)))
+
+
+@pytest.mark.parametrize("name", ["tap", "explore"])
+def test_the_last_try_truncates_the_episode(make, name):
+    env = make(name, limit=3)
+    env.reset(seed=0)
+    assert [env.step(k)[3] for k in range(3)] == [False, False, True]
+    with refused("was not reset"):
+        env.step(0)
 
 
 @pytest.mark.parametrize("name", GAMES)
@@ -156,9 +183,6 @@ def test_the_checker_passes_with_a_game_made_by_name(brick, name):
     check_env(gymnasium.make(f"ObjectFolder/{name.title()}-v0", objects=[brick], **few).unwrapped)
 
 
-PLACES = AZIMUTHS * HEIGHTS
-
-
 @pytest.mark.parametrize(
     ("name", "actions", "message"),
     [
@@ -171,7 +195,7 @@ def test_wrong_actions_of_games_are_refused(make, name, actions, message):
     env = make(name)
     env.reset(seed=0)
     for action in actions:
-        with pytest.raises(ObjectFolderError, match=message):
+        with refused(message):
             env.step(np.array(action))
 
 
@@ -197,7 +221,7 @@ def test_wrong_actions_of_games_are_refused(make, name, actions, message):
     ],
 )
 def test_wrong_arguments_of_games_are_refused(make, name, given, message):
-    with pytest.raises(ObjectFolderError, match=message):
+    with refused(message):
         make(name, **given)
 
 
@@ -219,12 +243,12 @@ def test_objects_are_given_as_files_paths_or_names_of_samples(brick, brick_path)
     assert open_files(brick) == [brick]
     assert [file.key for file in open_files(str(brick_path))] == ["brick"]
     assert [file.key for file in open_files(["mug", brick_path])] == ["mug", "brick"]
-    with pytest.raises(ObjectFolderError, match=r"one object, and none twice, got \['brick', 'brick'\]"):
+    with refused(r"one object, and none twice, got \['brick', 'brick'\]"):
         open_files([brick_path, brick])
     assert object_file("bell").key == "bell"
-    with pytest.raises(ObjectFolderError, match="expected at least one object"):
+    with refused("expected at least one object"):
         open_files([])
-    with pytest.raises(ObjectFolderError, match=r"nothing\.safetensors does not exist"):
+    with refused(r"nothing\.safetensors does not exist"):
         open_files("nothing.safetensors")
 
 
@@ -237,5 +261,5 @@ def test_a_single_material_stands_for_itself():
         (["wood", "steel", "Wood"], 1, "none twice, got"),
         (["brass"], 1, "unknown material 'brass'"),
     ):
-        with pytest.raises(ObjectFolderError, match=message):
+        with refused(message):
             distinct_materials(given, least)

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from brick import without
+from refused import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import friction_of
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim import drop
@@ -23,14 +24,6 @@ def test_a_fall_is_heard_from_its_first_contact_and_depends_on_the_seed_only(env
     assert 0.8 * brick.scale <= info["scale"] <= 1.25 * brick.scale
     assert env.reset(seed=3)[0].tobytes() == sound.tobytes()
     assert env.reset(seed=4)[0].tobytes() != sound.tobytes()
-
-
-def test_rewards_are_half_for_the_object_and_half_for_the_material(env):
-    for wrong, expected in ((0, 1.0), (1, 0.5)):
-        _, info = env.reset(seed=5)
-        answer = np.array([info["object"], (info["material"] + wrong) % 2])
-        _, reward, ended, cut, after = env.step(answer)
-        assert (reward, ended, cut, after) == (expected, True, False, info)
 
 
 def test_hearing_begins_before_any_contact(env, monkeypatch):
@@ -66,7 +59,7 @@ def test_features_are_levels_and_loss_factors_of_bands():
     assert not known[1].any()
     assert not histogram[1].any()
     assert loudest[1] == pytest.approx(np.log10(HEARING_THRESHOLD))
-    with pytest.raises(ObjectFolderError, match="have 100 samples, expected at least 2048"):
+    with refused("have 100 samples, expected at least 2048"):
         features(np.zeros(100), 48000)
 
 
@@ -94,11 +87,8 @@ def test_the_friction_of_a_fall_is_that_of_the_drawn_material(brick, monkeypatch
 
 @pytest.mark.parametrize("make", [DropEnv, TapEnv])
 def test_objects_that_would_only_click_are_refused_at_once(make):
-    with pytest.raises(ObjectFolderError, match=r"die of ceramic and 0\.1\d* m has its lowest mode at 12"):
+    with refused(r"die of ceramic and 0\.1\d* m has its lowest mode at 12"):
         make(sample_rate=16000)
-    bell = ObjectFile.sample("bell")
-    silent = {name: array for name, array in bell.tensors.items() if not name.startswith("audio.")}
-    header = {name: value for name, value in bell.header.items() if name != "audio"}
-    with pytest.raises(ObjectFolderError, match="bell: the file holds no audio"):
-        make([ObjectFile(header, silent)])
+    with refused("bell: the file holds no audio"):
+        make([without(ObjectFile.sample("bell"), "audio")])
     make(["bell"], ["steel", "wood"])

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from stable_baselines3 import PPO
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sim.explore import AZIMUTHS, COST, HEIGHTS, ExploreEnv, Explorer, explore
 
 PLACES = AZIMUTHS * HEIGHTS
@@ -55,21 +54,6 @@ def test_the_place_is_that_of_the_contact_but_for_noise_and_depends_on_the_seed_
     assert env.observation_space.contains(felt)
     env.reset(seed=3)
     assert env.step(3)[0]["contact"].tobytes() == felt["contact"].tobytes()
-
-
-def test_the_right_name_is_rewarded_and_ends_the_episode(env):
-    for wrong, expected in ((0, 1.0), (1, 0.0)):
-        _, info = env.reset(seed=5)
-        _, reward, ended, cut, _ = env.step(PLACES + (info["object"] + wrong) % 2)
-        assert (reward, ended, cut) == (expected, True, False)
-    with pytest.raises(ObjectFolderError, match="was not reset"):
-        env.step(0)
-
-
-def test_the_last_touch_truncates_the_episode(brick):
-    env = ExploreEnv([brick], limit=2)
-    env.reset(seed=0)
-    assert [env.step(0)[3] for _ in range(2)] == [False, True]
 
 
 @pytest.fixture(scope="module")

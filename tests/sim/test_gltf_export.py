@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from brick import without
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -141,18 +142,13 @@ def test_a_material_tells_its_damping_only_if_the_draft_knows_the_law(brick, bod
 
 
 def test_an_object_without_sound_has_none(brick, body, tmp_path):
-    header = {name: value for name, value in brick.header.items() if name != "audio"}
-    file = ObjectFile(header, {n: v for n, v in brick.tensors.items() if not n.startswith("audio.")})
-    document, _ = unpack_glb(write_glb(file, tmp_path, hulls=body.hulls).read_bytes())
+    document, _ = unpack_glb(write_glb(without(brick, "audio"), tmp_path, hulls=body.hulls).read_bytes())
     assert document["extensionsUsed"] == [PHYSICS]
     assert AUDIO not in document["nodes"][0]["extensions"]
 
 
 def test_an_object_without_base_colours_is_grey(brick, body, tmp_path):
-    header = {name: value for name, value in brick.header.items() if name != "vision"}
-    document, _ = unpack_glb(
-        write_glb(ObjectFile(header, brick.tensors), tmp_path, hulls=body.hulls).read_bytes()
-    )
+    document, _ = unpack_glb(write_glb(without(brick, "vision"), tmp_path, hulls=body.hulls).read_bytes())
     drawn = document["meshes"][document["nodes"][0]["mesh"]]["primitives"][0]
     found = document["materials"][drawn["material"]]["pbrMetallicRoughness"]
     assert "baseColorTexture" not in found

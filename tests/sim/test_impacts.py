@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.sim.body import add_body, rigid_body
+from objectfolder.sim.body import add_body, rigid_body, rotation
 from objectfolder.sim.hearing import Hearing
 
 HEIGHT = 0.2
@@ -42,9 +42,7 @@ class Heard:
 
     @property
     def momentum(self):
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, self.data.qpos[3:7])
-        turn = turn.reshape(3, 3)
+        turn = rotation(self.data.qpos[3:7])
         velocity, spin = self.data.qvel[:3], turn @ self.data.qvel[3:6]
         return self.body.mass * (velocity + np.cross(spin, turn @ self.body.centre))
 
@@ -55,11 +53,8 @@ def above_a_floor(sample, step, quat=(1, 0, 0, 0)):
     spec.option.timestep = step
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1])
     fallen = add_body(spec, body, "object")
-    turn = np.zeros(9)
-    quat = np.array(quat, float) / np.linalg.norm(quat)
-    mujoco.mju_quat2Mat(turn, quat)
-    fallen.pos = [0, 0, HEIGHT - (body.points @ turn.reshape(3, 3).T)[:, 2].min()]
-    fallen.quat = quat
+    fallen.quat = np.array(quat, float) / np.linalg.norm(quat)
+    fallen.pos = [0, 0, HEIGHT - (body.points @ rotation(fallen.quat).T)[:, 2].min()]
     return Heard(spec, file, body)
 
 

@@ -4,13 +4,15 @@ import ast
 import copy
 import inspect
 import re
+from contextlib import nullcontext
+from itertools import product
 
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from refused import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sim import feeling, hearing, impacts, sounding, state
 from objectfolder.sim.body import add_body
 from objectfolder.sim.feeling import Feeling
@@ -92,25 +94,22 @@ def test_a_number_that_is_not_finite_is_refused_wherever_it_is(stepped, kind):
     for name in state.DATA:
         values = getattr(data, name)
         assert values.size, name
-        for row in (0, values.size - 1):
-            for wrong in (np.nan, np.inf, -np.inf, 1e16):
-                before, values.flat[row] = values.flat[row], wrong
-                with pytest.raises(
-                    ObjectFolderError, match=rf"{name}\[\d+\] is .*{re.escape(format(wrong, 'g'))}"
-                ):
-                    ask(data)
-                values.flat[row] = before
+        for row, wrong in product((0, values.size - 1), (np.nan, np.inf, -np.inf, 1e16)):
+            before, values.flat[row] = values.flat[row], wrong
+            with refused(rf"{name}\[\d+\] is .*{re.escape(format(wrong, 'g'))}"):
+                ask(data)
+            values.flat[row] = before
     assert data.ncon > 1
-    for name in (*state.CONTACT, *state.CONTACT_PLACES):
-        for one in (data.contact[0], data.contact[data.ncon - 1]):
-            for wrong in (999,) if name in state.CONTACT_PLACES else (np.nan, np.inf):
-                before = np.array(getattr(one, name))
-                setattr(one, name, np.full_like(before, wrong) if before.ndim else wrong)
-                with pytest.raises(ObjectFolderError, match=rf"contact \d .*{name}.*{wrong:g}.* at 0\.062 s"):
-                    ask(data)
-                setattr(one, name, before if before.ndim else before.item())
+    for name, row in product((*state.CONTACT, *state.CONTACT_PLACES), (0, data.ncon - 1)):
+        one = data.contact[row]
+        for wrong in (999,) if name in state.CONTACT_PLACES else (np.nan, np.inf):
+            before = np.array(getattr(one, name))
+            setattr(one, name, np.full_like(before, wrong) if before.ndim else wrong)
+            with refused(rf"contact \d .*{name}.*{wrong:g}.* at 0\.062 s"):
+                ask(data)
+            setattr(one, name, before if before.ndim else before.item())
     before, data.time = data.time, np.nan
-    with pytest.raises(ObjectFolderError, match="time is nan s"):
+    with refused("time is nan s"):
         ask(data)
     data.time = before
     same, untouched = expected
@@ -123,20 +122,15 @@ def test_a_number_that_is_not_finite_is_refused_wherever_it_is(stepped, kind):
 
 
 @pytest.mark.parametrize("kind", SENSES)
-@pytest.mark.parametrize(
-    ("field", "owner"),
-    [("mocap_pos", "striker"), ("mocap_quat", "striker"), ("mocap_pos", "head"), ("mocap_quat", "head")],
-)
+@pytest.mark.parametrize("field", ["mocap_pos", "mocap_quat"])
+@pytest.mark.parametrize("owner", ["striker", "head"])
 def test_a_mocap_body_that_is_nowhere_is_named(stepped, kind, field, owner):
     """Or MuJoCo has noticed it in a contact, and has set the simulation back."""
     model, data, _, ask = stepped(kind)
     ask(data)
     getattr(data, field)[model.body(owner).mocapid[0]] = np.nan
     mujoco.mj_step(model, data)
-    with pytest.raises(
-        ObjectFolderError,
-        match=rf"body '{owner}': {field}\[\d\] is \[nan, .*set such mocap poses|simulation diverged",
-    ):
+    with refused(rf"body '{owner}': {field}\[\d\] is \[nan, .*set such mocap poses|simulation diverged"):
         ask(data)
 
 
@@ -157,19 +151,11 @@ def test_a_model_that_became_another_one_is_refused(stepped, kind):
                 if before.dtype.kind != "f":
                     continue
                 changed, wrong = np.full_like(before, np.nan), rf"{name}\[\d\] of the model is .*nan"
-            if np.ndim(before):
-                getattr(owner, short)[:] = changed
-            else:
-                setattr(owner, short, changed)
-            asked = data
-            if place is not model:
-                asked = mujoco.MjData(place)
-            with pytest.raises(ObjectFolderError, match=wrong):
+            setattr(owner, short, changed)
+            asked = data if place is model else mujoco.MjData(place)
+            with refused(wrong):
                 ask(asked)
-            if np.ndim(before):
-                getattr(owner, short)[:] = before
-            else:
-                setattr(owner, short, before)
+            setattr(owner, short, before)
     ask(data)
 
 
@@ -190,12 +176,9 @@ def test_what_may_change_is_checked_as_at_first(stepped, field, factor, message)
     values = getattr(model, field)
     values *= factor
     for _ in range(2):
-        if message is None:
+        with nullcontext() if message is None else refused(message):
             ask(data)
             mujoco.mj_step(model, data)
-        else:
-            with pytest.raises(ObjectFolderError, match=message):
-                ask(data)
 
 
 def test_gravity_may_change(stepped):
@@ -214,7 +197,7 @@ def test_gravity_may_change(stepped):
 def test_a_model_that_is_not_finite_is_refused_at_once(body, brick, kind, field):
     model = scene(body)
     (model.opt.gravity if "." in field else getattr(model, field))[-1] = np.nan
-    with pytest.raises(ObjectFolderError, match=rf"{field}\[\d+\] of the model is .*nan"):
+    with refused(rf"{field}\[\d+\] of the model is .*nan"):
         Hearing(model, [brick], "ear") if kind == "Hearing" else Feeling(model, "pad", [brick])
 
 
@@ -228,9 +211,9 @@ def test_what_is_no_data_is_named(stepped, given):
     for ask in (hear, hearing.reset, lambda given: hearing.simulate(given, 1), feel):
         if ask == hearing.reset and given is None:
             continue  # at 0
-        with pytest.raises(ObjectFolderError, match=r"data(\[0\])? is .*, expected the mujoco\.MjData of"):
+        with refused(r"data(\[0\])? is .*, expected the mujoco\.MjData of"):
             ask(given)
-    with pytest.raises(ObjectFolderError, match=r"data\[1\] is None, expected the mujoco\.MjData"):
+    with refused(r"data\[1\] is None, expected the mujoco\.MjData"):
         feel([felt, None])
     hear(data)
 
@@ -284,7 +267,7 @@ def test_environments_are_checked_as_well(body, brick, tmp_path, monkeypatch):
     many.reset(seed=0)
     many.step([0, 0])
     many.envs[1].unwrapped.data.mocap_pos[0] = np.nan
-    with pytest.raises(ObjectFolderError, match=r"body 'head': mocap_pos\[0\] is \[nan"):
+    with refused(r"body 'head': mocap_pos\[0\] is \[nan"):
         many.step([0, 0])
     env = made()
     env.reset(seed=0)
@@ -292,8 +275,8 @@ def test_environments_are_checked_as_well(body, brick, tmp_path, monkeypatch):
     inner.model = copy.deepcopy(inner.model)
     inner.model.body_mass *= 2
     inner.data = mujoco.MjData(inner.model)
-    with pytest.raises(ObjectFolderError, match=r"another model than Hearing: body 'striker': body_mass"):
+    with refused(r"another model than Hearing: body 'striker': body_mass"):
         env.reset(seed=0)
     inner.data = None
-    with pytest.raises(ObjectFolderError, match="data of Pressed is None, expected"):
+    with refused("data of Pressed is None, expected"):
         env.reset(seed=0)

@@ -1,18 +1,13 @@
 import numpy as np
 import pytest
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sim.ears import OddEar, find_odd
 from objectfolder.sim.tap import COST, TapEnv
 
 
-def tap_env(brick, **given):
-    return TapEnv([brick], ["plastic", "wood", "steel"], **{"seconds": 0.05, "count": 3, "limit": 6, **given})
-
-
 @pytest.fixture(scope="module")
 def env(brick):
-    return tap_env(brick)
+    return TapEnv([brick], ["plastic", "wood", "steel"], seconds=0.05, count=3, limit=6)
 
 
 def test_a_tap_is_heard_and_depends_on_the_seed_and_the_taps_before_only(env):
@@ -38,26 +33,11 @@ def test_the_odd_one_is_of_another_material_and_all_are_of_nearly_one_size(env):
         voices = [env._voices[k] for k in range(3)]
         names = [voice.material.name for voice in voices]
         assert info["material"] != info["other"]
-        assert [name == env.materials[info["other"]] for name in names] == [
-            k == info["odd"] for k in range(3)
-        ]
+        odd = [k for k in range(3) if names[k] == env.materials[info["other"]]]
+        assert odd == [info["odd"]]
         sizes = [voice.scale for voice in voices]
         assert sizes == info["scales"].tolist()
         assert max(sizes) / min(sizes) < 1.03 / 0.97
-
-
-def test_declaring_the_odd_one_is_rewarded_and_ends_the_episode(env):
-    for wrong, expected in ((0, 1.0), (1, 0.0)):
-        _, info = env.reset(seed=5)
-        _, reward, ended, cut, _ = env.step(3 + (info["odd"] + wrong) % 3)
-        assert (reward, ended, cut) == (expected, True, False)
-    with pytest.raises(ObjectFolderError, match="was not reset"):
-        env.step(0)
-
-
-def test_the_last_tap_truncates_the_episode(env):
-    env.reset(seed=0)
-    assert [env.step(k % 3)[3] for k in range(6)] == [False] * 5 + [True]
 
 
 def test_an_ear_learns_to_tell_the_odd_one(rng):

@@ -1,49 +1,35 @@
 """OpenUSD that the library of Pixar opens: `make test-extras` installs it."""
 
-import sys
-from importlib.util import find_spec
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
-from objectfolder.base.installation import install_command
-from objectfolder.cli import app
 from objectfolder.sim.body import density
+from objectfolder.sim.usd import write_usd
 
-WITH_USD = pytest.mark.skipif(not find_spec("pxr"), reason="usd-core is not installed")
+pytest.importorskip("pxr", reason="usd-core is not installed")
+from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 
 pytestmark = pytest.mark.usefixtures("small_textures")
 
 
 @pytest.fixture(scope="module")
 def path(brick, body, tmp_path_factory):
-    from objectfolder.sim.usd import write_usd
-
     return write_usd(brick, tmp_path_factory.mktemp("usd"), hulls=body.hulls)
 
 
 @pytest.fixture
 def stage(path):
-    from pxr import Usd
-
     return Usd.Stage.Open(str(path))
 
 
-@WITH_USD
 def test_usd_is_in_metres_and_kilograms_with_z_up(stage):
-    from pxr import UsdGeom, UsdPhysics
-
     assert stage.GetDefaultPrim().GetPath() == "/brick"
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
     assert UsdGeom.GetStageMetersPerUnit(stage) == UsdPhysics.GetStageKilogramsPerUnit(stage) == 1
 
 
-@WITH_USD
 def test_usd_holds_mass_centre_and_inertia(stage, body):
-    from pxr import UsdPhysics
-
     prim = stage.GetDefaultPrim()
     assert prim.HasAPI(UsdPhysics.RigidBodyAPI)
     mass = UsdPhysics.MassAPI(prim)
@@ -55,10 +41,7 @@ def test_usd_holds_mass_centre_and_inertia(stage, body):
     np.testing.assert_allclose(inertia, body.inertia, atol=1e-6 * body.inertia.max())
 
 
-@WITH_USD
 def test_usd_hulls_collide_and_the_surface_is_drawn(stage, brick, body):
-    from pxr import UsdGeom, UsdPhysics, UsdShade
-
     colliders = [prim for prim in stage.Traverse() if prim.HasAPI(UsdPhysics.CollisionAPI)]
     assert len(colliders) == len(body.hulls)
     for prim, hull in zip(colliders, body.hulls):
@@ -78,10 +61,7 @@ def test_usd_hulls_collide_and_the_surface_is_drawn(stage, brick, body):
     assert len(look.GetNormalsAttr().Get()) == count
 
 
-@WITH_USD
 def test_usd_texture_is_found_beside_the_file(stage, path):
-    from pxr import UsdGeom, UsdShade
-
     texture = UsdShade.Shader(stage.GetPrimAtPath("/brick/materials/look/texture"))
     assert texture.GetInput("file").Get().resolvedPath == str(path.with_name("visual.png"))
     place = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/brick/look")).GetPrimvar("st")
@@ -89,10 +69,3 @@ def test_usd_texture_is_found_beside_the_file(stage, path):
     assert uv.shape[1] == 2
     assert (uv >= 0).all()
     assert (uv <= 1).all()
-
-
-def test_without_the_library_the_usd_export_says_what_to_install(brick_path, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pxr", None)
-    done = CliRunner().invoke(app, ["export", "usd", str(tmp_path / "out"), str(brick_path)])
-    assert install_command("usd") in str(done.exception)
-    assert not (tmp_path / "out").exists()

@@ -6,13 +6,7 @@ from scipy.integrate import solve_ivp
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import material
-from objectfolder.sound.contact import (
-    Striker,
-    contact_time,
-    effective_modulus,
-    hertz_time,
-    load_striker,
-)
+from objectfolder.sound.contact import Striker, contact_time, effective_modulus, hertz_time, load_striker
 
 STEEL = 2.0e11, 0.29
 
@@ -67,10 +61,7 @@ def test_a_striker_is_in_a_file(tmp_path):
     path.write_text("{youngs_modulus: 2.0e+11, poisson_ratio: 0.29, radius: 0.005, mass: 0.01}")
     assert load_striker(path) == load_striker(str(path)) == load_striker("steel")
     for text, message in (
-        (
-            "{radius: 0.005}",
-            "spoon.yaml holds .* expected youngs_modulus, poisson_ratio, radius, mass",
-        ),
+        ("{radius: 0.005}", "spoon.yaml holds .* expected youngs_modulus, poisson_ratio, radius, mass"),
         (path.read_text().replace("0.29", "0.7"), "spoon.yaml: striker: poisson_ratio is 0.7, expected a"),
     ):
         path.write_text(text)

@@ -6,7 +6,7 @@ from taps import MODES, RATE, taps
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import material
-from objectfolder.sound.fitting import fit_loss_factor, fit_rayleigh, fit_sound, match_modes
+from objectfolder.sound.fitting import ECHO, fit_loss_factor, fit_rayleigh, fit_sound, match_modes
 from objectfolder.sound.ringdown import LN_1000, Ringdown
 
 #: Hz; of no particular object
@@ -37,7 +37,7 @@ def test_two_modes_are_too_few():
 
 
 def rung(frequency, damping):
-    return Ringdown(frequency, damping, np.ones(len(frequency)))
+    return Ringdown(frequency, damping, np.ones(len(frequency)), np.zeros(len(frequency)))
 
 
 def test_laws_of_damping_are_found_in_spite_of_a_mode_that_was_heard_badly():
@@ -67,6 +67,30 @@ def test_stiffness_and_decay_are_those_of_the_recorded_object(law):
         assert rank > 0.9
     assert (np.abs(np.log(fit.decay_time / t60)) < np.log(3)).all()
     np.testing.assert_allclose(LN_1000 / fit.heard.damping[fit.match.heard], t60, rtol=0.05)
+    assert fit.unexplained < ECHO / 5
+
+
+@pytest.mark.parametrize("noise", [1e-4, 3e-3])
+@pytest.mark.parametrize("t60", [0.13, 0.5])
+@pytest.mark.parametrize(
+    ("echoes", "flagged"),
+    [
+        ([], False),
+        ([(0.06, 0.7), (0.13, 0.5)], True),
+        ([(0.02, 0.7), (0.045, 0.5)], True),
+        ([(0.03, 0.3)], True),
+        ([(0.02 * n, 0.6**n) for n in range(1, 20)], True),
+    ],
+    ids=["clean", "two late", "two early", "one", "a row"],
+)
+def test_echoes_are_told(noise, t60, echoes, flagged):
+    modes = [(hertz, t60) for hertz, _ in MODES]
+    sounds = []
+    for sound in taps(modes, 5, noise=0):
+        delayed = sum(gain * np.roll(sound, round(delay * RATE)) for delay, gain in [(0, 1.0), *echoes])
+        sounds.append(delayed + noise * np.random.default_rng(0).standard_normal(len(sound)))
+    fit = fit_sound(np.array(MODES)[:, 0], material("ceramic"), sounds, RATE, "loss_factor")
+    assert (fit.unexplained > ECHO) == flagged
 
 
 def test_recordings_without_a_tap_are_refused():

@@ -13,18 +13,8 @@ from objectfolder.sound.spectrogram_net import SpectrogramNet
 from objectfolder.sound.spectrogram_training import train_spectrogram
 from objectfolder.sound.synthesis import sinusoid_bank
 
-CONFIG = SpectrogramConfig(
-    width=32,
-    depth=3,
-    point_octaves=1,
-    bin_octaves=7,
-    steps=400,
-    batch=1024,
-    learning_rate=1e-2,
-    final_rate=0.01,
-    loud=0.5,
-    precision="float32",
-)
+SHAPE_OF_NET = {"width": 32, "depth": 3, "point_octaves": 1, "bin_octaves": 7}
+CONFIG = SpectrogramConfig(**SHAPE_OF_NET, steps=400, batch=1024, learning_rate=1e-2, loud=0.5)
 FREQUENCY = 2 * np.pi * np.array([400.0, 1500])
 DAMPING = np.array([3.0, 4])
 

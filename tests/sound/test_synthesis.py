@@ -5,7 +5,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import signal
 from scipy.integrate import solve_ivp
 
 from objectfolder.base.errors import ObjectFolderError
@@ -25,25 +24,6 @@ def test_a_mode_is_its_closed_form(hertz, damping):
     t = np.arange(RATE) / RATE
     exact = np.exp(-c.item() * t) * np.sin(w.item() * t) / w.item()
     np.testing.assert_allclose(sinusoid_bank(w, c, RATE, 1.0)[0], exact, atol=1e-6 / w.item())
-
-
-@pytest.mark.parametrize(("hertz", "damping"), [(440, 3), (7000, 300), (60, 350)])
-@pytest.mark.parametrize(("response", "numerator"), [("displacement", [1]), ("velocity", [1, 0])])
-def test_a_mode_is_the_impulse_response_of_its_transfer_function(hertz, damping, response, numerator):
-    w, c = mode(hertz, damping)
-    system = signal.TransferFunction(numerator, [1, 2 * c.item(), w.item() ** 2 + c.item() ** 2])
-    _, expected = signal.impulse(system, T=np.arange(800) / RATE)
-    answer = sinusoid_bank(w, c, RATE, 0.05, response)[0]
-    np.testing.assert_allclose(answer, expected, atol=2e-6 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize(("lower", "upper"), [("displacement", "velocity"), ("velocity", "acceleration")])
-def test_each_response_is_the_derivative_of_the_one_before(lower, upper):
-    w, c = torch.tensor([2 * np.pi * 300, 2 * np.pi * 2000]), torch.tensor([5.0, 80.0])
-    rate = 1 << 20  # fine enough for differences
-    low, high = (sinusoid_bank(w, c, rate, 0.01, r).double().numpy() for r in (lower, upper))
-    difference = (low[:, 2:] - low[:, :-2]) * rate / 2
-    np.testing.assert_allclose(difference, high[:, 1:-1], atol=2e-3 * np.abs(high).max())
 
 
 # Strikes of finite duration
@@ -145,12 +125,9 @@ def test_no_modes_and_no_rows():
     [
         (RATE, 1.0, "pressure", "'pressure' is not one of displacement"),
         (0, 1.0, "velocity", "must be positive"),
-        (-RATE, -1.0, "velocity", "must be positive"),
         (RATE, 0.0, "velocity", "must be positive"),
         (RATE, 1e-5, "velocity", r"duration is 1e-05 s, expected at least one sample of 6.25e-05 s at 16000"),
         (math.nan, 1.0, "velocity", "expected a finite number"),
-        (math.inf, 1.0, "velocity", "expected a finite number"),
-        (RATE, math.nan, "velocity", "expected a finite number"),
         (RATE, math.inf, "velocity", "expected a finite number"),
     ],
 )

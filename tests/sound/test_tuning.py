@@ -92,12 +92,6 @@ def test_modes_below_hearing_are_said_to_be_lacking_when_they_come_into_it():
     assert len(softer.notes) == 1
 
 
-@pytest.mark.slow
-def test_a_solve_that_drops_modes_below_hearing_says_so(solve):
-    assert solve(GLASS, 200.0, 60.0, 500)[1] == [20.0, 60.0]
-    assert solve(GLASS, 0.2, 20000.0)[1][0] == 0
-
-
 def test_the_objects_own_material_and_size_change_nothing():
     w, c = torch.tensor([300.0, 3000.0, 9e4]).double(), torch.tensor([0.5, 0.5, 0.5]).double()
     plain = dataclasses.replace(GLASS, alpha=1.0, beta=0.0)

@@ -36,6 +36,12 @@ def with_images(brick: ObjectFile, depth: float, angle: float) -> ObjectFile:
     return ObjectFile(brick.header | {"touch": {"kind": "image", "net": config}}, tensors)
 
 
+def without(file: ObjectFile, part: str) -> ObjectFile:
+    """The same Object File without one of its parts."""
+    tensors = {name: value for name, value in file.tensors.items() if not name.startswith(f"{part}.")}
+    return ObjectFile({name: value for name, value in file.header.items() if name != part}, tensors)
+
+
 def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     """A brick of plastic whose parts are real but small: its look is random, its sound nearly right."""
     solid = box(SIDES)

@@ -1,5 +1,7 @@
 """Disks of their own, where a test may mount them."""
 
+import errno
+import os
 import subprocess
 from contextlib import contextmanager
 
@@ -16,6 +18,11 @@ def mounted(*arguments):
         yield
     finally:
         subprocess.run(["umount", "-l", arguments[-1]], check=True)
+
+
+def no_space(*names):
+    """The error of a full disk."""
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), *names)
 
 
 def small_disk(path, size="1m"):

@@ -19,13 +19,18 @@ class Scene:
     """glTF document with embedded data; nodes and materials as in the standard."""
 
     def __init__(self):
-        self.document = {
-            "asset": {"version": "2.0"},
-            "scene": 0,
-            "scenes": [{"nodes": []}],
-            **{name: [] for name in ("nodes", "meshes", "accessors", "bufferViews", "materials")},
-            **{name: [] for name in ("textures", "images", "samplers")},
-        }
+        groups = (
+            "nodes",
+            "meshes",
+            "accessors",
+            "bufferViews",
+            "materials",
+            "textures",
+            "images",
+            "samplers",
+        )
+        self.document = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": []}]}
+        self.document |= {name: [] for name in groups}
         self.data = b""
 
     def append(self, group, item):
@@ -34,24 +39,15 @@ class Scene:
 
     def view(self, data, **view):
         self.data += b"\0" * (-len(self.data) % 4)
-        index = self.append(
-            "bufferViews", {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data), **view}
-        )
-        self.data += data
-        return index
+        start, self.data = len(self.data), self.data + data
+        return self.append("bufferViews", {"buffer": 0, "byteOffset": start, "byteLength": len(data), **view})
 
     def accessor(self, values, dtype="f4", **accessor):
         values = np.asarray(values, "<" + dtype)
         columns = 1 if values.ndim == 1 else values.shape[1]
-        accessor = {
-            "componentType": COMPONENTS[dtype],
-            "count": len(values),
-            "type": TYPES[columns],
-            **accessor,
-        }
-        if "POSITION" in accessor:
-            accessor.pop("POSITION")
-        return self.append("accessors", {"bufferView": self.view(values.tobytes()), **accessor})
+        described = {"componentType": COMPONENTS[dtype], "count": len(values), "type": TYPES[columns]}
+        view = {"bufferView": self.view(values.tobytes())}
+        return self.append("accessors", view | described | accessor)
 
     def texture(self, pixels, **sampler):
         stream = io.BytesIO()
@@ -86,26 +82,23 @@ class Scene:
 
     def quads(self, x, material=None, uv=None, **attributes):
         """Put N unit quads, of two triangles, in a row along z at `x`; `uv` (N, 4, 2), colours (N, 4, C)."""
-        count = (
-            len(next(a for a in (uv, *attributes.values()) if a is not None))
-            if uv is not None or attributes
-            else 1
-        )
+        count = next((len(a) for a in (uv, *attributes.values()) if a is not None), 1)
         corner = np.array([[0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]], float)
         vertices = (corner + np.arange(count)[:, None, None] * [0, 0, 2] + [x, 0, 0]).reshape(-1, 3)
         faces = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]
-        arrays = {
-            k: v if isinstance(v, int) else np.reshape(v, (4 * count, -1)) for k, v in attributes.items()
-        }
+        arrays = {k: np.reshape(v, (4 * count, -1)) for k, v in attributes.items()}
         if uv is not None:
             arrays["TEXCOORD_0"] = np.reshape(uv, (-1, 2))
         return self.node(self.mesh(vertices, faces, material, **arrays))
 
-    def write(self, path):
+    def finished(self, uri):
+        """The whole document, whose data are at a place."""
         document = {name: value for name, value in self.document.items() if value != []}
+        return document | {"buffers": [{"byteLength": len(self.data), "uri": uri}]}
+
+    def write(self, path):
         uri = "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
-        document["buffers"] = [{"byteLength": len(self.data), "uri": uri}]
-        path.write_text(json.dumps(document))
+        path.write_text(json.dumps(self.finished(uri)))
         return path
 
 

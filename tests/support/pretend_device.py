@@ -28,14 +28,9 @@ class PretendTensor(torch.Tensor):
 
     @staticmethod
     def __new__(cls, held: torch.Tensor) -> "PretendTensor":
-        tensor = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
-            cls,
-            held.size(),
-            strides=held.stride(),
-            storage_offset=held.storage_offset(),
-            dtype=held.dtype,
-            device=f"{NAME}:0",
-        )
+        like = {"strides": held.stride(), "storage_offset": held.storage_offset(), "dtype": held.dtype}
+        make = torch.Tensor._make_wrapper_subclass  # type: ignore[attr-defined]
+        tensor = make(cls, held.size(), device=f"{NAME}:0", **like)
         tensor.held = held
         return tensor
 
@@ -107,18 +102,16 @@ def _dispatch(operation: Any, args: Any, kwargs: dict[str, Any]) -> Any:
         answer = answer.clone()  # another device never shares memory
     if operation._schema.is_mutable and isinstance(args[0], torch.Tensor):
         return args[0]
-    return (
-        tree_map(lambda x: PretendTensor(x) if isinstance(x, torch.Tensor) else x, answer) if here else answer
-    )
+    wrap = PretendTensor if here else lambda tensor: tensor
+    return tree_map(lambda x: wrap(x) if isinstance(x, torch.Tensor) else x, answer)
 
 
 def _demand_one_device(operation: Any, args: Any, tensors: list[torch.Tensor]) -> None:
     if operation in _INDEXED and isinstance(args[0], PretendTensor):
         tensors = [args[0], *(x for x in args[2:] if isinstance(x, torch.Tensor))]
     strangers = [x for x in tensors if not isinstance(x, PretendTensor) and x.dim()]
-    if strangers or not isinstance(
-        args[0] if isinstance(args[0], torch.Tensor) else tensors[0], PretendTensor
-    ):
+    first = args[0] if isinstance(args[0], torch.Tensor) else tensors[0]
+    if strangers or not isinstance(first, PretendTensor):
         shapes = [(str(x.device), tuple(x.shape)) for x in tensors]
         raise RuntimeError(f"{operation}: expected all tensors to be on the same device, found {shapes}")
 

@@ -61,29 +61,13 @@ APPLIANCES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 STARTERS = ("mug", "die", "bell")
 VESSELS = ("bowl", "cup", "plate", "bottle", "vase", "pan", "teapot")
-CASES = {
-    **{name: (name, {}) for name in STARTERS},
-    **{name: (name, {"seed": 3}) for name in VESSELS},
-    **FURNITURE,
-    **TOOLS,
-    **APPLIANCES,
-}
+CASES = {name: (name, {}) for name in STARTERS} | {name: (name, {"seed": 3}) for name in VESSELS}
+CASES |= FURNITURE | TOOLS | APPLIANCES
 SAMPLE = ("toaster", "lantern")  # of the appliances, examined by default
 #: Handles and holes of each object, such as the slots of a radio; furniture and toys have no designed number.
-GENUS = (
-    dict.fromkeys((*STARTERS, *VESSELS, *TOOLS), 0)
-    | {"mug": 1, "pan": 1, "teapot": 1, "wrench": 1, "ring wrench": 2, "peg block": 9}
-    | {
-        "television": 4,
-        "radio": 10,
-        "clock": 1,
-        "toaster": 1,
-        "lantern": 13,
-        "clothes iron": 1,
-        "hair dryer": 4,
-    }
-    | dict.fromkeys(KINDS)
-)
+GENUS = dict.fromkeys((*STARTERS, *VESSELS, *TOOLS), 0) | dict.fromkeys(KINDS)
+GENUS |= {"mug": 1, "pan": 1, "teapot": 1, "wrench": 1, "ring wrench": 2, "peg block": 9, "television": 4}
+GENUS |= {"radio": 10, "clock": 1, "toaster": 1, "lantern": 13, "clothes iron": 1, "hair dryer": 4}
 
 
 def digests(collection: str) -> dict[str, str]:

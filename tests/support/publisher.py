@@ -12,6 +12,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import trimesh
+from gltf_scene import Scene
 from PIL import Image
 
 
@@ -54,80 +55,44 @@ def zipped(members: dict[str, bytes]) -> bytes:
 def ycb(model: str, **box) -> bytes:
     """``NNN_name_google_16k.tgz``."""
     home = f"{model}/google_16k"
-    return tgz(
-        {
-            f"{model}/._google_16k": b"Mac OS X",
-            f"{home}/._textured.obj": b"Mac OS X",
-            f"{home}/nontextured.ply": b"not looked at",
-            f"{home}/textured.obj": box_obj("./textured.mtl", **box),
-            f"{home}/textured.mtl": b"newmtl m\nmap_Kd texture_map.png\n",
-            f"{home}/texture_map.png": texture(),
-        }
-    )
+    members = {
+        f"{model}/._google_16k": b"Mac OS X",
+        f"{home}/._textured.obj": b"Mac OS X",
+        f"{home}/nontextured.ply": b"not looked at",
+        f"{home}/textured.obj": box_obj("./textured.mtl", **box),
+        f"{home}/textured.mtl": b"newmtl m\nmap_Kd texture_map.png\n",
+        f"{home}/texture_map.png": texture(),
+    }
+    return tgz(members)
 
 
-def gso(**box) -> bytes:
+def gso() -> bytes:
     """``NAME.zip`` of Gazebo Fuel."""
-    return zipped(
-        {
-            "model.config": b"<model/>",
-            "model.sdf": b"<sdf/>",
-            "meshes/model.obj": box_obj("model.mtl", **box),
-            "meshes/model.mtl": b"newmtl m\nmap_Kd texture.png\n",
-            "materials/textures/texture.png": texture(),
-            "thumbnails/0.jpg": b"not looked at",
-        }
-    )
+    members = {
+        **{"model.config": b"<model/>", "model.sdf": b"<sdf/>", "thumbnails/0.jpg": b"not looked at"},
+        "meshes/model.obj": box_obj("model.mtl"),
+        "meshes/model.mtl": b"newmtl m\nmap_Kd texture.png\n",
+        "materials/textures/texture.png": texture(),
+    }
+    return zipped(members)
 
 
 def polyhaven(server: "Publisher", model: str, resolution: str = "1k") -> dict[str, bytes]:
     """Pages by path: the files list of the API, and the files."""
     box = trimesh.creation.box([0.5, 0.88, 0.5])  # y up
-    arrays = [box.vertices.astype("<f4"), box.vertices[:, :2].astype("<f4"), box.faces.astype("<u4")]
-    starts = np.cumsum([0, *(array.nbytes for array in arrays)])
-    buffer = b"".join(array.tobytes() for array in arrays)
-    gltf = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [
-            {"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]}
-        ],
-        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
-        "textures": [{"source": 0}],
-        "images": [{"uri": f"textures/{model}_diff_{resolution}.png"}],
-        "buffers": [{"uri": f"{model}.bin", "byteLength": len(buffer)}],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": int(start), "byteLength": array.nbytes}
-            for start, array in zip(starts, arrays)
-        ],
-        "accessors": [
-            {
-                "bufferView": 0,
-                "componentType": 5126,
-                "count": len(box.vertices),
-                "type": "VEC3",
-                "min": box.vertices.min(0).tolist(),
-                "max": box.vertices.max(0).tolist(),
-            },
-            {"bufferView": 1, "componentType": 5126, "count": len(box.vertices), "type": "VEC2"},
-            {"bufferView": 2, "componentType": 5125, "count": box.faces.size, "type": "SCALAR"},
-        ],
-    }
+    scene, picture = Scene(), f"textures/{model}_diff_{resolution}.png"
+    image = scene.append("images", {"uri": picture})
+    material = scene.material(scene.append("textures", {"source": image}))
+    scene.node(scene.mesh(box.vertices, box.faces, material, TEXCOORD_0=box.vertices[:, :2]))
     files = {
-        f"{model}_{resolution}.gltf": json.dumps(gltf).encode(),
-        f"{model}.bin": buffer,
-        f"textures/{model}_diff_{resolution}.png": texture(),
+        f"{model}_{resolution}.gltf": json.dumps(scene.finished(f"{model}.bin")).encode(),
+        f"{model}.bin": scene.data,
+        picture: texture(),
     }
     pages = {f"/dl/{resolution}/{name}": content for name, content in files.items()}
     listed = {
-        name: {
-            "url": f"{server.url}/dl/{resolution}/{name}",
-            "size": len(content),
-            "md5": hashlib.md5(content).hexdigest(),
-        }
-        for name, content in files.items()
+        name: {"url": server.url + path, "size": len(content), "md5": hashlib.md5(content).hexdigest()}
+        for name, (path, content) in zip(files, pages.items())
     }
     main = listed.pop(f"{model}_{resolution}.gltf")
     listing = {"blend": {}, "gltf": {resolution: {"gltf": {**main, "include": listed}}}}
@@ -173,8 +138,7 @@ class Publisher:
         if refusals := self.refusals.get(handler.path):
             handler.send_error(refusals.pop(0))
             return
-        content = self.pages.get(handler.path)
-        if content is None:
+        if (content := self.pages.get(handler.path)) is None:
             handler.send_error(404)
             return
         tag = f'"{hashlib.sha256(content).hexdigest()[:12]}"'

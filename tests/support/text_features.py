@@ -158,7 +158,8 @@ def facets(header=b"solid", words=(0, 0), count=2, after=b""):
     return header.ljust(80) + struct.pack("<I", count) + body + after
 
 
-row("STL", "binary: any header, also `solid`; bytes after the facets", facets(after=bytes(60)))
+row("STL", "binary: any header, also `solid`; fewer than 50 bytes after the facets", facets(after=bytes(49)))
+row("STL", "binary: more bytes after the facets", facets(after=bytes(60)))
 row("STL", "binary: 0 or 0xFFFFFFFF facets, but data", facets(count=0))
 row(
     "STL",

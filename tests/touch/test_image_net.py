@@ -8,17 +8,9 @@ from objectfolder.touch.image_net import ImageTouch
 from objectfolder.touch.image_training import train_image
 from objectfolder.touch.net_settings import ImageConfig
 
-CONFIG = ImageConfig(
-    width=48,
-    depth=3,
-    point_octaves=4,
-    pixel_octaves=3,
-    steps=500,
-    batch=512,
-    learning_rate=0.004,
-    final_rate=0.01,
-    precision="float32",
-)
+SHAPE = {"width": 48, "depth": 3, "point_octaves": 4, "pixel_octaves": 3}
+RATES = {"learning_rate": 0.004, "final_rate": 0.01, "precision": "float32"}
+CONFIG = ImageConfig(**SHAPE, **RATES, steps=500, batch=512)
 SCALE = 0.1
 
 
@@ -30,17 +22,13 @@ def dots(count, seed):
     row, column = (8 + 60 * points[:, :1, None]), (6 + 60 * points[:, 1:2, None])
     bright = np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / 8)
     images = (60 + 150 * bright[..., None] * [1, 0.5, 0.2]).round().astype(np.uint8)
-    return {
-        "images": images,
-        "points": points,
-        "depths": np.full(count, 0.001),
-        "angles": np.full(count, 0.3),
-    }
+    pose = {"depths": np.full(count, 0.001), "angles": np.full(count, 0.3)}
+    return {"images": images, "points": points} | pose
 
 
-def train(contacts, config=CONFIG):
+def train(contacts):
     session = Session(torch.Generator().manual_seed(3))
-    return train_image(contacts, contacts, SCALE, "digit", config, session)
+    return train_image(contacts, contacts, SCALE, "digit", CONFIG, session)
 
 
 @pytest.fixture(scope="module")
@@ -56,11 +44,9 @@ def error(images, truth):
 def test_it_memorises_contacts_far_better_than_their_mean_image(learnt):
     contacts, net, curve = learnt
     truth = contacts["images"]
-    mean = error(truth.mean(0, keepdims=True), truth)
-    assert error(net.images(contacts["points"] / SCALE), truth) < mean / 30
-    assert curve[-1].val_loss == pytest.approx(
-        error(net.images(contacts["points"] / SCALE), truth) / 255**2, rel=0.2
-    )
+    found = error(net.images(contacts["points"] / SCALE), truth)
+    assert found < error(truth.mean(0, keepdims=True), truth) / 30
+    assert curve[-1].val_loss == pytest.approx(found / 255**2, rel=0.2)
 
 
 def test_the_papers_network():
@@ -98,7 +84,6 @@ def test_stored_weights_answer_nearly_alike(learnt):
 def test_contacts_of_several_depths_or_angles_are_refused(name, field):
     contacts = dots(4, 0)
     contacts[name][2] += 1e-4
-    with pytest.raises(
-        ObjectFolderError, match=rf"contacts have {name} from .*give render_touch\.{field} a value"
-    ):
+    message = rf"contacts have {name} from .*give render_touch\.{field} a value"
+    with pytest.raises(ObjectFolderError, match=message):
         train(contacts)

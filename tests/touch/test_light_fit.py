@@ -1,10 +1,10 @@
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
-from typer.testing import CliRunner
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
@@ -25,10 +25,9 @@ CIRCLE = 13.0  # pixels
 @pytest.fixture(scope="module")
 def profile():
     """A small sensor with a rigid gel, as it is known before the fit."""
-    small = replace(load_profile("gelsight_r15"), gel="rigid", image_smoothing=0.0, elastomer_thickness=4e-3)
-    return replace(
-        small, height=80, width=80, vertical_fov_deg=float(2 * np.degrees(np.arctan(40 * 0.12e-3 / 0.025)))
-    )
+    seen = float(2 * np.degrees(np.arctan(40 * 0.12e-3 / 0.025)))
+    gel = {"gel": "rigid", "image_smoothing": 0.0, "elastomer_thickness": 4e-3}
+    return replace(load_profile("gelsight_r15"), **gel, height=80, width=80, vertical_fov_deg=seen)
 
 
 @pytest.fixture(scope="module")
@@ -54,17 +53,19 @@ def circles(error=0.0):
     return [(row + r, column + c, CIRCLE) for (row, column, _), (r, c) in zip(POSES, off)]
 
 
-def test_derivatives_agree_with_differences(profile, real, pictures):
-    untouched = pictures[1].astype(np.float32)
-    photographs = [
-        lightfit.Photograph(
-            pictures[0][0].astype(np.float32), lightfit.circle_mask(circles()[0], (80, 80)), POSES[0]
-        )
+def photographs(shown):
+    discs = [lightfit.circle_mask(circle, (80, 80)) for circle in circles()]
+    return [
+        lightfit.Photograph(of.astype(np.float32), disc, pose) for of, disc, pose in zip(shown, discs, POSES)
     ]
-    surface = lightfit._Surface(BallModel(profile, RADIUS), untouched, photographs)
-    x = lightfit._parameters(real) + 0.01 * np.random.default_rng(0).uniform(0, 1, 21) * (
-        np.arange(21) % 6 > 2
+
+
+def test_derivatives_agree_with_differences(profile, real, pictures):
+    surface = lightfit._Surface(
+        BallModel(profile, RADIUS), pictures[1].astype(np.float32), photographs(pictures[0][:1])
     )
+    moved = 0.01 * np.random.default_rng(0).uniform(0, 1, 21)
+    x = lightfit._parameters(real) + moved * (np.arange(21) % 6 > 2)
     jacobian = lightfit._light_jacobian(surface, real, x)
     for j, exact in enumerate(jacobian.T):
         step = np.zeros(len(x))
@@ -77,9 +78,8 @@ def test_derivatives_agree_with_differences(profile, real, pictures):
 @pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
 def test_lights_that_made_the_pictures_are_found(profile, pictures, residual):
-    fit = fit_sensor_lights(
-        pictures[0], RADIUS, profile, pictures[1], circles(1.0), count=3, residual=residual
-    )
+    options = {"count": 3, "residual": residual}
+    fit = fit_sensor_lights(pictures[0], RADIUS, profile, pictures[1], circles(1.0), **options)
     assert fit.psnr_after > 40
     assert fit.psnr_after > fit.psnr_before + 12
     assert bool(fit.profile.residual) == residual
@@ -94,23 +94,25 @@ def test_residual_explains_what_the_lights_cannot(profile, real, pictures):
     model = BallModel(profile, RADIUS)
     untouched = pictures[1].astype(np.float32)
     shown = Optics(odd).render(torch.cat([model.displacement(pose) for pose in POSES])).numpy()
-    photographs = [
-        lightfit.Photograph(picture.astype(np.float32), lightfit.circle_mask(circle, (80, 80)), pose)
-        for picture, circle, pose in zip(shown, circles(), POSES)
-    ]
-    fitted = lightfit.fit_residual(model, real, untouched, photographs)
-    before, after = (lightfit.squared_error(of, RADIUS, untouched, photographs) for of in (real, fitted))
+    taken = photographs(shown)
+    fitted = lightfit.fit_residual(model, real, untouched, taken)
+    before, after = (lightfit.squared_error(of, RADIUS, untouched, taken) for of in (real, fitted))
     assert after < 1.0
     assert before > 20
 
 
-def test_lights_need_circles_of_every_picture_and_a_ball(profile, pictures):
-    with pytest.raises(ObjectFolderError, match="1 circles for 4 pictures"):
-        fit_sensor_lights(pictures[0], RADIUS, profile, pictures[1], circles()[:1])
-    with pytest.raises(ObjectFolderError, match="radius is 0 m"):
-        fit_sensor_lights(pictures[0], 0.0, profile, pictures[1], circles())
-    with pytest.raises(ObjectFolderError, match="0 lights to fit"):
-        fit_sensor_lights(pictures[0], RADIUS, profile, pictures[1], circles(), count=0)
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"circles": [(30, 30, CIRCLE)]}, "1 circles for 4 pictures"),
+        ({"radius": 0.0}, "radius is 0 m"),
+        ({"count": 0}, "0 lights to fit"),
+    ],
+)
+def test_lights_need_circles_of_every_picture_and_a_ball(profile, pictures, wrong, message):
+    given = {"profile": profile, "untouched": pictures[1], "radius": RADIUS, "circles": circles()} | wrong
+    with pytest.raises(ObjectFolderError, match=message):
+        fit_sensor_lights(pictures[0], **given)
 
 
 def test_holes_in_white_have_overflowed():
@@ -137,14 +139,8 @@ def test_pixels_that_overflowed_do_not_count(profile, pictures):
 
 
 def pack(path, pictures, **changes):
-    arrays = {
-        "f0": pictures[1],
-        "imgs": pictures[0],
-        "touch_center": POSES[:, 1::-1],
-        "touch_radius": np.full(len(POSES), 13),
-        "names": ["frame.jpg"] * 4,
-        "img_size": (80, 80, 3),
-    }
+    arrays = {"f0": pictures[1], "imgs": pictures[0], "touch_center": POSES[:, 1::-1]}
+    arrays |= {"touch_radius": np.full(len(POSES), 13), "names": ["frame.jpg"] * 4, "img_size": (80, 80, 3)}
     np.savez(path, **(arrays | changes))
     return path
 
@@ -167,9 +163,10 @@ def test_pack_gives_pictures_and_circles(tmp_path, profile, pictures):
         ({"touch_center": np.zeros((3, 2))}, "do not fit"),
         ({"touch_radius": np.array(13)}, "do not fit"),
         ({"f0": np.zeros((80, 80), np.uint8), "imgs": np.zeros((4, 80, 80), np.uint8)}, "do not fit"),
-        ({"imgs": 1 / 255}, r"imgs has values of type float64 from .*; expected grey levels"),
-        ({"imgs": 2.0}, "imgs has values of type float64 from .*; expected grey levels"),
-        ({"imgs": -1.0}, "imgs has values of type float64 from .*; expected grey levels"),
+        *(
+            ({"imgs": scale}, "imgs has values of type float64 from .*; expected grey levels")
+            for scale in (1 / 255, 2.0, -1.0)
+        ),
     ],
 )
 def test_pack_with_other_arrays_is_refused(tmp_path, profile, pictures, changes, reason):
@@ -179,24 +176,19 @@ def test_pack_with_other_arrays_is_refused(tmp_path, profile, pictures, changes,
         read_pack(pack(tmp_path / "a.npz", pictures, **changes), profile)
 
 
-def test_other_files_are_no_packs(tmp_path, profile):
+def test_damaged_packs_and_other_files_are_named(tmp_path, profile, pictures):
     with pytest.raises(ObjectFolderError, match="does not exist"):
         read_pack(tmp_path / "a.npz", profile)
-    np.savez(tmp_path / "b.npz", f0=np.zeros(3))
-    with pytest.raises(ObjectFolderError, match=r"not a calibration pack of Taxim.*imgs"):
-        read_pack(tmp_path / "b.npz", profile)
-
-
-def test_damaged_packs_are_named(tmp_path, profile, pictures):
     whole = pack(tmp_path / "whole.npz", pictures).read_bytes()
     damaged = {"cut": whole[: len(whole) // 2], "empty": b"", "text": b"no archive"}
     for name, content in damaged.items():
         (tmp_path / f"{name}.npz").write_bytes(content)
     np.save(tmp_path / "array.npy", np.zeros(3))
     (tmp_path / "array.npy").rename(tmp_path / "array.npz")
+    np.savez(tmp_path / "alone.npz", f0=np.zeros(3))
     pickled = np.array([None], dtype=object)
     pack(tmp_path / "pickled.npz", pictures, imgs=pickled)
-    for name in (*damaged, "array", "pickled"):
+    for name in (*damaged, "array", "alone", "pickled"):
         with pytest.raises(ObjectFolderError, match=rf"{name}\.npz is not a calibration pack of Taxim: .*f0"):
             read_pack(tmp_path / f"{name}.npz", profile)
     pack(tmp_path / "more.npz", pictures, names=pickled)  # what is not needed is not read
@@ -240,11 +232,8 @@ def test_exported_table_shows_what_the_optics_show(tmp_path, real, isaac, sign):
 def test_exported_files_are_what_taxim_and_isaac_lab_read(tmp_path):
     """Of a real sensor, whose background is a photograph.
 
-    Taxim reads ``bins``, ``grad_r``, ``grad_g`` and ``grad_b`` in ``Basics/CalibData.py`` and indexes them in
-    ``simulator.simulating`` (``OpticalSimulation/simOptical.py``) by floor(angle / (π/2 / (bins - 1))), floor
-    (direction / (2 π / (bins - 1))) and the six terms of the place. Isaac Lab does the same in
-    ``GelsightRender`` (``isaaclab_contrib/sensors/tacsl_sensor/visuotactile_render.py``), which adds
-    ``bg.jpg`` to image_height x image_width x 3 grey levels from 0 to 255.
+    Read in Taxim's ``Basics/CalibData.py`` and ``OpticalSimulation/simOptical.py``, and in Isaac Lab's
+    ``isaaclab_contrib/sensors/tacsl_sensor/visuotactile_render.py``.
     """
     sensor = load_profile("gelsight_real")
     export_taxim(sensor, tmp_path)
@@ -255,16 +244,12 @@ def test_exported_files_are_what_taxim_and_isaac_lab_read(tmp_path):
         tables = [archive[f"grad_{color}"] for color in "rgb"]
     steepest, most = (int(angle / (angle / (BINS - 1))) for angle in (np.pi / 2, 2 * np.pi))
     for table in tables:
-        assert table.dtype == np.float64
-        assert table.ndim == 3
-        assert table.shape[2] == 6
-        assert table[steepest, most].shape == (6,)
+        assert (table.dtype, table.ndim, table[steepest, most].shape) == (np.float64, 3, (6,))
         assert np.isfinite(table).all()
         middle = np.array([80.0**2, 60.0**2, 80.0 * 60.0, 80.0, 60.0, 1.0])  # grey levels there
         assert 20 < np.abs(table[:60] @ middle).max() < 512
     rest = np.load(tmp_path / "real_bg.npy", allow_pickle=False)
-    assert rest.shape == (sensor.height, sensor.width, 3)
-    assert rest.dtype == np.float64
+    assert (rest.shape, rest.dtype) == ((sensor.height, sensor.width, 3), np.float64)
     assert 50 < rest.mean() < 255
     with Image.open(tmp_path / "bg.jpg") as picture:
         assert (picture.size, picture.mode, picture.format) == ((sensor.width, sensor.height), "RGB", "JPEG")
@@ -284,11 +269,14 @@ def test_the_table_is_of_the_view_of_the_sensor(digit, size):
         assert coarse.half_extent == sensor.half_extent
 
 
+def sensor(*arguments):
+    app(["sensor", *map(str, arguments)], standalone_mode=False)
+
+
 @pytest.mark.parametrize("options", [[], ["--taxim", "a", "--isaac-lab", "b"]])
 def test_exports_are_for_one_simulator(options):
-    done = CliRunner().invoke(app, ["sensor", "export", "digit", *options])
     with pytest.raises(ObjectFolderError, match="one folder"):
-        raise done.exception
+        sensor("export", "digit", *options)
 
 
 @pytest.mark.parametrize("option", ["--taxim", "--isaac-lab"])
@@ -296,39 +284,23 @@ def test_exports_replace_nothing(tmp_path, option):
     held = tmp_path / "bg.jpg"
     held.write_text("precious")
     for place, reason in ((held, "bg.jpg is a file, expected a folder"), (tmp_path, "it holds bg.jpg;")):
-        done = CliRunner().invoke(app, ["sensor", "export", "digit", option, str(place)])
         with pytest.raises(ObjectFolderError, match=reason):
-            raise done.exception
+            sensor("export", "digit", option, place)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("bg.jpg", "precious")]
 
 
-def test_commands_fit_a_pack_and_export_it(tmp_path, pictures, profile):
-    from ruamel.yaml import YAML
-
+def test_commands_fit_a_pack_and_export_it(tmp_path, pictures, profile, capsys):
     start, out = tmp_path / "start.yaml", tmp_path / "mine.yaml"
-    values = profile.to_dict()
-    values["lights"] = [
-        {key: list(v) if isinstance(v, tuple) else v for key, v in light.items()}
-        for light in values["lights"]
-    ]
-    values = {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
-    YAML().dump(values, start)
+    start.write_text(json.dumps(profile.to_dict()))
     first = {"imgs": pictures[0][:1], "touch_center": POSES[:1, 1::-1], "touch_radius": [13]}
     path = pack(tmp_path / "dataPack.npz", pictures, **first)
-    arguments = ["sensor", "fit", path, "--radius", RADIUS, "--sensor", start, "--lights", 1, "--residual"]
-    done = CliRunner().invoke(app, [str(a) for a in [*arguments, "--out", out]])
-    assert done.exception is None, done.exception
+    sensor("fit", path, "--radius", RADIUS, "--sensor", start, "--lights", 1, "--residual", "--out", out)
     fitted = load_profile(out)
     assert len(fitted.lights) == 1
     assert fitted.residual
-    done = CliRunner().invoke(app, ["sensor", "export", str(out), "--taxim", str(tmp_path / "taxim")])
-    assert done.exception is None, done.exception
-    assert "image_height=80" in done.output
-    assert sorted(p.name for p in (tmp_path / "taxim").iterdir()) == [
-        "bg.jpg",
-        "polycalib.npz",
-        "real_bg.npy",
-    ]
+    sensor("export", out, "--taxim", tmp_path / "taxim")
+    assert "image_height=80" in capsys.readouterr().out
+    assert {p.name for p in (tmp_path / "taxim").iterdir()} == {"bg.jpg", "polycalib.npz", "real_bg.npy"}
 
 
 @pytest.mark.parametrize(
@@ -337,7 +309,5 @@ def test_commands_fit_a_pack_and_export_it(tmp_path, pictures, profile):
 def test_options_that_lack_another_are_refused(tmp_path, pictures, options, reason):
     picture = tmp_path / "a.png"
     Image.fromarray(np.zeros((160, 120, 3), np.uint8)).save(picture)
-    arguments = ["sensor", "fit", picture, "--radius", 0.004, "--out", tmp_path / "b.yaml", *options]
-    done = CliRunner().invoke(app, [str(a) for a in arguments])
     with pytest.raises(ObjectFolderError, match=reason):
-        raise done.exception
+        sensor("fit", picture, "--radius", 0.004, "--out", tmp_path / "b.yaml", *options)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import RESIDUAL_TERMS, SensorProfile
 from objectfolder.touch.residual import places, residual_levels, residual_terms
@@ -61,9 +60,3 @@ def test_profile_keeps_its_residual_and_leaves_out_an_empty_one(digit):
     fitted = replace(digit, residual=((0.5,) * RESIDUAL_TERMS,) * 3)
     assert SensorProfile.from_dict(fitted.to_dict()) == fitted
     assert SensorProfile.from_dict(digit.to_dict()) == digit
-
-
-@pytest.mark.parametrize("residual", [((1.0, 2.0),) * 3, ((1.0,) * RESIDUAL_TERMS,) * 2])
-def test_residual_of_another_shape_is_an_error(digit, residual):
-    with pytest.raises(ObjectFolderError, match=f"residual = .* must be empty or 3 x {RESIDUAL_TERMS}"):
-        replace(digit, residual=residual)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from typer.testing import CliRunner
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import read_json
@@ -149,10 +148,8 @@ def test_pictures_that_cannot_be_fitted_are_refused(rigid, pictures, untouched, 
 
 
 def test_a_model_keeps_the_gel_under_the_last_poses_alone(rigid):
-    model, poses = (
-        BallModel(rigid, RADIUS),
-        np.linspace([20, 20, 5e-4], [60, 60, 5e-4], _CACHED_DISPLACEMENTS + 1),
-    )
+    model = BallModel(rigid, RADIUS)
+    poses = np.linspace([20, 20, 5e-4], [60, 60, 5e-4], _CACHED_DISPLACEMENTS + 1)
     first = model.displacement(poses[0])
     assert model.displacement(poses[0]) is first
     for pose in poses[1:]:
@@ -161,13 +158,10 @@ def test_a_model_keeps_the_gel_under_the_last_poses_alone(rigid):
     assert model.displacement(poses[0]) is not first
 
 
-@pytest.mark.parametrize(
-    "circle",
-    [
-        *((-1, 40, 12), (50, 120, 12), (160, 40, 12), (50, 40, 0), (50, 40, -3)),
-        *((np.nan, 40, 12), (50, np.inf, 12), (50, 40, np.nan)),
-    ],
-)
+OUTSIDE = (-1, 40, 12), (50, 120, 12), (160, 40, 12), (np.nan, 40, 12), (50, np.inf, 12)
+
+
+@pytest.mark.parametrize("circle", [*OUTSIDE, (50, 40, 0), (50, 40, -3), (50, 40, np.nan)])
 def test_circles_beside_their_picture_are_refused(rigid, pictures, untouched, circle):
     given, names = [(50.0, 40.0, 12.0), circle], ["a.png", "b.png"]
     for fit in (fit_sensor, fit_sensor_lights):
@@ -181,16 +175,29 @@ def test_lights_need_pixels_in_each_circle(rigid, pictures, untouched):
         fit_sensor_lights(pictures[:2], RADIUS, rigid, untouched, given, names)
 
 
+def fit(*arguments):
+    app(["sensor", "fit", *map(str, arguments)], standalone_mode=False)
+
+
 def test_command_writes_a_profile_that_loads(tmp_path, real, pictures, untouched):
     paths = []
     for name, picture in zip(("rest", "a", "b"), (untouched, *pictures[:2])):
         paths.append(tmp_path / f"{name}.png")
         Image.fromarray(picture).save(paths[-1])
     out = tmp_path / "mine.yaml"
-    arguments = ["sensor", "fit", *paths[1:], "--untouched", paths[0], "--radius", RADIUS]
-    arguments += ["--sensor", "tacto_digit", "--out", out, "--circle", "50,40,12", "--circle", "50,80,11"]
-    done = CliRunner().invoke(app, [str(a) for a in arguments])
-    assert done.exception is None, done.exception
+    circles = ["--circle", "50,40,12", "--circle", "50,80,11"]
+    fit(
+        *paths[1:],
+        "--untouched",
+        paths[0],
+        "--radius",
+        RADIUS,
+        "--sensor",
+        "tacto_digit",
+        "--out",
+        out,
+        *circles,
+    )
     mine = load_profile(out)
     assert mine.name == "mine"
     assert "fitted to 2 images" in mine.source
@@ -214,7 +221,5 @@ def test_command_writes_a_profile_that_loads(tmp_path, real, pictures, untouched
 def test_command_names_what_is_wrong(options, reason, tmp_path, untouched):
     Image.fromarray(untouched).save(tmp_path / "a.png")
     picture = tmp_path / ("a.png" if options else "absent.png")
-    arguments = ["sensor", "fit", picture, "--radius", 0.004, "--out", tmp_path / "b.yaml", *options]
-    done = CliRunner().invoke(app, [str(a) for a in arguments])
     with pytest.raises(ObjectFolderError, match=reason):
-        raise done.exception
+        fit(picture, "--radius", 0.004, "--out", tmp_path / "b.yaml", *options)

@@ -191,9 +191,8 @@ def test_friction_bounds_the_force_and_rows_do_not_depend_on_the_batch(sensor, p
     load = (pressed[0] * sensor.pixel_pitch**2).sum()
     assert alone.force[0, 0] == pytest.approx(0.4 * load, rel=1e-5)
     assert alone.slipping[0] > 0.99
-    both = shear_contacts(
-        pressed[::-1], np.array([[0, 0], [3e-3, 0]]), np.zeros(2), np.array([0.4, 0.4]), sensor
-    )
+    motions = np.array([[0, 0], [3e-3, 0]])
+    both = shear_contacts(pressed[::-1], motions, np.zeros(2), np.full(2, 0.4), sensor)
     assert np.array_equal(both.displacement[1], alone.displacement[0])
 
 

@@ -50,26 +50,26 @@ def heard() -> dict:
             for wave, turn in zip(pulse, force_factors(-DAMPING + 1j * w, contact)):
                 sound += (gains * turn / w).imag.sum() * wave.numpy()
         sounds.append({"contact": contact, "samples": [float(f"{value:.6g}") for value in sound]})
-    return {
+    body = {
         "scale": SCALE,
         "size": SIZE,
         "density": DENSITY,
         "volume": VOLUME,
         "radius": RADIUS,
         "recoil": recoil,
-        "orders": packed["orders"].tolist(),
-        "steps": packed["steps"].tolist(),
-        "coefficients": base64.b64encode(packed["coefficients"].tobytes()).decode(),
-        "own": FREQUENCY.tolist(),
-        "frequency": w.tolist(),
-        "damping": DAMPING.tolist(),
-        "factor": FACTOR,
-        "gains": GAINS.tolist(),
-        "listener": LISTENER.tolist(),
-        "impulse": IMPULSE.tolist(),
-        "rate": RATE,
-        "sounds": sounds,
     }
+    field = {name: packed[name].tolist() for name in ("orders", "steps")}
+    field["coefficients"] = base64.b64encode(packed["coefficients"].tobytes()).decode()
+    modes = {
+        "own": FREQUENCY,
+        "frequency": w,
+        "damping": DAMPING,
+        "factor": np.float64(FACTOR),
+        "gains": GAINS,
+    }
+    strike = {"listener": LISTENER, "impulse": IMPULSE}
+    told = {name: value.tolist() for name, value in (modes | strike).items()}
+    return body | field | told | {"rate": RATE, "sounds": sounds}
 
 
 def test_the_pages_truth_is_what_the_library_computes():

@@ -23,15 +23,12 @@ BASE = torch.tensor([[0.7, 0.3, 0.1]])
 def test_it_is_the_renderers(roughness, metallic):
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
-    bsdf = mi.load_dict(
-        {
-            "type": "principled",
-            "base_color": {"type": "rgb", "value": BASE[0].tolist()},
-            "roughness": roughness,
-            "metallic": metallic,
-            "specular": 0.5,
-        }
-    )
+    look = {
+        "base_color": {"type": "rgb", "value": BASE[0].tolist()},
+        "roughness": roughness,
+        "metallic": metallic,
+    }
+    bsdf = mi.load_dict({"type": "principled", "specular": 0.5} | look)
     eye, light = directions(300, 0, 0.02), directions(300, 1)
     light[:50] = torch.nn.functional.normalize(eye[:50] * torch.tensor([-1.0, -1, 1]) + 0.02, dim=1)
     expected = []

@@ -47,10 +47,8 @@ def test_z_is_up_in_the_image_and_x_to_the_right_seen_from_minus_y():
     pose = look_at(np.array([0, -2.5, 0]))[0]
     points = np.array([[0, 0, 0.3], [0.3, 0, 0]])
     (above, right), _ = project(points, pose, Intrinsics())
-    assert above[0] == pytest.approx(128)
-    assert above[1] < 128
-    assert right[0] > 128
-    assert right[1] == pytest.approx(128)
+    assert (above[0], right[1]) == pytest.approx((128, 128))
+    assert above[1] < 128 < right[0]
 
 
 @pytest.mark.parametrize("z", [2.5, -2.5])
@@ -83,25 +81,15 @@ def test_sphere_points_are_uniform(rng):
 
 @pytest.mark.parametrize("position", [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0]])
 def test_a_camera_at_its_target_or_nowhere_is_refused(position):
-    named = re.escape(
-        f"camera: row 1 is at {np.array(position, float).tolist()}, expected a place that is finite"
-    )
-    with pytest.raises(ObjectFolderError, match=named):
+    named = f"camera: row 1 is {np.array(position, float).tolist()}, expected a place that is finite"
+    with pytest.raises(ObjectFolderError, match=re.escape(named)):
         look_at(np.array([[2, 1, 1], position]))
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        (0, 1, 1.0),
-        (1, -1, 1.0),
-        (1, 1, 0.0),
-        (1, 1, float("nan")),
-        (1, 1, np.inf),
-        (1, 1, 1.0, None, -1.0),
-        (4, 4, 1.0, (np.nan, 0)),
-    ],
-)
+IMPOSSIBLE = (0, 1, 1.0), (1, -1, 1.0), (1, 1, 0.0), (1, 1, np.nan), (1, 1, np.inf)
+
+
+@pytest.mark.parametrize("values", [*IMPOSSIBLE, (1, 1, 1.0, None, -1.0), (4, 4, 1.0, (np.nan, 0))])
 def test_impossible_intrinsics_are_refused(values):
     with pytest.raises(ObjectFolderError, match=r"must be positive|expected a (whole|finite) number"):
         Intrinsics(*values)

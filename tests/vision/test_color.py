@@ -5,16 +5,6 @@ from objectfolder.mesh import srgb
 from objectfolder.vision.color import find_lit_foreground, on_white
 
 
-def test_white_shows_where_nothing_covers_it():
-    rgba = torch.tensor([[0.0, 0, 0, 0], [0, 0, 0, 1], [5, 0.5, 0, 1], [0, 0, 0, 0.5]])
-    image = on_white(rgba)
-    np.testing.assert_allclose(image[0], 1)
-    np.testing.assert_allclose(image[1], 0)
-    np.testing.assert_allclose(image[2, 0], 1)
-    assert image.max() <= 1
-    np.testing.assert_allclose(image[3], srgb.encode(torch.tensor(0.5)))
-
-
 def test_a_picture_is_composited_pixel_by_pixel():
     """The bare ones too, which are passed over."""
     generator = torch.Generator().manual_seed(0)

@@ -68,9 +68,13 @@ def test_a_split_without_halves_is_one_render_of_the_same_cameras():
     renderer = Noisy()
     views, halves = split(renderer, 64, halves=False), split(Noisy(), 64)
     assert [samples for samples, _ in renderer.asked] == [64] * 4
-    assert "noise" not in views
     for name in ("camera_to_world", "light"):
         np.testing.assert_array_equal(views[name], halves[name])
+    np.testing.assert_array_equal(views["center"], np.full((4, 2), 16.0))
+    assert "noise" not in views  # and no floor of the scores
+    scores = evaluate_vision(Perfect(*[renderer.truth] * 4), views)
+    assert "psnr_lit_foreground" in scores
+    assert not any(name.startswith("noise_floor") for name in scores)
 
 
 def test_the_noise_floor_is_what_a_perfect_answer_scores():
@@ -86,14 +90,6 @@ def test_the_noise_floor_is_what_a_perfect_answer_scores():
 def test_four_times_the_samples_are_six_decibels():
     floors = [float(np.mean(psnr(split(Noisy(), n)["noise"][:, 0]))) for n in (16, 64)]
     assert floors[1] - floors[0] == pytest.approx(10 * np.log10(4), abs=0.3)
-
-
-def test_views_that_do_not_tell_their_noise_are_scored_without_a_floor():
-    renderer = Noisy()
-    views = split(renderer, 16, halves=False)
-    scores = evaluate_vision(Perfect(*[renderer.truth] * 4), views)
-    assert "psnr_lit_foreground" in scores
-    assert not any(name.startswith("noise_floor") for name in scores)
 
 
 def test_views_without_light_have_no_lit_noise():
@@ -112,10 +108,8 @@ def table():
 def test_the_noise_of_path_traced_views_is_their_error_against_the_converged(table):
     renderer = MitsubaRenderer(table)
     views = split(renderer, 16, count=3)
-    truth = [
-        renderer.render(pose, light, SMALL, 1024, 1)
-        for pose, light in zip(views["camera_to_world"], views["light"])
-    ]
+    shown = zip(views["camera_to_world"], views["light"])
+    truth = [renderer.render(pose, light, SMALL, 1024, 1) for pose, light in shown]
     scores = evaluate_vision(Perfect(*truth), views)
     assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=1.5)
 
@@ -134,9 +128,8 @@ def test_tiles_are_cut_from_whole_views(table):
         assert truth[..., 3].any()
         assert error[truth[..., 3] == 1].mean() < 0.02
         assert error[..., 3].mean() < 0.01
-    assert [(i.width, i.cx, i.cy) for i in image_intrinsics(tiles)] == [
-        (12, i.cx, i.cy) for i in frames.intrinsics
-    ]
+    stored = [(i.width, i.cx, i.cy) for i in image_intrinsics(tiles)]
+    assert stored == [(12, i.cx, i.cy) for i in frames.intrinsics]
 
 
 def test_every_tile_has_a_camera_and_every_few_a_light():
@@ -150,10 +143,6 @@ def test_a_tile_that_is_larger_than_the_object_begins_where_it_may_begin():
     frames = Frames.tiles(9, 30, np.zeros((1, 3)), SMALL, np.random.default_rng(3))
     # The point is at pixel 16 of 32, and its rectangle begins up to two pixels before it.
     assert all(1 <= c <= 2 for part in frames.intrinsics for c in (part.cx, part.cy))
-
-
-def test_whole_views_say_their_principal_point():
-    np.testing.assert_array_equal(split(Noisy(), 4, halves=False)["center"], np.full((4, 2), 16.0))
 
 
 def test_cameras_are_on_the_sphere_of_radius_two_and_a_half_and_lights_on_that_of_one():

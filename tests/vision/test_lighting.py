@@ -83,11 +83,9 @@ def test_all_lights_that_are_given_shine(brick):
 
 
 def test_far_point_lights_count_as_distant_ones():
-    near, far = choose_lamps(
-        [PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0]), PointLight([0, 0, 100.0], [1e4, 0, 2e4])]
-    )
-    assert near == PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0])
-    assert far == DistantLight([0, 0, 1.0], [1.0, 0, 2.0])
+    near = PointLight([0, 0, PARALLEL_DISTANCE], [9.0, 0, 0])
+    chosen = choose_lamps([near, PointLight([0, 0, 100.0], [1e4, 0, 2e4])])
+    assert chosen == [near, DistantLight([0, 0, 1.0], [1.0, 0, 2.0])]
 
 
 @pytest.mark.parametrize("shape", [sphere(0.45, 4), box((0.9, 0.5, 0.3))])
@@ -124,8 +122,9 @@ def test_interreflection_of_a_distant_light_is_the_limit_of_a_far_one():
 @pytest.mark.parametrize(("count", "worst"), [(32, 0.06), (128, 0.03)])
 def test_uniform_surroundings_light_a_white_ball_evenly(ball, count, worst):
     """The integral of a radiance L over a hemisphere, times the cosine over pi, is L."""
-    lamps = environment_lamps(np.full((64, 128, 3), (0.5, 1.0, 0.25)), count)
-    shown = radiance_on(ball, lamps) / (0.5, 1.0, 0.25)
+    color = np.array([0.5, 1.0, 0.25])
+    rgba = lit_by(ball, environment_lamps(np.tile(color, (64, 128, 1)), count)).rgba
+    shown = rgba[rgba[..., 3] == 1][:, :3] / color
     assert shown.mean() == pytest.approx(1, abs=0.01)
     assert np.abs(shown - 1).max() < worst
 
@@ -145,11 +144,6 @@ def lit_by(surface, lamps):
     return light_picture(drawer, look_at(np.array([2.0, 0.7, 0.4]))[0], lamps, Intrinsics.square(20))
 
 
-def radiance_on(surface, lamps):
-    rgba = lit_by(surface, lamps).rgba
-    return rgba[rgba[..., 3] == 1][:, :3]
-
-
 def test_lamps_keep_the_light_of_the_picture():
     picture = np.random.default_rng(0).random((24, 50, 3)) ** 8
     lamps = environment_lamps(picture)
@@ -157,31 +151,25 @@ def test_lamps_keep_the_light_of_the_picture():
     weight = np.sin((np.arange(24) + 0.5) * np.pi / 24) * np.sinc(1 / 48)  # of a row: exact
     irradiance = (picture * weight[:, None, None]).sum((0, 1)) * (np.pi / 24) * (2 * np.pi / 50) / np.pi
     np.testing.assert_allclose(sum(np.array(lamp.color) for lamp in lamps), irradiance, rtol=1e-9)
-
-
-def test_regions_have_equal_light():
-    picture = np.ones((64, 128, 3))
-    energies = [sum(lamp.color) for lamp in environment_lamps(picture)]
+    energies = [sum(lamp.color) for lamp in environment_lamps(np.ones((64, 128, 3)))]
     assert np.std(energies) < 0.1 * np.mean(energies)
 
 
-@pytest.mark.parametrize(
-    ("pixel", "way"),
-    [
-        ((16, 32), (1, 0, 0)),
-        ((16, 16), (0, 1, 0)),
-        ((16, 48), (0, -1, 0)),
-        ((0, 5), (0, 0, 1)),
-        ((16, 0), (-1, 0, 0)),
-    ],
-)
-def test_pixels_lie_where_the_convention_says(pixel, way):
-    found = pixel_directions(32, 64)[pixel]
-    assert found @ way > 0.99
-    picture = np.zeros((32, 64, 3))
-    picture[pixel] = 1
-    (lamp,) = environment_lamps(picture)
-    np.testing.assert_allclose(lamp.direction, found)
+def test_pixels_lie_where_the_convention_says():
+    ways = {
+        (16, 32): (1, 0, 0),
+        (16, 16): (0, 1, 0),
+        (16, 48): (0, -1, 0),
+        (0, 5): (0, 0, 1),
+        (16, 0): (-1, 0, 0),
+    }
+    for pixel, way in ways.items():
+        found = pixel_directions(32, 64)[pixel]
+        assert found @ way > 0.99
+        picture = np.zeros((32, 64, 3))
+        picture[pixel] = 1
+        (lamp,) = environment_lamps(picture)
+        np.testing.assert_allclose(lamp.direction, found)
 
 
 def test_the_studio_is_that_of_the_page():
@@ -314,16 +302,10 @@ def test_an_exr_fills_its_display_window(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({}, "there is no light; give light, lights or environment"),
-        ({"lights": []}, "there is no light"),
-        ({"lights": "sun"}, "lights is 'sun', expected 'studio'"),
+        ({"lights": []}, "there is no light; give light, lights or environment"),
         ({"lights": [[0, 0, 1]]}, "expected PointLight or DistantLight"),
-        ({"environment": np.zeros((4, 8, 3))}, "environment is black"),
         ({"environment": -np.ones((4, 8, 3))}, "negative or not finite"),
-        (
-            {"environment": np.full((4, 8, 3), 1e308)},
-            "environment holds the radiance 1e+308, expected at most 1e+11",
-        ),
+        ({"environment": np.full((4, 8, 3), 1e308)}, "holds the radiance 1e+308, expected at most 1e+11"),
         ({"environment": np.ones((4, 8))}, r"environment has shape (4, 8), expected (H, W, 3)"),
         ({"environment": "no.exr"}, "no.exr cannot be read"),
     ],
@@ -334,41 +316,26 @@ def test_lights_are_checked(brick, given, message):
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("kind", "given", "message"),
     [
-        (lambda: PointLight((0, 0, np.nan)), "expected three finite numbers"),
-        (lambda: PointLight((0, 0, 1e4)), "expected coordinates of at most 1000"),
-        (lambda: PointLight((0, 0, 1), (1, 1, -1)), "expected no negative number"),
-        (
-            lambda: PointLight((0, 0, 1), (1e39, 1, 1)),
-            r"light is \(1e\+39, 1.0, 1.0\), expected at most 1e\+12",
-        ),
-        (
-            lambda: DistantLight((0, 0, 1), (1, 2e20, 1)),
-            r"light is \(1.0, 2e\+20, 1.0\), expected at most 1e\+12",
-        ),
-        (lambda: DistantLight((0, 0, 0)), "expected another length than 0"),
+        (PointLight, [(0, 0, np.nan)], "expected three finite numbers"),
+        (PointLight, [(0, 0, 1e4)], "expected coordinates of at most 1000"),
+        (PointLight, [(0, 0, 1), (1, 1, -1)], "expected no negative number"),
+        (PointLight, [(0, 0, 1), (1e39, 1, 1)], "light is (1e+39, 1.0, 1.0), expected at most 1e+12"),
+        (DistantLight, [(0, 0, 1), (1, 2e20, 1)], "light is (1.0, 2e+20, 1.0), expected at most 1e+12"),
+        (DistantLight, [(0, 0, 0)], "expected another length than 0"),
     ],
 )
-def test_a_light_is_checked(make, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        make()
+def test_a_light_is_checked(kind, given, message):
+    with pytest.raises(ObjectFolderError, match=re.escape(message)):
+        kind(*given)
 
 
 def test_the_brightest_lights_give_a_finite_picture(brick):
     """Even on the surface, and from surroundings that become a single light."""
     color, sky = (MAX_COLOR,) * 3, np.full((1, 1, 3), MAX_PIXEL)
-    lights = [
-        *(PointLight(point / brick.scale, color) for point in brick.sample_surface(4)),
-        DistantLight(CAMERA, color),
-    ]
-    seen = brick.render(CAMERA, resolution=12, lights=lights, environment=sky)
+    lights = [PointLight(point / brick.scale, color) for point in brick.sample_surface(4)]
+    seen = brick.render(CAMERA, resolution=12, lights=[*lights, DistantLight(CAMERA, color)], environment=sky)
     assert np.isfinite(seen.rgba).all()
     assert np.isfinite(seen.rgb).all()
     assert seen.rgba.max() > 1e9
-
-
-def test_the_way_to_a_light_is_from_the_point_to_the_light():
-    points = torch.tensor([[0.0, 0, 0], [1, 2, 3]])
-    np.testing.assert_allclose(toward(torch.tensor([1.0, 0, 0]), points), [[1, 0, 0], [0, -2, -3]])
-    np.testing.assert_allclose(toward(torch.tensor([0.0, 0, 1, 0]), points), [[0, 0, 1], [0, 0, 1]])

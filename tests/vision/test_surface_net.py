@@ -1,3 +1,4 @@
+import dataclasses
 import lzma
 
 import numpy as np
@@ -150,22 +151,20 @@ def views(ball, painted):
         poses, lights = look_at(sphere_points(count, 2.5, rng)), sphere_points(count, 1.0, rng)
         intrinsics = Intrinsics.square(32)
         rgba = [draw(ball, shade, p, l, intrinsics).rgba for p, l in zip(poses, lights)]
-        return {
-            "rgba": np.float16(rgba),
-            "camera_to_world": poses,
-            "light": lights,
-            "focal": np.float64(intrinsics.focal),
-            "center": np.full((count, 2), 16.0),
-        }
+        seen = {"rgba": np.float16(rgba), "camera_to_world": poses, "light": lights}
+        return seen | {"focal": np.float64(intrinsics.focal), "center": np.full((count, 2), 16.0)}
 
     return split(24, 0), split(4, 1)
+
+
+def train(ball, scene, train, val, config):
+    return train_surface(ball, scene, train, val, config, Session(torch.Generator().manual_seed(3)))
 
 
 def test_training_explains_a_painted_ball_and_is_deterministic(tmp_path, ball, painted, views):
     config = training(points=20_000, point_steps=150, pixels=8000, steps=150)
     for name in "ab":
-        session = Session(torch.Generator().manual_seed(3))
-        trained, curve = train_surface(ball, painted, *views, config, session)
+        trained, curve = train(ball, painted, *views, config)
         write_safetensors(tmp_path / name, *trained.to_tensors())
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
     assert curve[0].val_loss > 2 * min(p.val_loss for p in curve)
@@ -180,71 +179,48 @@ def test_training_explains_a_painted_ball_and_is_deterministic(tmp_path, ball, p
 def test_a_mesh_that_is_turned_inside_out_looks_the_same(ball, painted, views):
     config = training(points=5000, point_steps=60, pixels=2000, steps=20)
     mesh = painted.mesh
-    turned = Scene(
-        TexturedMesh(
-            mesh.vertices,
-            mesh.faces[:, ::-1],
-            vertex_colors=mesh.vertex_colors,
-            normals=-mesh.normals,
-            roughness=0.5,
-        )
-    )
-    a, b = (
-        train_surface(ball, scene, *views, config, Session(torch.Generator().manual_seed(3)))[0]
-        .bake(ball)
-        .look
-        for scene in (painted, turned)
-    )
+    turned = Scene(dataclasses.replace(mesh, faces=mesh.faces[:, ::-1], normals=-mesh.normals))
+    a, b = (train(ball, scene, *views, config)[0].bake(ball).look for scene in (painted, turned))
     assert (a[:, 3:] * b[:, 3:]).sum(1).min() > 0.9
     assert ((a - b)[:, :3].abs()).mean() < 0.02
 
 
 def test_views_that_show_nothing_are_passed_over_unless_all_do(ball, painted, views):
     config = training(points=2000, point_steps=5, pixels=2000, steps=5)
-    train, val = views
-    empty = {**train, "rgba": train["rgba"] * (np.arange(len(train["rgba"])) % 2)[:, None, None, None]}
-    empty["rgba"][2, 16, 16] = 1  # one pixel
-    train_surface(ball, painted, empty, val, config, Session(torch.Generator().manual_seed(3)))
-    nothing = {**train, "rgba": np.zeros_like(train["rgba"])}
+    seen, val = views
+    half = seen | {"rgba": seen["rgba"] * (np.arange(len(seen["rgba"])) % 2)[:, None, None, None]}
+    half["rgba"][2, 16, 16] = 1  # one pixel
+    train(ball, painted, half, val, config)
     with pytest.raises(ObjectFolderError, match="none of 24 images shows"):
-        train_surface(ball, painted, nothing, val, config, Session(torch.Generator().manual_seed(3)))
+        train(ball, painted, seen | {"rgba": 0 * seen["rgba"]}, val, config)
 
 
 def test_tiles_teach_what_the_views_teach_that_they_are_cut_from(ball, painted, views):
     """Every quarter of every view is a tile."""
     config = training(points=5000, point_steps=40, pixels=4000, steps=40)
-    tiles = [
-        {
-            "rgba": view["rgba"]
-            .reshape(-1, 2, 16, 2, 16, 4)
-            .transpose(0, 1, 3, 2, 4, 5)
-            .reshape(-1, 16, 16, 4),
-            "camera_to_world": view["camera_to_world"].repeat(4, 0),
-            "light": view["light"].repeat(4, 0),
-            "focal": view["focal"],
-            "center": np.tile([[16.0, 16], [0, 16], [16, 0], [0, 0]], (len(view["rgba"]), 1)),
-        }
-        for view in views
-    ]
-    losses = [
-        train_surface(ball, painted, *data, config, Session(torch.Generator().manual_seed(3)))[1][-1].val_loss
-        for data in (views, tiles)
-    ]
-    assert losses[1] == pytest.approx(losses[0], rel=0.15)
+
+    def quarters(view):
+        whole = view["rgba"].reshape(-1, 2, 16, 2, 16, 4)
+        center = np.tile([[16.0, 16], [0, 16], [16, 0], [0, 0]], (len(whole), 1))
+        cut = {"rgba": whole.transpose(0, 1, 3, 2, 4, 5).reshape(-1, 16, 16, 4), "center": center}
+        return view | cut | {name: view[name].repeat(4, 0) for name in ("camera_to_world", "light")}
+
+    whole, tiles = (train(ball, painted, *data, config)[1] for data in (views, map(quarters, views)))
+    assert tiles[-1].val_loss == pytest.approx(whole[-1].val_loss, rel=0.15)
 
 
 def test_noise_does_not_choose_the_pixels(ball, painted, views):
     """Noise of mean zero on dark pixels must not teach light, though it makes half of them bright."""
     config = training(points=5000, point_steps=40, pixels=1200, steps=60)
-    train, val = views
+    seen, val = views
     rng = np.random.default_rng(0)
-    flipped = rng.choice([0.0, 2.0], (*train["rgba"].shape[:3], 1))  # as rare bright paths would
-    noisy = {**train, "rgba": train["rgba"].copy()}
-    noisy["rgba"][..., :3] *= np.where(train["rgba"][..., :3] < 0.1, flipped, 1)
+    flipped = rng.choice([0.0, 2.0], (*seen["rgba"].shape[:3], 1))  # as rare bright paths would
+    noisy = seen | {"rgba": seen["rgba"].copy()}
+    noisy["rgba"][..., :3] *= np.where(seen["rgba"][..., :3] < 0.1, flipped, 1)
     shade, light = [], np.array([0.0, 0, -1.0])
     pose = look_at(np.array([[0.0, 1.0, 2.2]]))[0]
-    for data in (train, noisy):
-        net, _ = train_surface(ball, painted, data, val, config, Session(torch.Generator().manual_seed(3)))
+    for data in (seen, noisy):
+        net, _ = train(ball, painted, data, val, config)
         rgba = draw(ball, net.shader(ball), pose, light, Intrinsics.square(32)).rgba
         shade.append(rgba[rgba[..., 3] == 1][:, :3].mean())
     assert shade[1] == pytest.approx(shade[0], rel=0.1)

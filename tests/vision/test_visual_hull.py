@@ -22,12 +22,8 @@ def silhouettes(count, resolution=64, radius=2.5):
         along = ((CENTRE - origins) * directions).sum(1, keepdims=True)
         nearest = np.linalg.norm(origins + along * directions - CENTRE, axis=1)
         image[..., 3] = (nearest < RADIUS).reshape(resolution, resolution)
-    return {
-        "rgba": rgba,
-        "camera_to_world": poses,
-        "focal": np.float64(intrinsics.focal),
-        "center": np.full((count, 2), resolution / 2),
-    }
+    optics = {"focal": np.float64(intrinsics.focal), "center": np.full((count, 2), resolution / 2)}
+    return {"rgba": rgba, "camera_to_world": poses} | optics
 
 
 def distances():

@@ -151,6 +151,14 @@ def test_relative_imports_are_followed(project):
     ]
 
 
+def test_modules_that_are_imported_by_name_are_followed(project):
+    (project / "objectfolder/deep/leaf.py").write_text('NETS = "objectfolder.deep.*_net"\n')
+    for name in ("one_net", "other_net", "net_settings"):
+        (project / f"objectfolder/deep/{name}.py").write_text("z = 1\n")
+    found = imported_files("objectfolder/deep/leaf.py", project)
+    assert [Path(file).stem for file in found] == ["__init__", "leaf", "one_net", "other_net"]
+
+
 def test_a_module_that_the_pipeline_would_not_see_is_refused(project):
     (project / "own.py").write_text("z = 1\n")
     (project / "stages/solve.py").write_text("import own\n")

@@ -11,10 +11,16 @@ import numpy as np
 
 from objectfolder.base.arrays import write_npy
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.io import read_json, write_json
+from objectfolder.base.io import write_json
 from objectfolder.base.locks import exclusive
 from objectfolder.benchmarks.datasets.observations import CLOSE_UP_ARRAYS, CLOSE_UP_RECORD
-from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
+from objectfolder.benchmarks.datasets.samples import (
+    array_path,
+    averaged_images,
+    is_complete,
+    object_digest,
+    require_parts,
+)
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics
@@ -36,10 +42,12 @@ def close_up_request(file: ObjectFile, count: int, size: tuple[int, int], seed: 
     Raises ObjectFolderError if the object cannot be seen and touched at any point and depth, or images are
     too small or larger than the sensor's.
     """
-    lacking = [part for part in ("geometry", "vision", "touch") if part not in file.header]
-    if lacking or file.fixed_contact is not None:
-        reason = f"holds no {' and no '.join(lacking)}" if lacking else "knows touches of one depth only"
-        raise ObjectFolderError(f"{file.key}: the Object File {reason}; leave the object out, or rebuild it")
+    require_parts(file, ("geometry", "vision", "touch"), "close views and touches")
+    if file.fixed_contact is not None:
+        raise ObjectFolderError(
+            f"{file.key}: the Object File knows touches of one depth only; leave the object out, or rebuild "
+            "it"
+        )
     largest = (file.sensor_profile.height, file.sensor_profile.width)
     if min(size) < SMALLEST or any(side > limit for side, limit in zip(size, largest, strict=True)):
         raise ObjectFolderError(
@@ -58,45 +66,26 @@ def close_up_request(file: ObjectFile, count: int, size: tuple[int, int], seed: 
 
 def has_close_ups(request: dict[str, Any], folder: Path) -> bool:
     """Return whether a folder holds all images of a `close_up_request`."""
-    try:
-        if read_json(folder / CLOSE_UP_RECORD) != request:
-            return False
-    except ObjectFolderError:  # missing or damaged: sampled again
-        return False
-    return are_written(folder, CLOSE_UP_ARRAYS, request["count"])
+    return is_complete(folder / CLOSE_UP_RECORD, request, CLOSE_UP_ARRAYS)
 
 
 def sample_close_ups(file: ObjectFile, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
-    """See and press an object at random points of its surface, where a camera has room.
+    """See and press an object at random points of its surface, where a camera has room, unless it was done.
 
-    Raises ObjectFolderError if the surface hides nearly everywhere, or as `close_up_request`.
-
-    Parameters
-    ----------
-    size : (int, int)
-        Height and width of the images, at most the sensor's.
-    folder : Path
-        Created.
+    The images have a height and a width, at most the sensor's. The folder is created. Raises
+    ObjectFolderError if the surface hides nearly everywhere, or as `close_up_request`.
     """
     request = close_up_request(file, count, size, seed)
     with exclusive(folder):  # of two benchmarks that start together, one samples
-        if not has_close_ups(request, folder):
-            _sample(file, request, folder)
-
-
-def _sample(file: ObjectFile, request: dict[str, Any], folder: Path) -> None:
-    count, seed, (height, width) = request["count"], request["seed"], request["size"]
-    size = height, width
-    points, distances = open_points(file, count, seed)
-    (folder / CLOSE_UP_RECORD).unlink(missing_ok=True)
-    parts = np.array_split(points, -(-count // CHUNK))
-    images = {
-        "view": close_views(file, points, distances, size),
-        "touch": np.concatenate([averaged_images(file.touch(part, DEPTH), size) for part in parts]),
-    }
-    for name, array in images.items():
-        write_npy(array_path(folder, name), array)
-    write_json(folder / CLOSE_UP_RECORD, request)
+        if has_close_ups(request, folder):
+            return
+        points, distances = open_points(file, count, seed)
+        (folder / CLOSE_UP_RECORD).unlink(missing_ok=True)
+        parts = np.array_split(points, -(-count // CHUNK))
+        touches = [averaged_images(file.touch(part, DEPTH), size) for part in parts]
+        write_npy(array_path(folder, "view"), close_views(file, points, distances, size))
+        write_npy(array_path(folder, "touch"), np.concatenate(touches))
+        write_json(folder / CLOSE_UP_RECORD, request)
 
 
 def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -118,16 +107,9 @@ def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np
 def close_views(
     file: ObjectFile, points: np.ndarray, distances: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """Look at points against their contact normals at what the sensor covers; (N, H, W, 3) uint8.
+    """Look at points (N, 3), from distances (N,) along their contact normals, at what the sensor covers.
 
-    Parameters
-    ----------
-    points : (N, 3) array
-        Metres.
-    distances : (N,) array
-        Of the camera, metres.
-    size : (int, int)
-        Height and width.
+    Both are in metres. Returns (N, H, W, 3) uint8; the size is (H, W).
     """
     profile = file.sensor_profile
     place = (points / file.scale).astype(np.float32)
@@ -140,15 +122,9 @@ def close_views(
     # Half the height and half the width that the gel covers, metres.
     tall, wide = np.multiply(profile.half_extent, profile.camera_to_gel)
     height, width = size
-    views = [
-        file.view(
-            pose,
-            intrinsics=Intrinsics(
-                width, height, width / 2 * distance / wide, focal_y=height / 2 * distance / tall
-            ),
-            supersample=False,
-            lights=[DistantLight(light)],
-        )[0]
-        for pose, light, distance in zip(poses, lights, distances, strict=True)
-    ]
+    views = []
+    for pose, light, distance in zip(poses, lights, distances, strict=True):
+        focal_x, focal_y = width / 2 * distance / wide, height / 2 * distance / tall
+        lens = Intrinsics(width, height, focal_x, focal_y=focal_y)
+        views.append(file.view(pose, intrinsics=lens, supersample=False, lights=[DistantLight(light)])[0])
     return np.round(np.stack(views) * 255).astype(np.uint8)

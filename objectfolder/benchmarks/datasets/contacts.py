@@ -16,13 +16,9 @@ CHUNK = 64  #: contacts asked at once
 def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
     """Touch and strike an object at the same random points of its surface.
 
-    Returns
-    -------
-    Samples
-        Of one object: ``touch`` (count, H, W, 3) uint8, at random press depths with the sensor upright,
-        or as a net of kind ``image`` answers;
-        ``audio`` (count, samples) float32, of strikes along the inward normal; ``point`` (count, 3), unit
-        frame.
+    The samples are of one object: ``touch`` (count, H, W, 3) uint8, at random press depths with the sensor
+    upright, or as a net of kind ``image`` answers; ``audio`` (count, samples) float32, of strikes along the
+    inward normal; ``point`` (count, 3), unit frame.
     """
     strikes = sample_strikes(file, count, seed)
     points, impulses = strikes[:, :3], strikes[:, 3:]

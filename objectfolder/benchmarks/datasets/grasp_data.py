@@ -12,11 +12,17 @@ import numpy as np
 from objectfolder.base.arrays import write_npz
 from objectfolder.base.disk import enough_space, refuse_links
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.io import atomic_stream, read_json, write_json
+from objectfolder.base.io import atomic_stream, write_json
 from objectfolder.base.locks import exclusive
 from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
-from objectfolder.benchmarks.datasets.samples import are_written, array_path, averaged_images, object_digest
+from objectfolder.benchmarks.datasets.samples import (
+    array_path,
+    averaged_images,
+    is_complete,
+    object_digest,
+    require_parts,
+)
 from objectfolder.benchmarks.datasets.settings import GraspDataConfig
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.body import RigidBody, rotation, turn_poses
@@ -42,7 +48,6 @@ SHIFT, TURN, STRENGTH = 0.001, np.radians(1.0), 0.03  #: perturbations: standard
 BATCH = 32  #: grasps simulated together; the unit of progress
 ATTEMPTS = 20000  #: consecutive colliding poses before an object is given up
 EMPTY = 10  #: consecutive batches without contact of both pads before it is
-
 STRAY = 0.03  #: of the true surface's bounds from the stored surface's, at most, fraction of the size
 
 Report = Callable[[int, int], None]
@@ -82,19 +87,9 @@ def collect_grasps(
     lacks vision or touch or its touch net does not answer pads, the gel of its sensor is rigid, or the
     surface is of another object.
 
-    Parameters
-    ----------
-    body : RigidBody
-        The same object's.
-    folder : path
-        Gets ``record.json`` and the arrays of `objectfolder.benchmarks.datasets.grasps.ARRAYS`.
-    surface : tuple of arrays, optional
-        The source's closed surface: vertices, unit frame, and faces. Adds the array ``explicit``. None for
-        a touch net that knows one press alone (`ObjectFile.fixed_contact`).
-    threads : int
-        Of the simulation.
-    report : callable
-        Called with the numbers of collected and of wanted grasps.
+    The folder gets ``record.json`` and the arrays of `objectfolder.benchmarks.datasets.grasps.ARRAYS`. The
+    source's closed surface adds the array ``explicit``; it is None for a touch net that knows one press alone
+    (`ObjectFile.fixed_contact`). ``report`` is called with the numbers of collected and of wanted grasps.
     """
     folder = Path(folder)
     request = grasp_request(file, body, wanted, seed, surface)
@@ -114,7 +109,13 @@ def _collect(
     report: Report,
 ) -> None:
     seed = request["seed"]
-    _require_parts(file)
+    require_parts(file, ("geometry", "vision", "touch"), "grasps")
+    require_pads(file)
+    if file.fixed_contact is None and file.sensor_profile.gel == "rigid":
+        raise ObjectFolderError(
+            f"{file.key}: the gel of sensor {file.sensor!r} is rigid and bears no force, which gives the "
+            "press depth of grasps; rebuild the object with a sensor with gel: soft"
+        )
     scene = GraspScene(body, Physics(timestep=wanted.timestep), threads)
     truth = None if surface is None else _truth(file, surface)
     rests = scene.rests(numpy_generator(seed, file.key, "rests"))
@@ -145,14 +146,8 @@ def _collect(
 
 def is_collected(request: dict[str, Any], folder: Path) -> bool:
     """Return whether a folder holds all grasps of a `grasp_request`."""
-    try:
-        record = read_json(folder / RECORD)
-    except ObjectFolderError:  # missing or damaged: collected again
-        return False
-    if not isinstance(record, dict) or record | request != record:
-        return False
     names = [name for name in ARRAYS if name != OPTIONAL or request["surface_sha256"]]
-    return are_written(folder, names, request["count"])
+    return is_complete(folder / RECORD, request, names)
 
 
 def draw_attempts(
@@ -197,15 +192,10 @@ def label_grasps(
 ) -> tuple[Outcomes, dict[str, np.ndarray]]:
     """Simulate batches of grasps until both pads touch the object in some; label those.
 
-    Raises ObjectFolderError if no collision-free pose is found, or no batch of `EMPTY` has contact of both
-    pads.
-
-    Returns
-    -------
-    Outcomes
-    dict
-        Initial object poses (``start``), maximum force of each jaw (``limits``), success rate over the
-        perturbations (``soft``), and the numbers of ``drawn``, ``free`` and ``touched`` poses.
+    Returns the outcomes, and beside them initial object poses (``start``), maximum force of each jaw
+    (``limits``), success rate over the perturbations (``soft``), and the numbers of ``drawn``, ``free`` and
+    ``touched`` poses. Raises ObjectFolderError if no collision-free pose is found, or no batch of `EMPTY` has
+    contact of both pads.
     """
     drawn = free_poses = 0
     for _ in range(EMPTY):
@@ -335,21 +325,6 @@ def grasp_request(
         "surface_sha256": None if surface is None else _digest(surface),
         "seed": seed,
     }
-
-
-def _require_parts(file: ObjectFile) -> None:
-    lacking = [part for part in ("geometry", "vision", "touch") if part not in file.header]
-    if lacking:
-        raise ObjectFolderError(
-            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; grasps need geometry, "
-            "vision and touch: leave the object out, or rebuild it"
-        )
-    require_pads(file)
-    if file.fixed_contact is None and file.sensor_profile.gel == "rigid":
-        raise ObjectFolderError(
-            f"{file.key}: the gel of sensor {file.sensor!r} is rigid and bears no force, which gives the "
-            "press depth of grasps; rebuild the object with a sensor with gel: soft"
-        )
 
 
 def _digest(surface: Surface) -> str:

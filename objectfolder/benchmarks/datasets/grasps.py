@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.io import read_json
-from objectfolder.benchmarks.datasets.samples import Samples, array_path, check_equal_shapes, map_array
+from objectfolder.benchmarks.datasets.samples import Samples, array_path, map_array, read_record
 from objectfolder.benchmarks.datasets.splits import label_order
 
 FORMAT = "objectfolder grasps 1"  #: of the sampling procedure and the files; others are refused
@@ -36,68 +35,45 @@ AGAIN = "collect its grasps again"
 class Grasps(Samples):
     """Grasps of several objects; images are memory-mapped. See `Samples`, and `ARRAYS` for the arrays.
 
-    Raises ObjectFolderError if a folder is incomplete or damaged, or objects differ in the number or shape of
-    grasps.
-
-    Parameters
-    ----------
-    folders : mapping
-        From keys to folders with ``record.json`` and the arrays in `ARRAYS`.
-
-    Attributes
-    ----------
-    success : (K N,) bool array
-        Outcome of each grasp.
-    has_explicit : bool
-        Whether touches were also simulated from the ground truth.
+    Of folders by key, with ``record.json`` and the arrays. Raises ObjectFolderError if one is incomplete or
+    damaged, or objects differ in number or shape of grasps.
     """
 
     def __init__(self, folders: Mapping[str, Path]):
         if not folders:
             raise ObjectFolderError("no objects given, expected grasp folders of at least two objects")
         paths = {key: Path(folders[key]) for key in label_order(folders)}
-        records = {key: _record(key, path) for key, path in paths.items()}
-        first = next(iter(paths))
-        self.has_explicit = array_path(paths[first], OPTIONAL).is_file()
-        arrays: dict[str, list[np.ndarray]] = {}
-        for name in ARRAYS:
-            if name == OPTIONAL:
-                _check_all_or_none({key: array_path(path, name).is_file() for key, path in paths.items()})
-                if not self.has_explicit:
-                    continue
-            opened = {key: _open(key, path, name, records[key]["count"]) for key, path in paths.items()}
-            shapes = {key: array.shape for key, array in opened.items()}
-            check_equal_shapes(name, shapes, "collect the grasps of all objects with the same settings")
-            arrays[name] = list(opened.values())
-        super().__init__(records, arrays)
+        records = {key: _record(key, path / RECORD) for key, path in paths.items()}
+        without = [key for key, path in paths.items() if not array_path(path, OPTIONAL).is_file()]
+        if without and len(without) < len(paths):
+            raise ObjectFolderError(
+                f"{', '.join(without)}: no explicit touches ({array_path(Path(), OPTIONAL)}), unlike others; "
+                "collect them for all objects or for none"
+            )
+        self.has_explicit = not without  #: whether touches were also simulated from the ground truth
+        arrays = {
+            name: [_open(key, path, name, records[key]["count"]) for key, path in paths.items()]
+            for name in ARRAYS
+            if name != OPTIONAL or self.has_explicit
+        }
+        super().__init__(records, arrays, "collect the grasps of all objects with the same settings")
         if self.has_explicit and self.shape("explicit") != self.shape("touch"):
             raise ObjectFolderError(
-                f"{first}: explicit touches have shape {self.shape('explicit')}, expected that of touches, "
-                f"{self.shape('touch')}; {AGAIN}"
+                f"{self.keys[0]}: explicit touches have shape {self.shape('explicit')}, expected that of "
+                f"touches, {self.shape('touch')}; {AGAIN}"
             )
-        self.success = np.concatenate(arrays["success"])
+        self.success = np.concatenate(arrays["success"])  #: (K N,) bool, outcome of each grasp
 
 
-def _record(key: str, folder: Path) -> dict[str, Any]:
-    if not (folder / RECORD).is_file():
-        raise ObjectFolderError(
-            f"{key}: {folder} holds no complete grasps ({RECORD} is missing); collect them again"
-        )
-    record = read_json(folder / RECORD)
-    known = record.get("format") if isinstance(record, dict) else None
-    if known != FORMAT:
-        raise ObjectFolderError(
-            f"{key}: {folder / RECORD} has format {known!r}, expected {FORMAT!r}; {AGAIN}"
-        )
-    if record.get("key") != key:
-        raise ObjectFolderError(f"{folder} holds grasps of {record.get('key')}, expected those of {key}")
+def _record(key: str, path: Path) -> dict[str, Any]:
+    record = read_record(key, path, "grasps", "format", FORMAT, AGAIN)
     lacking = [
         name
         for name, kind in (("count", int), ("digest", str))
         if not isinstance(record.get(name), kind) or not record[name]
     ]
     if lacking:
-        raise ObjectFolderError(f"{key}: {folder / RECORD} lacks {' and '.join(lacking)}; {AGAIN}")
+        raise ObjectFolderError(f"{key}: {path} lacks {' and '.join(lacking)}; {AGAIN}")
     return record
 
 
@@ -116,12 +92,3 @@ def _open(key: str, folder: Path, name: str, count: int) -> np.ndarray:
     if name in NUMBERS and not np.isfinite(array).all():
         raise ObjectFolderError(f"{key}: {path} holds values that are not finite; {AGAIN}")
     return array
-
-
-def _check_all_or_none(there: Mapping[str, bool]) -> None:
-    without = [key for key, is_there in there.items() if not is_there]
-    if without and len(without) < len(there):
-        raise ObjectFolderError(
-            f"{', '.join(without)}: no explicit touches ({array_path(Path(), OPTIONAL)}), unlike others; "
-            "collect them for all objects or for none"
-        )

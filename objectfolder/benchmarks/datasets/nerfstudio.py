@@ -95,17 +95,7 @@ def write_nerfstudio(
 
 
 def unpremultiply(rgba: np.ndarray) -> np.ndarray:
-    """Return an image for PNG: sRGB that is not multiplied by alpha.
-
-    Parameters
-    ----------
-    rgba : (H, W, 4) float32
-        Linear, multiplied by alpha.
-
-    Returns
-    -------
-    (H, W, 4) uint8
-    """
+    """Turn linear float32 multiplied by alpha, (H, W, 4), into sRGB uint8 that is not, for PNG."""
     alpha = np.clip(rgba[..., 3:], 0, 1)
     linear = np.clip(rgba[..., :3] / np.maximum(alpha, 1e-6), 0, 1)
     return (np.concatenate([encode(linear), alpha], -1) * 255).round().astype(np.uint8)

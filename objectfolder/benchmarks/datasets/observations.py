@@ -14,13 +14,7 @@ import numpy as np
 from objectfolder.base.arrays import read_npz
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import read_json
-from objectfolder.benchmarks.datasets.samples import (
-    Samples,
-    array_path,
-    check_equal_shapes,
-    gather_rows,
-    map_array,
-)
+from objectfolder.benchmarks.datasets.samples import Samples, array_path, gather_rows, map_array, read_record
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.workspace.layout import MODALITIES
 
@@ -31,19 +25,14 @@ RELIEF = "relief.npy"  #: of the surface under each touch
 UNTOUCHED = "untouched.npy"  #: whether each touch misses the object
 CLOSE_UP_RECORD = "record.json"
 CLOSE_UP_ARRAYS = ("view", "touch")
-_AGAIN = "delete the folder, and run the command again"
+_AGAIN = "sample the object again"
 SOURCE = "ObjectFile.safetensors"  #: the observed Object File; reconstruction reads its surface
 
 
 def find_folders(paths: Iterable[str | Path]) -> dict[str, Path]:
-    """Find folders of complete observations; return them by object key.
+    """Find complete observations in folders, at any depth; return their folders by object key.
 
     Raises ObjectFolderError if a path contains none, or two folders hold observations of the same object.
-
-    Parameters
-    ----------
-    paths : iterable of paths
-        Folders of observations, or folders that contain some at any depth.
     """
     found: dict[str, Path] = {}
     for path in map(Path, paths):
@@ -69,37 +58,36 @@ class Observations(Samples):
     uint8, sRGB on white; ``audio`` (B, 32000) float32, two seconds at 16 kHz at absolute scale; ``touch``
     (B, H, W, 3) uint8.
 
-    Raises ObjectFolderError if a folder is incomplete or damaged, or objects differ in the number or shape of
-    observations.
-
-    Parameters
-    ----------
-    folders : mapping
-        From keys to folders written by `objectfolder.benchmarks.datasets.sampling.sample_observations`.
+    Of folders by key, as `objectfolder.benchmarks.datasets.sampling.sample_observations` writes them. Raises
+    ObjectFolderError if one is incomplete or damaged, or objects differ in number or shape of observations.
     """
 
     def __init__(self, folders: Mapping[str, Path]):
         if not folders:
             raise ObjectFolderError("no objects given, expected observation folders of at least two objects")
         self._folders = {key: Path(folders[key]) for key in label_order(folders)}
-        records = {key: _record(key, folder) for key, folder in self._folders.items()}
-        for modality in MODALITIES:
-            shapes = {key: record["arrays"][modality]["shape"] for key, record in records.items()}
-            check_equal_shapes(modality, shapes, "sample all objects with the same settings")
-        arrays = {
-            modality: [_open(key, folder, modality, records[key]) for key, folder in self._folders.items()]
-            for modality in MODALITIES
+        records = {
+            key: read_record(key, folder / RECORD, "observations", "version", VERSION, _AGAIN)
+            for key, folder in self._folders.items()
         }
-        super().__init__(records, arrays)
+        super().__init__(
+            records,
+            {name: [self._open(key, name, record) for key, record in records.items()] for name in MODALITIES},
+        )
+
+    def _open(self, key: str, modality: str, record: dict[str, Any]) -> np.ndarray:
+        path, shape = array_path(self._folders[key], modality), tuple(record["arrays"][modality]["shape"])
+        array = map_array(key, path, _AGAIN)
+        if array.shape != shape:
+            raise ObjectFolderError(f"{key}: {path} has shape {array.shape}, expected {shape}; {_AGAIN}")
+        return array
 
     def queries(self, key: str) -> dict[str, np.ndarray]:
         """Return an object's queries; see `objectfolder.benchmarks.datasets.sampling.draw_queries`."""
         return read_npz(self._folders[key] / QUERIES)
 
     def relief(self, rows: np.ndarray) -> np.ndarray:
-        """Return the relief under the touches of rows, metres; (B,) float64.
-
-        See `objectfolder.benchmarks.datasets.sampling.surface_relief`.
+        """Return `objectfolder.benchmarks.datasets.sampling.surface_relief` under touches; (B,) float64, m.
 
         Raises ObjectFolderError if it is missing, as in observations of earlier versions.
         """
@@ -110,40 +98,12 @@ class Observations(Samples):
         return self._beside(UNTOUCHED, rows)
 
     def _beside(self, name: str, rows: np.ndarray) -> np.ndarray:
-        whole = [map_array(key, at / name, "sample the object again") for key, at in self._folders.items()]
+        whole = [map_array(key, at / name, _AGAIN) for key, at in self._folders.items()]
         return gather_rows(whole, rows)
 
     def object_file(self, key: str) -> Path:
         """Return the path of the observed Object File."""
         return self._folders[key] / SOURCE
-
-
-def _record(key: str, folder: Path) -> dict[str, Any]:
-    if not (folder / RECORD).is_file():
-        raise ObjectFolderError(
-            f"{key}: {folder} holds no complete observations ({RECORD} is missing); sample the object again"
-        )
-    record = read_json(folder / RECORD)
-    known = record.get("version") if isinstance(record, dict) else None
-    if known != VERSION:
-        raise ObjectFolderError(
-            f"{key}: {folder / RECORD} has version {known}, expected {VERSION}; sample the object again"
-        )
-    if record.get("key") != key:
-        raise ObjectFolderError(
-            f"{folder} holds observations of {record.get('key')}, expected those of {key}"
-        )
-    return record
-
-
-def _open(key: str, folder: Path, modality: str, record: dict[str, Any]) -> np.ndarray:
-    path, shape = array_path(folder, modality), tuple(record["arrays"][modality]["shape"])
-    array = map_array(key, path, "sample the object again")
-    if array.shape != shape:
-        raise ObjectFolderError(
-            f"{key}: {path} has shape {array.shape}, expected {shape}; sample the object again"
-        )
-    return array
 
 
 class CloseUps(Samples):
@@ -153,22 +113,18 @@ class CloseUps(Samples):
     stands on the contact normal, along which the gel comes, its up is that of the sensor, and both images
     have the same pixels.
 
-    Raises ObjectFolderError if a folder is incomplete or damaged, or objects differ in the number or shape of
-    images.
-
-    Parameters
-    ----------
-    folders : mapping
-        From keys to folders that `sample_close_ups` wrote.
+    Of folders by key, as `sample_close_ups` writes them. Raises ObjectFolderError if one is incomplete or
+    damaged, or objects differ in number or shape of images.
     """
 
     def __init__(self, folders: Mapping[str, Path]):
         paths = {key: Path(folders[key]) for key in label_order(folders)}
-        records = {key: read_json(path / CLOSE_UP_RECORD) for key, path in paths.items()}
-        arrays = {
-            name: {key: map_array(key, array_path(path, name), _AGAIN) for key, path in paths.items()}
-            for name in CLOSE_UP_ARRAYS
-        }
-        for name, found in arrays.items():
-            check_equal_shapes(name, {key: array.shape for key, array in found.items()}, _AGAIN)
-        super().__init__(records, {name: list(found.values()) for name, found in arrays.items()})
+        again = "delete the folder, and run the command again"
+        super().__init__(
+            {key: read_json(path / CLOSE_UP_RECORD) for key, path in paths.items()},
+            {
+                name: [map_array(key, array_path(path, name), again) for key, path in paths.items()]
+                for name in CLOSE_UP_ARRAYS
+            },
+            again,
+        )

@@ -23,18 +23,9 @@ CHUNK = 2**20  # points looked up at once
 
 
 def is_inside(surface: Isosurface, points: np.ndarray) -> np.ndarray:
-    """Return whether points are inside the solid enclosed by the stored surface.
+    """Return whether points (..., 3), unit frame, are inside the stored surface; (...) bool.
 
     Uses the sign of the trilinearly interpolated signed distance. Points beyond the stored grid are outside.
-
-    Parameters
-    ----------
-    points : (..., 3) array
-        Unit frame.
-
-    Returns
-    -------
-    (...) bool
     """
     flat = torch.from_numpy(np.asarray(points, np.float32).reshape(-1, 3))
     distance = torch.cat([surface.grid.distance(part) for part in flat.split(CHUNK)])
@@ -67,18 +58,10 @@ def grid_points(resolution: int) -> np.ndarray:
 def extract_mesh(occupancy: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
     """Extract the surface of the region whose occupancy exceeds a threshold, by marching cubes.
 
-    Parameters
-    ----------
-    occupancy : (R, R, R) array
-        Probabilities or logits at the nodes of `grid_points`. Smooth values give a smooth surface.
-    threshold : float
-        In the same unit. Where the occupancy on the border exceeds it, the surface is closed just outside.
-
-    Returns
-    -------
-    vertices : (V, 3) float64, unit frame
-    faces : (F, 3) int64
-        Counter-clockwise seen from outside; empty if no value exceeds the threshold.
+    Takes probabilities or logits (R, R, R) at the nodes of `grid_points`, and a threshold in the same unit.
+    Smooth values give a smooth surface. Where the occupancy on the border exceeds the threshold, the surface
+    is closed just outside. Returns vertices (V, 3) float64, unit frame, and faces (F, 3) int64,
+    counter-clockwise seen from outside; empty if no value exceeds the threshold.
     """
     from skimage.measure import marching_cubes
 
@@ -117,19 +100,9 @@ class OccupancySamples:
         return np.unpackbits(self.grid_inside[objects], axis=1, count=int(self.resolution) ** 3).astype(bool)
 
     def draw(self, labels: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Draw training points: half of them uniform, half near the surface.
+        """Draw training points for objects (B,), half of them uniform, half near the surface.
 
-        Parameters
-        ----------
-        labels : (B,) int array
-            Objects; repetitions are allowed.
-        count : int
-            Points per row.
-
-        Returns
-        -------
-        points : (B, count, 3) float32
-        inside : (B, count) bool
+        Returns points (B, count, 3) float32, and whether they are inside, (B, count) bool.
         """
         near = count // 2
         one = rng.integers(self.near_inside.shape[1], size=(len(labels), near))
@@ -150,14 +123,8 @@ def sample_occupancy(
 ) -> OccupancySamples:
     """Sample the occupancy of objects.
 
-    Parameters
-    ----------
-    surfaces : mapping of str to callable
-        Loads the stored surface by key, in label order; one surface is held at a time.
-    train, val, score : int
-        Numbers of points: uniform and near points for training, uniform points for validation and scores.
-    resolution : int
-        Nodes along a side of the grid.
+    ``surfaces`` load the stored surface by key, in label order; one is held at a time. Points are uniform and
+    near the surface to ``train``, uniform to ``val`` and ``score``; the grid has ``resolution`` nodes a side.
     """
     pools = {
         name: uniform_points(count, numpy_generator(seed, "occupancy", name))
@@ -198,20 +165,11 @@ def cached_occupancy(
     resolution: int,
     seed: int,
 ) -> OccupancySamples:
-    """Sample the occupancy of objects, or read the samples if they exist.
+    """Sample the occupancy of objects, or read the samples if they exist; see `sample_occupancy`.
 
-    Raises ObjectFolderError if a surface cannot be read, or ``path`` is damaged.
-
-    Parameters
-    ----------
-    path : Path
-        An ``.npz``; rewritten if it holds other objects, sizes or another seed.
-    surfaces : mapping of str to callable
-        See `sample_occupancy`.
-    digests : mapping of str to str
-        Digest of each Object File by key, in the same order.
-    train, val, score, resolution, seed : int
-        See `sample_occupancy`.
+    The ``.npz`` is rewritten if it holds other objects, by the digests of their Object Files in the same
+    order, other sizes or another seed. Raises ObjectFolderError if a surface cannot be read, or the file is
+    damaged.
     """
     sizes = f"{train} {val} {score} {resolution} {seed} {HALF_SIDE} {NEAR}"
     identity = np.array([*(f"{key} {digest}" for key, digest in digests.items()), sizes])

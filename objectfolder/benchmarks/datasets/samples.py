@@ -2,13 +2,14 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import read_json
 
 if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
@@ -17,33 +18,36 @@ if TYPE_CHECKING:
 class Samples:
     """Arrays of several objects with equally many rows each, read-only and memory-mapped.
 
-    With N rows per object, row r is sample ``r % N`` of object ``r // N``.
+    With N rows per object, row r is sample ``r % N`` of object ``r // N``. Raises ObjectFolderError, with a
+    remedy, if objects have arrays of different shapes.
 
     Parameters
     ----------
     records : mapping
-        Contents of each object's record file by key, in label order.
+        Contents of each object's record file by key, in label order
+        (`objectfolder.benchmarks.datasets.splits.label_order`).
     arrays : mapping
         By name, the array (N, ...) of each object in the same order.
-
-    Attributes
-    ----------
-    keys : tuple of str
-        Objects in label order; see `objectfolder.benchmarks.datasets.splits.label_order`.
-    count : int
-        Samples per object, N.
-    labels : (K N,) int64 array
-        Object index of each row.
-    records : dict
-        Contents of the record files by key.
     """
 
-    def __init__(self, records: Mapping[str, dict[str, Any]], arrays: Mapping[str, Sequence[np.ndarray]]):
-        self.keys = tuple(records)
-        self.records = dict(records)
-        self.count = int(records[self.keys[0]]["count"])
+    def __init__(
+        self,
+        records: Mapping[str, dict[str, Any]],
+        arrays: Mapping[str, Sequence[np.ndarray]],
+        remedy: str = "sample all objects with the same settings",
+    ):
+        self.keys, self.records = tuple(records), dict(records)
+        self.count = int(records[self.keys[0]]["count"])  #: samples per object, N
+        #: (K N,) int64, object index of each row.
         self.labels = np.repeat(np.arange(len(self.keys), dtype=np.int64), self.count)
         self._arrays = arrays
+        for name, (first, *others) in arrays.items():
+            for key, array in zip(self.keys[1:], others):
+                if array.shape != first.shape:
+                    raise ObjectFolderError(
+                        f"{key}: {name} has shape {array.shape}, that of {self.keys[0]} {first.shape}; "
+                        f"expected the same: {remedy}"
+                    )
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -59,23 +63,9 @@ class Samples:
         return self._of(name)[0].shape[1:]
 
     def read(self, name: str, rows: np.ndarray) -> np.ndarray:
-        """Read rows of an array.
+        """Read rows (B,) of an array, in any order and with repetitions; (B, ...).
 
-        Parameters
-        ----------
-        rows : (B,) int array
-            In any order; repetitions are allowed.
-
-        Returns
-        -------
-        (B, ...) array
-
-        Raises
-        ------
-        ObjectFolderError
-            If there is no such array.
-        IndexError
-            If a row is out of range.
+        Raises ObjectFolderError if there is no such array, IndexError if a row is out of range.
         """
         return gather_rows(self._of(name), rows)
 
@@ -94,6 +84,16 @@ def object_digest(file: "ObjectFile") -> str:
     return digest.hexdigest()
 
 
+def require_parts(file: "ObjectFile", parts: Collection[str], use: str) -> None:
+    """Raise ObjectFolderError unless an Object File holds all parts that ``use``, a plural, needs."""
+    if lacking := [part for part in parts if part not in file.header]:
+        *most, last = parts
+        raise ObjectFolderError(
+            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; {use} need {', '.join(most)} "
+            f"and {last}: leave the object out, or rebuild it"
+        )
+
+
 def array_path(folder: Path, name: str) -> Path:
     """Return the path of an array in an object's folder."""
     return folder / f"{name}.npy"
@@ -102,14 +102,8 @@ def array_path(folder: Path, name: str) -> Path:
 def map_array(key: str, path: Path, remedy: str) -> np.ndarray:
     """Memory-map an object's ``.npy`` file, read-only; nothing is unpickled.
 
-    Raises ObjectFolderError if the file is missing, damaged, or not a numeric array.
-
-    Parameters
-    ----------
-    key : str
-        Object, named in errors.
-    remedy : str
-        What to do about a damaged file; ends the error message.
+    Raises ObjectFolderError if the file is missing, damaged, or not a numeric array; the message names the
+    object and ends with the remedy.
     """
     try:
         return np.load(path, mmap_mode="r", allow_pickle=False)
@@ -117,10 +111,40 @@ def map_array(key: str, path: Path, remedy: str) -> np.ndarray:
         raise ObjectFolderError(f"{key}: {path} is damaged ({error}); {remedy}") from error
 
 
-def are_written(folder: Path, names: Iterable[str], count: int) -> bool:
-    """Return whether an object's folder holds these arrays, whole, with so many rows each."""
+def read_record(key: str, path: Path, what: str, field: str, known: int | str, remedy: str) -> dict[str, Any]:
+    """Read the record that marks an object's folder of samples, such as ``what``, as complete.
+
+    Raises ObjectFolderError if it is missing, its ``field`` is not the known format, or it is of another key.
+    """
+    if not path.is_file():
+        raise ObjectFolderError(
+            f"{key}: {path.parent} holds no complete {what} ({path.name} is missing); {remedy}"
+        )
+    record = read_json(path)
+    found = record.get(field) if isinstance(record, dict) else None
+    if found != known:
+        raise ObjectFolderError(f"{key}: {path} has {field} {found!r}, expected {known!r}; {remedy}")
+    if record.get("key") != key:
+        raise ObjectFolderError(f"{path.parent} holds {what} of {record.get('key')}, expected those of {key}")
+    return dict(record)
+
+
+def read_stored(path: Path) -> dict[str, Any]:
+    """Return the contents of a record; nothing if it is missing or damaged, so that it is written again."""
     try:
-        return all(len(map_array(folder.name, array_path(folder, name), "")) == count for name in names)
+        value = read_json(path)
+    except ObjectFolderError:
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def is_complete(record: Path, request: dict[str, Any], names: Iterable[str]) -> bool:
+    """Return whether a record is of a request, and whole arrays with ``count`` rows lie beside it."""
+    stored, folder = read_stored(record), record.parent
+    if stored | request != stored:
+        return False
+    try:
+        return all(len(map_array("", array_path(folder, name), "")) == request["count"] for name in names)
     except ObjectFolderError:
         return False
 
@@ -134,39 +158,10 @@ def averaged_images(images: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return adaptive_avg_pool2d(channels, size).round().byte().permute(0, 2, 3, 1).numpy()
 
 
-def check_equal_shapes(name: str, shapes: Mapping[str, Any], remedy: str) -> None:
-    """Raise ObjectFolderError unless all objects have arrays of the same shape.
-
-    Parameters
-    ----------
-    name : str
-        Array, named in the error.
-    shapes : mapping
-        Shape by object key.
-    remedy : str
-        Ends the error message.
-    """
-    (first, expected), *others = shapes.items()
-    for key, shape in others:
-        if shape != expected:
-            raise ObjectFolderError(
-                f"{key}: {name} has shape {shape}, that of {first} {expected}; expected the same: {remedy}"
-            )
-
-
 def gather_rows(arrays: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
-    """Gather rows of arrays of equal shape (N, ...); row r is row ``r % N`` of array ``r // N``.
+    """Gather rows (B,) of arrays of equal shape (N, ...); row r is row ``r % N`` of array ``r // N``.
 
     Raises IndexError if a row is out of range.
-
-    Parameters
-    ----------
-    rows : (B,) int array
-        In any order; repetitions are allowed.
-
-    Returns
-    -------
-    (B, ...) array
     """
     rows, count = np.asarray(rows, np.int64), len(arrays[0])
     wrong = rows[(rows < 0) | (rows >= len(arrays) * count)]

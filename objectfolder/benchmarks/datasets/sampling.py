@@ -13,11 +13,11 @@ import torch
 from objectfolder.base.arrays import write_npy, write_npz
 from objectfolder.base.disk import enough_space
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.io import atomic_stream, read_json, write_json
+from objectfolder.base.io import atomic_stream, write_json
 from objectfolder.base.locks import exclusive
 from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, RELIEF, SOURCE, UNTOUCHED, VERSION
-from objectfolder.benchmarks.datasets.samples import array_path, object_digest
+from objectfolder.benchmarks.datasets.samples import array_path, object_digest, read_stored, require_parts
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
@@ -62,24 +62,17 @@ def sample_observations(
     Raises ObjectFolderError if the count is not a multiple of ten, the Object File lacks a part, a query
     fails, or the disk is full.
 
-    Parameters
-    ----------
-    count : int
-        Observations per modality, a multiple of ten. The first n do not depend on the count.
-    resolution : int
-        Side of the views, pixels.
-    folder : path
-        Of this object alone. Receives ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json``
-        that identifies it; ``queries.npz``, see `draw_queries`; ``relief.npy``, the `surface_relief` under
-        each touch; ``untouched.npy``, which touches miss; the Object File; and finally ``observations.json``.
-    report : callable
-        Called with a modality and the number of its observations written so far.
+    The first n observations do not depend on the count. Views have ``resolution`` pixels a side. The folder,
+    of this object alone, receives ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json`` that
+    identifies it; ``queries.npz``, see `draw_queries`; ``relief.npy``, the `surface_relief` under each touch;
+    ``untouched.npy``, which touches miss; the Object File; and finally ``observations.json``. ``report`` is
+    called with a modality and the number of its observations written so far.
     """
     folder = Path(folder)
     check_count(count)
     if resolution < 1:
         raise ObjectFolderError(f"{file.key}: views of {resolution} pixels, expected a positive number")
-    _require_parts(file)
+    require_parts(file, PARTS, "benchmarks")
     request = observation_request(file, count, resolution, seed)
     with exclusive(folder):  # of two benchmarks that start together, one samples
         if not is_sampled(request, folder):
@@ -146,25 +139,17 @@ def is_sampled(request: dict[str, Any], folder: Path) -> bool:
     if not all((folder / name).is_file() for name in (QUERIES, RELIEF, UNTOUCHED, SOURCE)):
         return False
     arrays = {modality: _find_written(folder, modality, request) for modality in MODALITIES}
-    return all(arrays.values()) and _read_stored(folder / RECORD) == request | {"arrays": arrays}
+    return all(arrays.values()) and read_stored(folder / RECORD) == request | {"arrays": arrays}
 
 
 def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
-    """Draw the queries of an object.
+    """Draw the queries of an object, in independent tens, so that they do not depend on the count.
 
-    Parameters
-    ----------
-    count : int
-        A multiple of ten: rows are drawn in independent tens, so that they do not depend on the count.
-
-    Returns
-    -------
-    dict
-        ``vision_camera`` and ``vision_light`` (N, 3), unit frame: uniform on the spheres of the paper's data
-        (supplementary C). ``audio_point`` (N, 3), metres, uniform by area, and ``audio_force`` (N, 3), N s,
-        in uniform directions into the object with log-uniform length in `FORCES`. ``touch_point`` (N, 3),
-        metres, uniform by area, and ``touch_depth`` (N,), metres, uniform over the file's ``press_range``, or
-        the single depth of a net of kind ``image``.
+    ``vision_camera`` and ``vision_light`` (N, 3), unit frame: uniform on the spheres of the paper's data
+    (supplementary C). ``audio_point`` (N, 3), metres, uniform by area, and ``audio_force`` (N, 3), N s, in
+    uniform directions into the object with log-uniform length in `FORCES`. ``touch_point`` (N, 3), metres,
+    uniform by area, and ``touch_depth`` (N,), metres, uniform over the file's ``press_range``, or the single
+    depth of a net of kind ``image``.
     """
     tens = [_draw_ten(file, seed, ten) for ten in range(count // TEN)]
     return {name: np.concatenate([rows[name] for rows in tens]) for name in tens[0]}
@@ -192,21 +177,10 @@ def _draw_ten(file: ObjectFile, seed: int, ten: int) -> Queries:
 
 
 def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> tuple[np.ndarray, np.ndarray]:
-    """Answer queries in one modality.
+    """Answer any number of rows of `draw_queries` in one modality; views have ``resolution`` pixels a side.
 
-    Parameters
-    ----------
-    queries : dict
-        See `draw_queries`; any number of rows.
-    resolution : int
-        Side of the views, pixels.
-
-    Returns
-    -------
-    (N, ...) array
-        Observations, as described in `objectfolder.benchmarks.datasets.observations.Observations`.
-    (N,) bool array
-        Which of them are empty: no pixel of the object, silence, or no contact.
+    Returns observations (N, ...), as `objectfolder.benchmarks.datasets.observations.Observations` describes
+    them, and which are empty, (N,) bool: no pixel of the object, silence, or no contact.
     """
     if modality == "vision":
         views = file.render(queries["vision_camera"], queries["vision_light"], resolution)
@@ -223,30 +197,13 @@ def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> t
     return felt.images, ~np.any(felt.mask, axis=(1, 2))
 
 
-def _require_parts(file: ObjectFile) -> None:
-    lacking = [part for part in PARTS if part not in file.header]
-    if lacking:
-        raise ObjectFolderError(
-            f"{file.key}: the Object File holds no {' and no '.join(lacking)}; benchmarks need geometry, "
-            "vision, audio and touch: leave the object out, or rebuild it"
-        )
-
-
 def _find_written(folder: Path, modality: str, request: dict[str, Any]) -> dict[str, Any] | None:
     """Return the metadata of a complete array of this request; None if there is none."""
-    path, stored = array_path(folder, modality), _read_stored(folder / f"{modality}.json")
-    if stored is None or stored.get("request") != request or not path.is_file():
+    path, stored = array_path(folder, modality), read_stored(folder / f"{modality}.json")
+    if stored.get("request") != request or not path.is_file():
         return None
     array: dict[str, Any] = stored["array"]
     return array if path.stat().st_size == array["bytes"] else None
-
-
-def _read_stored(path: Path) -> dict[str, Any] | None:
-    try:
-        value = read_json(path)
-    except ObjectFolderError:  # missing or damaged: sampled again
-        return None
-    return value if isinstance(value, dict) else None
 
 
 def _write(
@@ -287,22 +244,11 @@ def _write(
 
 
 def surface_relief(surface: Isosurface, points: np.ndarray, scale: float) -> np.ndarray:
-    """Return the root mean square height of the surface around points, above its mean plane there.
+    """Return the root mean square height of the surface around points, above its mean plane there; (N,), m.
 
-    Parameters
-    ----------
-    surface : Isosurface
-        Unit frame.
-    points : (N, 3) array
-        On the surface, object frame, metres.
-    scale : float
-        Longest side of the object, metres.
-
-    Returns
-    -------
-    (N,) float64
-        Metres; of the first surface that rays along the inward normal meet, in a square of side `SPAN`. Zero
-        on flat ground, however inclined.
+    It is that of the first surface that rays along the inward normal meet, in a square of side `SPAN`: zero
+    on flat ground, however inclined. The surface is in the unit frame; the points (N, 3) on it are in metres,
+    as is the scale, the object's longest side.
     """
     place = np.asarray(points, np.float64) / scale
     normals = surface.grid.normals(torch.from_numpy(place.astype(np.float32))).numpy()

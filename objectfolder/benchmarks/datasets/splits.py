@@ -75,14 +75,8 @@ def check_count(count: int) -> None:
 def per_sample(keys: Sequence[str], count: int) -> Split:
     """Split ``seen``: 80 % of the observations of every object for training, 10 % validation, 10 % test.
 
+    Keys are in the order of their rows. The split of the first n observations does not depend on their count.
     Raises ObjectFolderError if there are fewer than two objects, or the count is not a multiple of ten.
-
-    Parameters
-    ----------
-    keys : sequence of str
-        Objects in the order of their rows.
-    count : int
-        Observations per object. The split of the first n does not depend on it.
     """
     letters = _sample_splits(keys, count)
     return Split("seen", *(_rows(letters == name, [True] * len(keys)) for name in SPLITS))
@@ -92,17 +86,8 @@ def per_object(keys: Sequence[str], count: int) -> Split:
     """Split ``unseen``: test objects are absent from training and validation.
 
     Validation uses separate objects if the frozen list provides any. Otherwise it uses the observations of
-    training objects that ``seen`` validates on, and training omits them.
-
-    Raises ObjectFolderError if there are fewer than two objects, the count is no multiple of ten, or no
-    object is for training or none for tests.
-
-    Parameters
-    ----------
-    keys : sequence of str
-        Objects in the order of their rows.
-    count : int
-        Observations per object.
+    training objects that ``seen`` validates on, and training omits them. Raises ObjectFolderError as
+    `per_sample`, or if no object is for training or none for tests.
     """
     letters = _sample_splits(keys, count)
     of_objects = np.array([object_split(key) for key in keys])
@@ -141,17 +126,9 @@ def repeated_rows(
     """Find validation and test rows whose input repeats earlier ones with the same answer, byte by byte.
 
     A net may know the answer to such an input by heart. What occurs with several answers gives none away: it
-    tells nothing, as the picture of a press that misses.
-
-    Parameters
-    ----------
-    answers : (rows,) int array, optional
-        Of all observations; default: their objects.
-
-    Returns
-    -------
-    (rows,) bool
-        Of all observations. Rows for training come before those for validation, and these before the tests.
+    tells nothing, as the picture of a press that misses. Answers, one for each observation, are the objects
+    by default. Returns (rows,) bool of all observations. Rows for training come before those for validation,
+    and these before the tests.
     """
     labels = observations.labels if answers is None else answers
     repeated = np.zeros(len(labels), bool)
@@ -223,13 +200,7 @@ def _data(name: str) -> str:
 
 
 class Companions:
-    """The rows of a split by object and part, to draw from.
-
-    Parameters
-    ----------
-    labels : (N,) int array
-        Objects of all observations.
-    """
+    """The rows of a split by object and part, to draw from, given the objects (N,) of all observations."""
 
     def __init__(self, split: Split, labels: np.ndarray):
         self._group = np.full(len(labels), -1)  #: one for each object and part
@@ -239,21 +210,10 @@ class Companions:
         self._sorted = self._group[self._order]
 
     def draw(self, rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return each of the rows with others of its object and part at random.
+        """Return each of the rows (n,) with others of its object and part at random; (n, count) int64.
 
-        All are different as far as there are ``count`` of them; the others are repeated in turn if not.
-
-        Parameters
-        ----------
-        rows : (n,) int array
-            Rows of the split.
-        count : int
-            Rows in each group, its own included.
-
-        Returns
-        -------
-        (n, count) int64 array
-            The rows themselves are the first column.
+        The rows themselves are the first column. All are different as far as there are ``count`` of them; the
+        others are repeated in turn if not.
         """
         rows = np.asarray(rows)
         groups = self._group[rows]

@@ -99,9 +99,7 @@ def train_policy(
             advance,
             is_finished=lambda state: bool(state.curve) and training.is_finished(state.curve),
             is_better=lambda new, best: training.is_better(new.figures, best.figures),
-            keep=lambda: {
-                name: torch.from_numpy(value) for name, value in training.actor().tensors().items()
-            },
+            keep=keep,
             point=PolicyPoint,
         ),
         Checkpoint(checkpoint, identity),

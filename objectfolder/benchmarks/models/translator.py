@@ -16,9 +16,7 @@ class Translator(nn.Module):
     def __init__(self, width: int):
         super().__init__()
         channels = [width * times for times in DEPTHS]
-        self.down = nn.ModuleList(
-            [_block(a, b) for a, b in zip([3, *channels[:-1]], channels, strict=True)],
-        )
+        self.down = nn.ModuleList([_block(a, b) for a, b in zip([3, *channels[:-1]], channels, strict=True)])
         self.up = nn.ModuleList(
             [_block(a + b, b) for a, b in zip(channels[:0:-1], channels[-2::-1], strict=True)]
         )

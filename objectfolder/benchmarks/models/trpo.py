@@ -66,13 +66,11 @@ class StableVector(VecEnv):
         """Of the vector environment, for each."""
         return [getattr(self.env, attr_name)] * self.num_envs
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+    def set_attr(self, *given: Any, **named: Any) -> Any:
         """Not supported: environments share everything."""
         raise NotImplementedError
 
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Not supported: environments share everything."""
-        raise NotImplementedError
+    env_method = set_attr
 
 
 def train_trpo(

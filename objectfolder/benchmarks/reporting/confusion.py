@@ -13,14 +13,7 @@ NAMED = 40  #: classes at most whose names are legible
 def draw_confusion(title: str, counts: Mapping[str, np.ndarray], names: Sequence[str], path: Path) -> Path:
     """Draw one panel for each kind of answers: rows are classes, columns answers, dark is often.
 
-    Parameters
-    ----------
-    counts : mapping
-        By the panel's title, (K, K) numbers of answers by class and answer.
-    names : sequence of str
-        Of the classes.
-    path : Path
-        PNG to write.
+    ``counts`` are, by the panel's title, (K, K) numbers of answers by class and answer. Writes a PNG.
     """
     columns = min(2, len(counts))
     rows = -(-len(counts) // columns)

@@ -20,13 +20,7 @@ def mark_outcome(frame: np.ndarray, success: bool) -> np.ndarray:
 
 
 def write_gif(path: Path, frames: Sequence[np.ndarray], seconds: float) -> None:
-    """Write frames as a looping GIF.
-
-    Parameters
-    ----------
-    seconds : float
-        Duration of each frame, a multiple of 0.01.
-    """
+    """Write frames as a looping GIF; ``seconds``, a multiple of 0.01, is the duration of each."""
     first, *rest = [Image.fromarray(frame) for frame in frames]
     with atomic_stream(path) as stream:
         first.save(stream, "GIF", save_all=True, append_images=rest, duration=round(1000 * seconds), loop=0)

@@ -14,20 +14,9 @@ CAMERA = np.array([1.5, -1.5, 1.35])  #: unit frame
 
 
 def render_shaded(vertices: np.ndarray, faces: np.ndarray, side: int = SIDE) -> np.ndarray:
-    """Draw a mesh with a light at the camera.
+    """Draw a mesh, (V, 3) in the unit frame and (F, 3), with a light at the camera; (side, side, 3) uint8.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Unit frame.
-    faces : (F, 3) int array
-        An empty mesh gives a white image.
-    side : int
-        Pixels.
-
-    Returns
-    -------
-    (side, side, 3) uint8
+    An empty mesh gives a white image.
     """
     picture = np.full((side * side, 3), 255, np.uint8)
     if len(faces):
@@ -44,17 +33,7 @@ def render_shaded(vertices: np.ndarray, faces: np.ndarray, side: int = SIDE) -> 
 
 
 def sheet(views: np.ndarray, meshes: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]]) -> np.ndarray:
-    """Lay out rows of a view and its meshes.
-
-    Parameters
-    ----------
-    meshes : N sequences of (vertices, faces)
-        Equally many for each view.
-
-    Returns
-    -------
-    (H', W', 3) uint8
-    """
+    """Lay out rows of a view and its meshes, equally many for each; (H', W', 3) uint8."""
     pictures = [
         picture
         for view, shapes in zip(views, meshes)

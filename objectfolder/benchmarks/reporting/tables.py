@@ -15,13 +15,7 @@ REPEATED_INPUTS = "repeat an input of their object, and were dropped where nothi
 
 @dataclass(frozen=True)
 class Table:
-    """Text table.
-
-    Parameters
-    ----------
-    note : str
-        Explanation below the table.
-    """
+    """Text table, with a note below that explains it."""
 
     title: str
     columns: tuple[str, ...]

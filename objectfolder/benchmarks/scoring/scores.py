@@ -30,19 +30,18 @@ def accuracy(predicted: np.ndarray, labels: np.ndarray) -> float:
 def interval_95(values: Sequence[float]) -> float | None:
     """Compute the half width of the 95 % confidence interval of a mean (Student's t).
 
-    Parameters
-    ----------
-    values : sequence of float
-        Independent, such as the scores of several training seeds.
-
-    Returns
-    -------
-    In the unit of the values; None for fewer than two values, whose spread is unknown.
+    The values are independent, such as the scores of several training seeds. None for fewer than two, whose
+    spread is unknown.
     """
     count = len(values)
     if count < 2:
         return None
     return float(stats.t.ppf(0.975, count - 1) * np.std(values, ddof=1) / np.sqrt(count))
+
+
+def over_seeds(name: str, values: Sequence[float]) -> dict[str, Any]:
+    """Return the mean score under its name, its ``interval_95``, and its values, by training seed."""
+    return {name: float(np.mean(values)), "interval_95": interval_95(values), "seeds": list(values)}
 
 
 def wilson_95(successes: int, trials: int) -> tuple[float, float]:
@@ -52,13 +51,7 @@ def wilson_95(successes: int, trials: int) -> tuple[float, float]:
 
 
 def share_95(success: np.ndarray) -> dict[str, Any]:
-    """Compute the success rate over all episodes and its 95 % interval (`wilson_95`).
-
-    Returns
-    -------
-    dict
-        ``rate`` and ``interval_95``, a list of both ends.
-    """
+    """Compute the ``rate`` of success over all episodes, and its ``interval_95`` (`wilson_95`)."""
     interval = wilson_95(int(np.sum(success)), np.size(success))
     return {"rate": float(np.mean(success)), "interval_95": list(interval)}
 
@@ -78,19 +71,11 @@ def mean_average_precision(
     (McSherry and Najork 2008), so that the score does not depend on the order of the gallery and identical
     embeddings score `chance_map`. A zero embedding has similarity 0 to everything.
 
-    Raises ObjectFolderError if there is no query, an embedding is not finite, or a query has no relevant row.
-
-    Parameters
-    ----------
-    own : bool
-        The queries are the first rows of the gallery; none finds itself.
-    cosine : bool
-        Otherwise rows are probabilities of the same classes, and the gallery is ranked by their product: the
-        probability that two rows, taken alone, are of the same class.
-
-    Returns
-    -------
-    In [0, 1]; 1 if the relevant rows of every query come first.
+    With ``own``, the queries are the first rows of the gallery, and none finds itself. Without ``cosine``,
+    rows are probabilities of the same classes, and the gallery is ranked by their product: the probability
+    that two rows, taken alone, are of the same class. The score is in [0, 1]; 1 if the relevant rows of every
+    query come first. Raises ObjectFolderError if there is no query, an embedding is not finite, or a query
+    has no relevant row.
     """
     given = [_finite(name, value) for name, value in (("query", queries), ("gallery", gallery))]
     rows = [_unit(value) for value in given] if cosine else given
@@ -117,12 +102,8 @@ def chance_map(gallery_labels: np.ndarray, query_labels: np.ndarray, own: bool =
     (k-1)(R-1)/(N-1) relevant rows on average. The sum of the precisions at all ranks, divided by R, is
     (H + (R-1)/(N-1) (N - H)) / N with the harmonic number H = 1 + 1/2 + ... + 1/N: slightly above R/N.
 
-    Raises ObjectFolderError if there is no query, or a query has no relevant row.
-
-    Parameters
-    ----------
-    own : bool
-        As for `mean_average_precision`.
+    ``own`` is as in `mean_average_precision`. Raises ObjectFolderError if there is no query, or a query has
+    no relevant row.
     """
     gallery_labels = np.asarray(gallery_labels)
     relevant = _relevant_counts(gallery_labels, np.asarray(query_labels), own)

@@ -47,36 +47,19 @@ def sample_mesh(
 
 
 def intersection_over_union(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Estimate the volumetric IoU from the same uniform points.
-
-    Returns
-    -------
-    (...) float64
-        1 where both are empty.
-    """
+    """Estimate the volumetric IoU from the same uniform points; (...) float64, 1 where both are empty."""
     union = (predicted | truth).sum(-1)
     return np.where(union == 0, 1.0, (predicted & truth).sum(-1) / np.maximum(union, 1))
 
 
 def surface_scores(predicted: SampledSurface | None, truth: SampledSurface) -> tuple[float, float]:
-    """Compute the Chamfer-L1 distance and the normal consistency.
+    """Compute the Chamfer-L1 distance, in longest sides, and the normal consistency, 0 to 1.
 
     Chamfer-L1 is the mean of accuracy and completeness: the mean distances from the points of one surface to
     the nearest points of the other, in both directions. Normal consistency is the mean absolute cosine
     between the normals of these pairs, in both directions; the sign is ignored, as in the definition. Two
-    samples of one surface of area A are about sqrt(A / N) / 2 apart, not 0.
-
-    Parameters
-    ----------
-    predicted : SampledSurface or None
-        None, an empty prediction, scores `EMPTY_CHAMFER` and 0.
-
-    Returns
-    -------
-    chamfer_l1 : float
-        In units of the longest side.
-    normal_consistency : float
-        0 to 1.
+    samples of one surface of area A are about sqrt(A / N) / 2 apart, not 0. An empty prediction, None, scores
+    `EMPTY_CHAMFER` and 0.
     """
     if predicted is None:
         return EMPTY_CHAMFER, 0.0

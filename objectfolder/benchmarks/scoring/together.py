@@ -16,20 +16,9 @@ def accuracy_together(
     """Compute the accuracy of answers from groups of observations of one object.
 
     A group's answer is the class of the largest mean log probability, which is exact for observations that
-    are independent given the class.
-
-    Parameters
-    ----------
-    log_probabilities : (N, K) array
-        Of the classes, for each observation.
-    labels, objects : (N,) int array
-        Class and object of each observation.
-    size : int
-        Observations of a group, drawn at random without replacement. One observation alone: each once.
-
-    Returns
-    -------
-    In [0, 1], the mean over objects with at least ``size`` observations; None if there is none.
+    are independent given the class. Takes log probabilities (N, K) of the classes, class and object (N,) of
+    each observation, and the ``size`` of a group, drawn at random without replacement; observations alone are
+    taken once each. Returns the mean over objects with at least so many observations; None if there is none.
     """
     rates = []
     for found in np.unique(objects):
@@ -45,17 +34,10 @@ def accuracy_together(
 
 
 def bound_together(flat: np.ndarray, labels: np.ndarray, objects: np.ndarray, size: int) -> float | None:
-    """Compute a bound of `accuracy_together` where flat observations cannot be told from each other.
+    """Compute a bound of `accuracy_together` where flat observations (N,) cannot be told from each other.
 
     All groups that hold another observation are taken to be answered correctly, and all others alike, by the
     class with most of them.
-
-    Parameters
-    ----------
-    flat : (N,) bool array
-        Whether an observation tells nothing.
-    labels, objects, size
-        As in `accuracy_together`.
     """
     classes, hidden = [], []
     for found in np.unique(objects):

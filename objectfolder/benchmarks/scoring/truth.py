@@ -79,24 +79,11 @@ class Truth:
         inside: Callable[[int], np.ndarray],
         mesh: Callable[[int], tuple[np.ndarray, np.ndarray]],
     ) -> dict[str, Any]:
-        """Score predictions.
+        """Score N predictions of objects, labels (N,); ``purpose`` seeds the points on their surfaces.
 
-        Parameters
-        ----------
-        purpose : str
-            Seeds the random points on the predicted surfaces.
-        labels : (N,) int array
-            True object of each prediction.
-        inside : callable
-            Returns which of ``occupancy.score_points`` are inside the i-th prediction.
-        mesh : callable
-            Returns its vertices and faces.
-
-        Returns
-        -------
-        dict
-            Means of ``iou``, ``chamfer_l1`` and ``normal_consistency``; ``samples``, the number of
-            predictions, of which ``empty`` have no surface; ``per_object``, IoU by key.
+        ``inside`` returns which of ``occupancy.score_points`` are inside the i-th prediction, ``mesh`` its
+        vertices and faces. Returns means of ``iou``, ``chamfer_l1`` and ``normal_consistency``; ``samples``,
+        the number of predictions, of which ``empty`` have no surface; ``per_object``, IoU by key.
         """
         iou, surfaces, empty = np.zeros(len(labels)), np.zeros((len(labels), 2)), 0
         for i, label in enumerate(labels):
@@ -118,21 +105,9 @@ class Truth:
         }
 
     def average_shape(self, train: np.ndarray, val: np.ndarray, test: np.ndarray) -> dict[str, Any]:
-        """Score the mean occupancy of the training objects as a constant prediction.
+        """Score the mean occupancy of the objects ``train`` as a constant prediction of ``test``.
 
-        Parameters
-        ----------
-        train : (K,) int array
-            Labels of the objects to average.
-        val : (V,) int array
-            Labels to choose the threshold on.
-        test : (N,) int array
-            Labels to score.
-
-        Returns
-        -------
-        dict
-            See `scores`; also ``threshold``.
+        All are labels. The ``threshold``, returned beside the `scores`, is chosen on the objects ``val``.
         """
         occupancy, side = self.occupancy, self.resolution
 

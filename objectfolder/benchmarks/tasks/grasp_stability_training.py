@@ -1,9 +1,8 @@
 """Grasp stability from a view, from touch, and from both (main paper, 4.4; supplementary H, I.4)."""
 
 import copy
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +18,7 @@ from objectfolder.benchmarks.datasets.grasps import Grasps
 from objectfolder.benchmarks.models.baselines import predict_outcomes
 from objectfolder.benchmarks.models.inputs import encoder_inputs
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, shuffle
-from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, wilson_95
+from objectfolder.benchmarks.scoring.scores import accuracy, interval_95, over_seeds, wilson_95
 from objectfolder.benchmarks.tasks.grasp_stability import GraspStabilityConfig
 from objectfolder.benchmarks.tasks.job import Job
 
@@ -36,12 +35,8 @@ VARIANTS: dict[str, dict[str, str]] = {
 TRANSFERRED = {"T_on_explicit": "T", "VT_on_explicit": "VT"}
 #: Differences of accuracies on the same rows: the first less the second.
 COMPARED = (
-    ("T", "V"),
-    ("VT", "V"),
-    ("T_explicit", "T"),
-    ("VT_explicit", "VT"),
-    ("T_on_explicit", "T"),
-    ("VT_on_explicit", "VT"),
+    *(("T", "V"), ("VT", "V"), ("T_explicit", "T"), ("VT_explicit", "VT")),
+    *TRANSFERRED.items(),
 )
 MODALITIES = {"V": "vision", "T": "touch"}  #: modality of each stream
 PICTURES = {"V": 1, "T": 2}  #: per grasp; two fingers go through one encoder
@@ -53,13 +48,8 @@ Inputs = dict[str, torch.Tensor]  #: by stream
 class StabilityNet(nn.Module):
     """A stream for vision, one for touch, or both, and two fully connected layers (supplementary I.4).
 
-    Parameters
-    ----------
-    encoders : dict
-        By stream, "V" or "T"; each with an attribute ``features``. The one for touch sees both fingers, and
-        their features are concatenated.
-    hidden : int
-        Units between the layers.
+    Encoders, by stream "V" or "T", have an attribute ``features``. The one for touch sees both fingers, whose
+    features are concatenated. Between the layers are ``hidden`` units.
     """
 
     def __init__(self, encoders: Mapping[str, nn.Module], hidden: int):
@@ -80,13 +70,8 @@ class StabilityNet(nn.Module):
 def join_streams(parts: Sequence[StabilityNet], prior: float) -> StabilityNet:
     """Join trained nets of different streams.
 
-    The joint net initially outputs the sum of their logits with the prior counted once, which is exact if the
-    streams are conditionally independent given the outcome.
-
-    Parameters
-    ----------
-    prior : float
-        Logit of the success rate.
+    The joint net initially outputs the sum of their logits with the prior, the logit of the success rate,
+    counted once, which is exact if the streams are conditionally independent given the outcome.
     """
     encoders = {name: copy.deepcopy(net) for part in parts for name, net in part.encoders.items()}
     with seeded(0, "fused"):  # the layers are filled below
@@ -100,13 +85,7 @@ def join_streams(parts: Sequence[StabilityNet], prior: float) -> StabilityNet:
 
 
 def nested_order(rows: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Order rows at random so that, for every n, the first n are balanced over objects to within one.
-
-    Parameters
-    ----------
-    labels : (n,) int array
-        Object of each.
-    """
+    """Order rows at random so that, for every n, the first n are balanced over objects to within one."""
     order = rng.permutation(len(rows))
     of_object = labels[order]
     rank = np.zeros(len(rows), np.int64)
@@ -147,11 +126,8 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
     names = [name for name, arrays in VARIANTS.items() if "explicit" not in arrays.values()]
     if grasps.has_explicit:
         names = list(VARIANTS)
-    order = nested_order(
-        split.train,
-        grasps.labels[split.train],
-        numpy_generator(job.seed, "grasp_stability", split.name, "order"),
-    )
+    rng = numpy_generator(job.seed, "grasp_stability", split.name, "order")
+    order = nested_order(split.train, grasps.labels[split.train], rng)
     sizes = {min(size, len(order)): size for size in reversed(params.sizes)}
     for size in sizes:
         _check_outcomes(grasps.success[order[:size]], split.name)
@@ -191,15 +167,12 @@ def _measure(answers: Mapping[str, np.ndarray], success: np.ndarray) -> dict[str
     scores: dict[str, Any] = {}
     for name, logits in answers.items():
         accuracies = [accuracy(answer > 0, success) for answer in logits]
-        scores[name] = {
-            "accuracy": float(np.mean(accuracies)),
+        balanced = [balanced_accuracy_score(success, answer > 0) for answer in logits if both]
+        areas = [roc_auc_score(success, answer) for answer in logits if both]
+        scores[name] = over_seeds("accuracy", accuracies) | {
             "wilson_95": wilson_95(round(np.mean(accuracies) * len(success)), len(success)),
-            "interval_95": interval_95(accuracies),
-            "seeds": accuracies,
-            "balanced_accuracy": float(np.mean([balanced_accuracy_score(success, x > 0) for x in logits]))
-            if both
-            else None,
-            "auc": float(np.mean([roc_auc_score(success, answer) for answer in logits])) if both else None,
+            "balanced_accuracy": float(np.mean(balanced)) if both else None,
+            "auc": float(np.mean(areas)) if both else None,
         }
     right = {name: ((logits > 0) == success).mean(0) for name, logits in answers.items()}
     scores["compared"] = {
@@ -218,27 +191,20 @@ def _train_once(
 ) -> dict[str, Any]:
     """Return the predictions of one variant with one seed, trained unless finished earlier."""
 
-    def make() -> dict[str, Any]:
-        net, curve = _train(job, train, run, name)
-        start = time.perf_counter()
+    def score(net: StabilityNet) -> dict[str, Any]:
         given = {name: VARIANTS[name]}
         if cast(Grasps, job.observations).has_explicit:
-            given |= {
-                answer: VARIANTS[name] | {"T": "explicit"}
-                for answer, source in TRANSFERRED.items()
-                if source == name
-            }
-        logits = {
-            answer: _logits(job, net, arrays, job.split.test).tolist() for answer, arrays in given.items()
-        }
-        seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
-        return {"logits": logits, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
+            transferred = [answer for answer, source in TRANSFERRED.items() if source == name]
+            given |= {answer: VARIANTS[name] | {"T": "explicit"} for answer in transferred}
+        test = job.split.test
+        return {"logits": {answer: _logits(job, net, of, test).tolist() for answer, of in given.items()}}
 
-    result = job.compute_once(_checkpoint(job, train, run, name).stem, make)
     # Fusion needs the nets of single streams, so they are kept until a seed is finished.
-    for done in VARIANTS if name == last else [name] * (len(VARIANTS[name]) > 1):
-        _checkpoint(job, train, run, done).unlink(missing_ok=True)
-    return result
+    done = VARIANTS if name == last else [name] * (len(VARIANTS[name]) > 1)
+    spent = [_checkpoint(job, train, run, one) for one in done]
+    return job.train_once(
+        _checkpoint(job, train, run, name).stem, lambda: _train(job, train, run, name), score, spent
+    )
 
 
 def _train(
@@ -251,18 +217,14 @@ def _train(
     purpose = ("grasp_stability", split.name, str(len(train)), str(run), "".join(arrays))
     if len(arrays) > 1:
         share = success[train].mean()
-        parts = [
-            part for part, given in VARIANTS.items() if len(given) == 1 and given.items() <= arrays.items()
-        ]
-        net = join_streams(
-            [_train(job, train, run, part)[0] for part in parts], float(np.log(share / (1 - share)))
-        )
+        parts = [part for part, of in VARIANTS.items() if len(of) == 1 and of.items() <= arrays.items()]
+        alone = [_train(job, train, run, part)[0] for part in parts]
+        net = join_streams(alone, float(np.log(share / (1 - share))))
         epochs, rate = params.fusion_epochs, FUSION_RATE
     else:
         with seeded(job.seed, *purpose):
-            net = StabilityNet(
-                {stream: job.make_encoder(MODALITIES[stream]) for stream in arrays}, params.hidden
-            )
+            encoders = {stream: job.make_encoder(MODALITIES[stream]) for stream in arrays}
+            net = StabilityNet(encoders, params.hidden)
         epochs, rate = params.epochs, 1.0
     repeated = np.tile(train, max(1, params.epoch_grasps // len(train)))
 
@@ -275,15 +237,12 @@ def _train(
         inputs, expected = batch
         return nn.functional.binary_cross_entropy_with_logits(net(inputs), expected)
 
+    def val_score() -> float:
+        return accuracy(_logits(job, net, arrays, split.val) > 0, success[split.val])
+
     curve = job.train(
         f"grasp stability {split.name}, {name} of {len(train)}, seed {run + 1} of {params.seeds}",
-        Objective(
-            net,
-            epoch_batches,
-            batch_loss,
-            lambda: accuracy(_logits(job, net, arrays, split.val) > 0, success[split.val]),
-            "accuracy",
-        ),
+        Objective(net, epoch_batches, batch_loss, val_score, "accuracy"),
         _checkpoint(job, train, run, name),
         epochs,
         rate,

@@ -1,7 +1,8 @@
 """Input of a task, with the steps that all tasks share: reading, training, and caching finished parts."""
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 import torch
 from torch import nn
+from torch.nn.functional import adaptive_avg_pool2d
 
 from objectfolder.base.io import read_json, write_json
 from objectfolder.benchmarks.datasets.samples import Samples
@@ -16,19 +18,14 @@ from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, withou
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder, registered
 from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flip_some, shift_each
 from objectfolder.benchmarks.models.settings import EncodeConfig, InputSizes, TrainingConfig
-from objectfolder.benchmarks.models.training import (
-    STATISTICS,
-    EpochPoint,
-    Objective,
-    TrainSettings,
-    train,
-)
+from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, Objective, TrainSettings, train
 from objectfolder.workspace.layout import SPLITS
 
 if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.sim.body import RigidBody
 
+CHUNK = 64  #: rows encoded at once
 GROUND = 1000  #: training touches at most to find their `Ground` of
 KEPT_BYTES = 2**31  #: of all that is kept of rows, such as spectrograms: they take longer than the encoder
 
@@ -36,16 +33,11 @@ Report = Callable[[str], None]
 _Config = TypeVar("_Config")
 _Params = TypeVar("_Params", bound=TrainingConfig)
 _Batch = TypeVar("_Batch")
+_Net = TypeVar("_Net")
 
 
 class RowCache:
-    """Tensors of rows that are the same in all epochs, each computed once.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Of all rows together.
-    """
+    """Tensors of rows that are the same in all epochs, each computed once; the shape is of all together."""
 
     def __init__(self, shape: tuple[int, ...], dtype: torch.dtype):
         self._values, self._known = torch.empty(shape, dtype=dtype), np.zeros(shape[0], bool)
@@ -112,26 +104,18 @@ class Job(Generic[_Params]):
         return {name: repeated_rows(self.split, self.observations, name, answers) for name in modalities}
 
     def without_repeats(self, repeats: Mapping[str, np.ndarray], *together: Sequence[str]) -> "Job[_Params]":
-        """Drop the validation and test rows all of whose inputs repeat.
+        """Drop the validation and test rows all of whose inputs repeat, given the answer of `repeats`.
 
-        Parameters
-        ----------
-        repeats : mapping
-            Of `repeats`.
-        *together : sequences of str
-            Modalities that a net receives together. Of several sets, one that repeats as a whole suffices.
+        Each set in ``together`` is of modalities that a net receives together; one that repeats as a whole
+        suffices.
         """
         dropped = np.any([np.all([repeats[name] for name in some], 0) for some in together], 0)
         return replace(self, split=without_rows(self.split, dropped))
 
     def counts(self, repeats: Mapping[str, np.ndarray]) -> dict[str, Any]:
-        """Count rows.
+        """Count ``objects``, ``rows`` in each part of the split, and by modality ``duplicates``.
 
-        Returns
-        -------
-        dict
-            Numbers of ``objects``, of ``rows`` in each part of the split, and by modality of ``duplicates``,
-            rows of each part that repeat an input with the same answer.
+        These are rows of each part that repeat an input with the same answer.
         """
         split = self.split
         return {
@@ -150,19 +134,10 @@ class Job(Generic[_Params]):
         return [self.observations.keys[label] for label in lost]
 
     def without_duplicates(self, *together: Sequence[str]) -> tuple["Job[_Params]", dict[str, Any]]:
-        """Drop validation and test rows that repeat inputs of their object.
+        """Drop validation and test rows that repeat inputs of their object; see `without_repeats`.
 
-        Parameters
-        ----------
-        *together : sequences of str
-            See `without_repeats`.
-
-        Returns
-        -------
-        Job
-        dict
-            `counts`, with the ``rows`` that are left; and ``untested``, the objects without a test row: under
-            ``all``, if there are any.
+        Also returns `counts`, with the ``rows`` that are left, and ``untested``, the objects without a test
+        row: under ``all``, if there are any.
         """
         repeats = self.repeats(dict.fromkeys(name for some in together for name in some))
         used = self.without_repeats(repeats, *together)
@@ -196,6 +171,10 @@ class Job(Generic[_Params]):
             inputs = shift_each(inputs, self.encode.shift, rng)
         return inputs
 
+    def pooled(self, modality: str, rows: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
+        """Return the encoder inputs of rows averaged to a size, to compare them; (n, D)."""
+        return in_chunks(lambda some: adaptive_avg_pool2d(self.inputs(modality, some), size).flatten(1), rows)
+
     def _spectra(self, rows: np.ndarray) -> torch.Tensor:
         def make(some: np.ndarray) -> torch.Tensor:
             return encoder_inputs("audio", self.observations.read("audio", some), self.sizes)
@@ -212,19 +191,8 @@ class Job(Generic[_Params]):
     ) -> torch.Tensor:
         """Return what is the same in all epochs, each row computed once, unless all are too large to keep.
 
-        Parameters
-        ----------
-        name : str
-            Of what is kept.
-        shape : tuple of int
-            Of one row.
-        make : callable
-            Computes it for some rows, at least one.
-
-        Returns
-        -------
-        (n, ...) tensor
-            On the CPU if it is kept.
+        The ``name`` is of what is kept, the ``shape`` of one row; ``make`` computes it for one row or more.
+        The (n, ...) tensor is on the CPU if it is kept.
         """
         if name not in self.row_caches:
             whole = (len(self.observations.labels), *shape)
@@ -252,20 +220,10 @@ class Job(Generic[_Params]):
         cycle: int | None = None,
         statistics: int = STATISTICS,
     ) -> list[EpochPoint]:
-        """Train a net with the task's settings, and report each epoch.
+        """Train a net with the task's settings, and report each epoch under a title.
 
-        Parameters
-        ----------
-        title : str
-            Of the training, for reports.
-        objective, checkpoint
-            See `objectfolder.benchmarks.models.training.train`.
-        epochs : int, optional
-            Default: those of the settings.
-        rate : float
-            Factor of the learning rate.
-        cycle, statistics
-            See `objectfolder.benchmarks.models.training.TrainSettings`.
+        Default ``epochs`` are those of the settings; ``rate`` is a factor of the learning rate. For the rest
+        see `objectfolder.benchmarks.models.training.train`.
         """
         params = self.params
         settings = TrainSettings(
@@ -293,3 +251,32 @@ class Job(Generic[_Params]):
             write_json(path, make())
         result: dict[str, Any] = read_json(path)
         return result
+
+    def train_once(
+        self,
+        name: str,
+        make: Callable[[], tuple[_Net, list[EpochPoint]]],
+        score: Callable[[_Net], dict[str, Any]],
+        spent: Iterable[Path] = (),
+    ) -> dict[str, Any]:
+        """Return what ``score`` says of a trained net, its ``curve`` and ``seconds``; see `compute_once`.
+
+        Files that are ``spent``, such as its checkpoint, are removed when that is kept.
+        """
+
+        def trained() -> dict[str, Any]:
+            net, curve = make()
+            start = time.perf_counter()
+            scores = score(net)
+            seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
+            return {**scores, "curve": [astuple(point)[:3] for point in curve], "seconds": seconds}
+
+        result = self.compute_once(name, trained)
+        for path in spent:
+            path.unlink(missing_ok=True)
+        return result
+
+
+def in_chunks(make: Callable[[np.ndarray], torch.Tensor], rows: np.ndarray) -> torch.Tensor:
+    """Join the tensors that ``make`` returns for at most `CHUNK` of the rows at a time."""
+    return torch.cat([make(some) for some in np.array_split(rows, -(-len(rows) // CHUNK))])

@@ -5,7 +5,8 @@ beliefs add up: of both senses, and of several contacts of a robot that knows ho
 """
 
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,8 @@ from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, s
 from objectfolder.benchmarks.models.inputs import shift_each
 from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, add_beliefs, choose_likeliest
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
-from objectfolder.benchmarks.scoring.scores import interval_95
-from objectfolder.benchmarks.tasks.job import Job, ObjectJob
+from objectfolder.benchmarks.scoring.scores import over_seeds
+from objectfolder.benchmarks.tasks.job import Job, ObjectJob, in_chunks
 from objectfolder.benchmarks.tasks.localize import LocalizeConfig
 
 LETTERS = {"T": "touch", "A": "audio"}
@@ -30,7 +31,6 @@ COMBINATIONS = ("T", "A", "TA")
 TOUCH_WEIGHTS = (0.25, 0.5, 1.0)  #: of the belief by touch in that by both senses
 PLACES = 1000  #: on the surface, among which the answer is
 POOLED = {"touch": (16, 12), "audio": (64, 8)}  #: sizes of inputs that the nearest contact is sought by
-CHUNK = 64  #: rows asked or embedded at once
 
 Batch = tuple[torch.Tensor, torch.Tensor]  #: inputs, and beliefs
 
@@ -55,22 +55,17 @@ def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     """
     points = job.observations.read("point", np.arange(len(job.observations)))
     setting = _Setting.of(job, points)
-    finished = {
-        (run, letter): _train_once(job, setting, run, letter)
-        for run in range(job.params.seeds)
-        for letter in LETTERS
-    }
-    weights = [_touch_weight(job, setting, run) for run in range(job.params.seeds)]
+    seeds = range(job.params.seeds)
+    finished = {(run, letter): _train_once(job, setting, run, letter) for run in seeds for letter in LETTERS}
+    weights = [_touch_weight(job, setting, run) for run in seeds]
     scores: dict[str, Any] = {}
     for name in COMBINATIONS:
-        runs = (
-            [setting.scores(_both(job, run, "test", weight)) for run, weight in enumerate(weights)]
-            if name == "TA"
-            else [finished[run, name]["scores"] for run in range(job.params.seeds)]
-        )
-        means = [run["mean"] for run in runs]
-        net: dict[str, Any] = {kind: float(np.mean([run[kind] for run in runs])) for kind in runs[0]}
-        net |= {"interval_95": interval_95(means), "seeds": means}
+        if name == "TA":
+            runs = [setting.scores(_both(job, run, "test", weight)) for run, weight in enumerate(weights)]
+        else:
+            runs = [finished[run, name]["scores"] for run in seeds]
+        net = {kind: float(np.mean([run[kind] for run in runs])) for kind in runs[0]}
+        net |= over_seeds("mean", [run["mean"] for run in runs])
         scores[name] = {"net": net, "nearest": _nearest(job, setting, name)}
     scores["TA"]["touch_weights"] = weights
     train, test = points[job.split.train], points[job.split.test]
@@ -102,7 +97,7 @@ class _Setting:
         rng = numpy_generator(job.seed, "localize", "places")
         train, test = points[job.split.train], points[job.split.test]
         places = train[rng.permutation(len(train))[:PLACES]]
-        rows = np.array_split(np.arange(len(points)), -(-len(points) // CHUNK))
+        every = np.arange(len(points))
         groups = [
             [*rng.choice(np.delete(np.arange(len(test)), k), TOGETHER - 1, replace=False), k]
             for k in range(len(test))
@@ -112,10 +107,7 @@ class _Setting:
             places,
             _between(places, places),
             torch.softmax(-squares / (2 * SOFTNESS**2), 1).float(),
-            {
-                letter: torch.cat([job.inputs(name, some) for some in rows])
-                for letter, name in LETTERS.items()
-            },
+            {letter: in_chunks(partial(job.inputs, name), every) for letter, name in LETTERS.items()},
             test,
             np.array(groups),
         )
@@ -174,19 +166,14 @@ def _train_once(job: Job[LocalizeConfig], setting: _Setting, run: int, letter: s
     """Return the scores of one net, trained unless finished earlier; its beliefs are kept."""
     checkpoint = job.progress / f"{run}_{letter}.pt"
 
-    def make() -> dict[str, Any]:
-        net, curve = _train(job, setting, run, letter, checkpoint)
+    def score(net: Localizer) -> dict[str, Any]:
         beliefs = {part: _belief(setting, net, letter, getattr(job.split, part)) for part in ("val", "test")}
         write_npz(_beliefs_path(job, run, letter), **beliefs)
-        return {
-            "scores": setting.scores(beliefs["test"]),
-            "curve": [astuple(point)[:3] for point in curve],
-            "seconds": sum(point.seconds for point in curve),
-        }
+        return {"scores": setting.scores(beliefs["test"])}
 
-    result = job.compute_once(f"{run}_{letter}", make)
-    checkpoint.unlink(missing_ok=True)
-    return result
+    return job.train_once(
+        f"{run}_{letter}", lambda: _train(job, setting, run, letter, checkpoint), score, [checkpoint]
+    )
 
 
 def _beliefs_path(job: Job[LocalizeConfig], run: int, letter: str) -> Path:
@@ -228,18 +215,15 @@ def _train(
         return F.kl_div(net(inputs), targets, reduction="batchmean")
 
     truth = job.observations.read("point", job.split.val)
-    steps = params.epochs * count_batches(len(train), params.batch)
+
+    def val_score() -> float:
+        return -float(setting.errors(_belief(setting, net, letter, job.split.val), truth).mean())
+
     curve = job.train(
         f"localize {letter}, seed {run + 1} of {params.seeds}",
-        Objective(
-            net,
-            epoch_batches,
-            batch_loss,
-            lambda: -float(setting.errors(_belief(setting, net, letter, job.split.val), truth).mean()),
-            "minus error",
-        ),
+        Objective(net, epoch_batches, batch_loss, val_score, "minus error"),
         checkpoint,
-        cycle=steps,
+        cycle=params.epochs * count_batches(len(train), params.batch),
     )
     return net, curve
 
@@ -247,9 +231,7 @@ def _train(
 @torch.no_grad()
 def _belief(setting: _Setting, net: Localizer, letter: str, rows: np.ndarray) -> np.ndarray:
     """Return the beliefs of a net about contacts, (n, P)."""
-    parts = np.array_split(rows, -(-len(rows) // CHUNK))
-    found = [net(setting.inputs[letter][some]) for some in parts]
-    return torch.cat(found).double().cpu().numpy()
+    return in_chunks(lambda some: net(setting.inputs[letter][some]), rows).double().cpu().numpy()
 
 
 def localize_object(job: ObjectJob[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
@@ -260,10 +242,6 @@ def localize_object(job: ObjectJob[LocalizeConfig]) -> tuple[dict[str, Any], lis
     assert job.encode is not None
     count = job.params.contacts
     contacts, split = sample_contacts(job.file, count, job.seed), contact_split(count)
-    scores, curve = localize(
-        Job(
-            *(contacts, split, job.params, job.encode, job.seed, job.progress),
-            *(job.weights, job.device, job.report),
-        )
-    )
+    given = job.params, job.encode, job.seed, job.progress, job.weights, job.device, job.report
+    scores, curve = localize(Job(contacts, split, *given))
     return scores | {"scale": job.file.scale}, curve

@@ -13,9 +13,8 @@ from objectfolder.benchmarks.models.classifier import Classifier
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.scores import mean_average_precision
-from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.job import Job, in_chunks
 
-CHUNK = 64  #: most rows encoded at once
 SAMPLE = 256  #: training rows in the gallery of validation
 
 #: Makes encoder inputs of rows; with a generator those of training.
@@ -37,27 +36,9 @@ def train_namer(
 ) -> tuple[Classifier, list[EpochPoint]]:
     """Train an encoder and a linear layer to name the training objects, or read its finished checkpoint.
 
-    The epoch is the one whose features retrieve the validation rows best, within the modality.
-
-    Parameters
-    ----------
-    stage : str
-        Task, which names the random numbers.
-    run : int
-        Seed, from 0.
-    inputs : callable
-        Of the encoder.
-    one_cycle : bool
-        `objectfolder.benchmarks.models.training.train`.
-    rate : float
-        Factor of the learning rate.
-
-    Returns
-    -------
-    Classifier
-        Classes are the training objects in label order.
-    list of EpochPoint
-        The training curve.
+    The epoch is the one whose features retrieve the validation rows best, within the modality. ``stage`` is
+    the task, which names the random numbers; ``run`` the seed, from 0; ``inputs`` are those of the encoder;
+    ``rate`` is a factor of the learning rate. The classes are the training objects in label order.
     """
     params, rows, labels = job.params, job.split.train, job.observations.labels
     classes = np.unique(labels[rows])
@@ -77,8 +58,7 @@ def train_namer(
 
     def val_score() -> float:
         gallery = validation_gallery(job, stage)
-        parts = np.array_split(gallery, -(-len(gallery) // CHUNK))
-        features = torch.cat([net.encoders[modality](inputs(some, None)) for some in parts])
+        features = in_chunks(lambda some: net.encoders[modality](inputs(some, None)), gallery)
         return score_within(features.cpu().numpy(), labels[gallery], len(job.split.val))
 
     curve = job.train(

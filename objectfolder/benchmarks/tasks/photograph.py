@@ -22,10 +22,7 @@ OPAQUE = 250  #: alpha above which a pixel is fully covered
 def read_picture(path: str | Path, mode: str = "RGBA") -> np.ndarray:
     """Read an image in its EXIF orientation; (H, W, 4) uint8, or (H, W) for mode "L".
 
-    Raises
-    ------
-    ObjectFolderError
-        If the file is missing or no picture.
+    Raises ObjectFolderError if the file is missing or no picture.
     """
     path = Path(path)
     if not path.is_file():
@@ -40,32 +37,14 @@ def cut_out(
     tolerance: int = DIFFERENCE,
     name: str = "the picture",
 ) -> np.ndarray:
-    """Remove the background of an image.
+    """Remove the background of an image (H, W, 4) uint8: sRGB and straight alpha.
 
-    Uses its alpha channel if it has one, else a mask, else the background colour: the object is then the
-    largest connected region that differs from it.
+    Uses its alpha channel if it has one, else a mask (H, W) uint8, above 127 on the object, else the sRGB
+    colour of the background: the object is then the largest connected region of which a channel differs by
+    more levels than the tolerance. Returns (H, W, 4) float32, linear and premultiplied.
 
-    Parameters
-    ----------
-    picture : (H, W, 4) uint8 array
-        sRGB and straight alpha.
-    mask : (H, W) uint8 array, optional
-        Above 127 on the object.
-    background : (r, g, b), optional
-        sRGB, 0 to 255.
-    tolerance : int
-        Levels by which a channel of the object differs from the background.
-    name : str
-        Named in errors.
-
-    Returns
-    -------
-    (H, W, 4) float32, linear and premultiplied
-
-    Raises
-    ------
-    ObjectFolderError
-        If nothing says what the background is, the mask is of another size, or no object is left.
+    Raises ObjectFolderError, with the picture's name, if nothing says what the background is, the mask is of
+    another size, or no object is left.
     """
     alpha = picture[..., 3].astype(np.float32) / 255
     if (picture[..., 3] < OPAQUE).any():
@@ -94,24 +73,11 @@ def cut_out(
 
 
 def photograph_to_mesh(model: ShapeModel, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reconstruct the object in a framed view.
+    """Reconstruct the object in a framed view, by a model of IMAGE2MESH.
 
-    Parameters
-    ----------
-    model : ShapeModel
-        IMAGE2MESH.
-    image : (S, S, 3) uint8 array
-        sRGB on white, S pixels as in the model's training views; see `frame_cutout`.
-
-    Returns
-    -------
-    vertices : (V, 3) float64, unit frame
-    faces : (F, 3) int64
-
-    Raises
-    ------
-    ObjectFolderError
-        If the model needs more than an image, or sees no shape.
+    The view is (S, S, 3) uint8, sRGB on white, S pixels as in the model's training views; see `frame_cutout`.
+    Returns vertices (V, 3) float64, unit frame, and faces (F, 3) int64. Raises ObjectFolderError if the model
+    needs more than an image, or sees no shape.
     """
     if model.setup.modalities != ("vision",):
         raise ObjectFolderError(
@@ -148,12 +114,7 @@ def write_mesh(path: str | Path, vertices: np.ndarray, faces: np.ndarray) -> Non
 
 
 def cluttered(height: int, width: int, rng: np.random.Generator, rectangles: int = 40) -> np.ndarray:
-    """Draw a cluttered background: random rectangles with colours and stripes, and noise.
-
-    Returns
-    -------
-    (height, width, 3) float32, linear
-    """
+    """Draw a cluttered background: random rectangles with colours and stripes, and noise; linear."""
     page = np.ones((height, width, 3)) * rng.random(3)
     rows, columns = np.arange(height)[:, None], np.arange(width)
     for _ in range(rectangles):
@@ -172,19 +133,7 @@ def photograph_conditions(rgba: np.ndarray, side: int, rng: np.random.Generator)
     """Composite a rendered object on white and on clutter, each both as is and cut out and framed.
 
     Cut-outs are made from the composite and its alpha, as with photographs: some background remains at edges.
-
-    Parameters
-    ----------
-    rgba : (H, H, 4) array
-        Linear and premultiplied.
-    side : int
-        Pixels of the views.
-    rng : numpy Generator
-
-    Returns
-    -------
-    dict
-        By condition, (side, side, 3) uint8.
+    Takes (H, H, 4), linear and premultiplied; returns views (side, side, 3) uint8 by condition.
     """
     rgba = np.asarray(rgba, np.float32)
     alpha = rgba[..., 3:].clip(0, 1)
@@ -202,24 +151,10 @@ def photograph_conditions(rgba: np.ndarray, side: int, rng: np.random.Generator)
 def photograph_scores(
     model: ShapeModel, rgba: np.ndarray, points: np.ndarray, inside: np.ndarray, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
-    """Compute the IoU of reconstructions from another renderer's images, by condition.
+    """Compute the IoU (N,) of reconstructions from another renderer's images, by `photograph_conditions`.
 
-    Parameters
-    ----------
-    model : ShapeModel
-        IMAGE2MESH.
-    rgba : (N, H, H, 4) array
-        Linear and premultiplied; no image may be empty.
-    points : (P, 3) float32 array
-        Uniform, unit frame.
-    inside : (N, P) or (P,) bool array
-        Whether they are inside the object of each picture.
-    rng : numpy Generator
-
-    Returns
-    -------
-    dict
-        See `photograph_conditions`; of each (N,) float64.
+    Images (N, H, H, 4) are linear and premultiplied, none empty; points (P, 3) uniform, in the unit frame;
+    ``inside``, (N, P) or (P,) bool, tells whether they are inside the object of each picture.
     """
     pictures = [photograph_conditions(one, model.setup.view, rng) for one in rgba]
     return {

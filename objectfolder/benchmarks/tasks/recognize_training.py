@@ -3,9 +3,8 @@
 Objects: supplementary I.1. Materials: another label of the same observations.
 """
 
-import time
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +18,7 @@ from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.classifier import Classifier, Inputs, join_classifiers
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.reporting.confusion import draw_confusion
-from objectfolder.benchmarks.scoring.scores import accuracy, interval_95
+from objectfolder.benchmarks.scoring.scores import accuracy, over_seeds
 from objectfolder.benchmarks.scoring.together import accuracy_together, bound_alone, bound_together
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognize import (
@@ -127,7 +126,7 @@ def _classify(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, Any]
     for name, used in setting.jobs.items():
         labels = target.labels[used.split.test]
         predicted = [np.array(finished[run, name]["predicted"]) for run in seeds]
-        scores[name] = _over_seeds([accuracy(p, labels) for p in predicted])
+        scores[name] = over_seeds("accuracy", [accuracy(p, labels) for p in predicted])
         for answer in predicted:
             np.add.at(confusion[name], (labels, answer), 1)
     title = f"Answers of split {job.split.name}, share of each class"
@@ -149,11 +148,6 @@ def _classify(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, Any]
     }, curve
 
 
-def _over_seeds(accuracies: list[float]) -> dict[str, Any]:
-    mean = float(np.mean(accuracies))
-    return {"accuracy": mean, "interval_95": interval_95(accuracies), "seeds": accuracies}
-
-
 def _touches(setting: _Setting, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the scores by number of touches over the seeds, with bounds."""
     flat, labels, objects = setting.flat, *_of_touches(setting)
@@ -163,7 +157,7 @@ def _touches(setting: _Setting, runs: list[dict[str, Any]]) -> dict[str, Any]:
         scores["flat_accuracy"] = float(np.mean(right))
     for kind, used in _kinds(flat).items():
         scores[kind] = {
-            size: _over_seeds([run["together"][kind][size] for run in runs])
+            size: over_seeds("accuracy", [run["together"][kind][size] for run in runs])
             | {"bound": bound_together(flat[used], labels[used], objects[used], int(size))}
             for size in runs[0]["together"][kind]
         }
@@ -200,20 +194,15 @@ def _train_once(setting: _Setting, run: int, name: str) -> dict[str, Any]:
     """Return the results of one combination with one seed, trained unless finished earlier."""
     job = setting.jobs[name]
 
-    def make() -> dict[str, Any]:
-        net, curve = _train(setting, run, name)
-        start = time.perf_counter()
+    def score(net: Classifier) -> dict[str, Any]:
         logits = _logits(job, net, name, job.split.test)
-        seconds = sum(point.seconds for point in curve) + time.perf_counter() - start
-        rows = [astuple(point)[:3] for point in curve]
-        result = {"predicted": logits.argmax(1).tolist(), "curve": rows, "seconds": seconds}
-        return result | ({"together": _together(setting, logits)} if name == "T" else {})
+        together = {"together": _together(setting, logits)} if name == "T" else {}
+        return {"predicted": logits.argmax(1).tolist(), **together}
 
-    result = job.compute_once(f"{run}_{name}", make)
     # Fusion needs the nets of single modalities, so they are kept until a seed is finished.
-    for done in COMBINATIONS if name == COMBINATIONS[-1] else [name] * (len(name) > 1):
-        _checkpoint(job, run, done).unlink(missing_ok=True)
-    return result
+    done = COMBINATIONS if name == COMBINATIONS[-1] else [name] * (len(name) > 1)
+    spent = [_checkpoint(job, run, one) for one in done]
+    return job.train_once(f"{run}_{name}", lambda: _train(setting, run, name), score, spent)
 
 
 def _train(setting: _Setting, run: int, name: str) -> tuple[Classifier, list[EpochPoint]]:
@@ -237,16 +226,13 @@ def _train(setting: _Setting, run: int, name: str) -> tuple[Classifier, list[Epo
         inputs, expected = batch
         return nn.functional.cross_entropy(net(inputs), expected, label_smoothing=params.label_smoothing)
 
+    def val_score() -> float:
+        return accuracy(_logits(job, net, name, split.val).argmax(1).numpy(), labels[split.val])
+
     steps = epochs * count_batches(len(split.train), params.batch)
     curve = job.train(
         f"recognize {name}, seed {run + 1} of {params.seeds}",
-        Objective(
-            net,
-            epoch_batches,
-            batch_loss,
-            lambda: accuracy(_logits(job, net, name, split.val).argmax(1).numpy(), labels[split.val]),
-            "accuracy",
-        ),
+        Objective(net, epoch_batches, batch_loss, val_score, "accuracy"),
         _checkpoint(job, run, name),
         epochs,
         rate,

@@ -13,7 +13,6 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from torch.nn import functional as F
 
 from objectfolder.base.arrays import write_png
 from objectfolder.base.errors import ObjectFolderError
@@ -21,10 +20,10 @@ from objectfolder.base.io import keep
 from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.models.shape_model import ShapeModel, load_model, save_model
 from objectfolder.benchmarks.reporting.shape_pictures import sheet
-from objectfolder.benchmarks.scoring.scores import interval_95
+from objectfolder.benchmarks.scoring.scores import over_seeds
 from objectfolder.benchmarks.scoring.truth import Truth
 from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.naming import CHUNK, namer_checkpoint
+from objectfolder.benchmarks.tasks.naming import namer_checkpoint
 from objectfolder.benchmarks.tasks.reconstruct import ReconstructConfig
 from objectfolder.benchmarks.tasks.shape_training import (
     VARIANTS,
@@ -89,7 +88,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
         nearest = truth.nearest_shapes(known, test)
         baselines["nearest_shape"] = truth.known_shapes("nearest_shape", nearest, test)
     scores = {
-        **{variant: over_seeds([done["scores"] for done in runs]) for variant, runs in finished.items()},
+        **{variant: mean_scores([done["scores"] for done in runs]) for variant, runs in finished.items()},
         **baselines,
         "perfect": truth.floor(np.unique(test)),
         "touches": min(job.params.touches, fewest),
@@ -100,15 +99,13 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     }
     keep(_model_path(job, "V", 0), job.progress / "model.safetensors")
     write_png(job.progress / "sheet.png", _sheet(job, truth))
-    return scores, [
-        [variant, run, *row]
-        for variant, runs in finished.items()
-        for run, done in enumerate(runs)
-        for row in done["curve"]
-    ]
+    curve = []
+    for variant, runs in finished.items():
+        curve += [[variant, run, *row] for run, done in enumerate(runs) for row in done["curve"]]
+    return scores, curve
 
 
-def over_seeds(runs: list[dict[str, Any]]) -> dict[str, Any]:
+def mean_scores(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the means of scores over seeds, None where a seed has none, with the IoU of each seed."""
 
     def middle(values: list[Any]) -> Any:
@@ -116,8 +113,7 @@ def over_seeds(runs: list[dict[str, Any]]) -> dict[str, Any]:
             return {name: middle([value[name] for value in values]) for name in values[0]}
         return None if None in values else float(np.mean(values))
 
-    each = [float(run["iou"]) for run in runs]
-    return middle(runs) | {"seeds": each, "interval_95": interval_95(each)}
+    return middle(runs) | over_seeds("iou", [float(run["iou"]) for run in runs])
 
 
 def _test(job: Job[ReconstructConfig]) -> np.ndarray:
@@ -127,14 +123,9 @@ def _test(job: Job[ReconstructConfig]) -> np.ndarray:
 
 def _similar(job: Job[ReconstructConfig], rows: np.ndarray) -> np.ndarray:
     """Return the label of the training object with the view most similar to that of each row."""
-
-    def pooled(some: np.ndarray) -> torch.Tensor:
-        parts = np.array_split(some, -(-len(some) // CHUNK))
-        small = [F.adaptive_avg_pool2d(job.inputs("vision", part), POOLED).flatten(1) for part in parts]
-        return torch.cat(small)
-
     train = job.split.train
-    nearest = torch.cdist(pooled(rows), pooled(train)).argmin(1).cpu().numpy()
+    wanted, known = (job.pooled("vision", some, POOLED) for some in (rows, train))
+    nearest = torch.cdist(wanted, known).argmin(1).cpu().numpy()
     return job.observations.labels[train[nearest]]
 
 

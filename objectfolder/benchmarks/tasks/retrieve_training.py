@@ -1,7 +1,6 @@
 """Cross-sensory retrieval: find observations of the same object in another modality (supplementary I.2)."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,9 @@ from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.models.baselines import find_directions, fit_whitening
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
-from objectfolder.benchmarks.scoring.scores import chance_map, interval_95, mean_average_precision
-from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.scoring.scores import chance_map, mean_average_precision, over_seeds
+from objectfolder.benchmarks.tasks.job import Job, in_chunks
 from objectfolder.benchmarks.tasks.naming import (
-    CHUNK,
     repeated_objects,
     score_within,
     train_namer,
@@ -33,18 +31,7 @@ Maps = dict[str, float]  #: mean average precision by direction, such as V->A
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: inputs of both streams, classes of the rows
 PAIRS: tuple[Pair, ...] = tuple(combinations(MODALITIES, 2))
 FEATURE_SIZES = {"vision": (16, 16), "audio": (64, 8), "touch": (16, 12)}  #: input sizes of CCA, pixels
-DIMENSIONS = (
-    1,
-    2,
-    4,
-    8,
-    16,
-    32,
-    64,
-    128,
-    256,
-    512,
-)  #: candidate numbers of components and of variates of CCA
+DIMENSIONS = tuple(2**i for i in range(10))  #: candidate numbers of components and of variates of CCA
 FINE_RATE = 0.25  #: learning rate with pre-trained encoders, relative to that of the settings
 
 
@@ -79,11 +66,10 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     labels = job.observations.labels[job.split.test]
     correlated = job.compute_once("cca", lambda: _score_cca(job))
     baselines: list[Maps] = correlated["maps"]
-    finished: dict[Pair, list[dict[str, Any]]] = {}
-    alone = list(product(MODALITIES, range(job.params.seeds))) if job.params.pretrain_epochs else []
+    seeds = range(job.params.seeds)
+    alone = list(product(MODALITIES, seeds)) if job.params.pretrain_epochs else []
     named = {one: _pretrain(job, *one) for one in alone}
-    for pair in PAIRS:
-        finished[pair] = [_train_once(job, pair, run) for run in range(job.params.seeds)]
+    finished = {pair: [_train_once(job, pair, run) for run in seeds] for pair in PAIRS}
     for checkpoint in job.progress.glob("encoder_*.pt"):
         checkpoint.unlink()
     directions: dict[str, Any] = {}
@@ -93,42 +79,26 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
         # A direction within a sense belongs to two pairs.
         nets = [runs for runs in finished.values() if direction in runs[0]["map"]]
         by_cosine, by_names = (
-            [float(np.mean([runs[run][rank][direction] for runs in nets])) for run in range(job.params.seeds)]
+            [float(np.mean([runs[run][rank][direction] for runs in nets])) for run in seeds]
             for rank in ("map", "named")
         )
         directions[direction] = {
-            **_over_seeds(by_cosine),
-            "named": _over_seeds(by_names),
+            **over_seeds("map", by_cosine),
+            "named": over_seeds("map", by_names),
             "cca": float(np.mean([baseline[direction] for baseline in baselines if direction in baseline])),
             "chance": chance if direction[0] != direction[-1] else chance_within,
         }
-    curves = [
-        [modality, "", run, *point] for (modality, run), unit in named.items() for point in unit["curve"]
-    ]
-    curves += [
-        [*pair, i, *point]
-        for pair, runs in finished.items()
-        for i, run in enumerate(runs)
-        for point in run["curve"]
-    ]
+    curves = [[name, "", run, *point] for (name, run), unit in named.items() for point in unit["curve"]]
+    for pair, runs in finished.items():
+        curves += [[*pair, i, *point] for i, run in enumerate(runs) for point in run["curve"]]
     units = [*named.values(), *(run for runs in finished.values() for run in runs)]
     seconds = sum(unit["seconds"] for unit in units)
     return {"directions": directions, "cca": correlated["chosen"], **rows, "seconds": seconds}, curves
 
 
-def _over_seeds(values: list[float]) -> dict[str, Any]:
-    return {"map": float(np.mean(values)), "interval_95": interval_95(values), "seeds": values}
-
-
 def _pretrain(job: Job[RetrieveConfig], modality: str, run: int) -> dict[str, Any]:
     """Return the curve of an encoder's pre-training, which leaves its checkpoint behind."""
-
-    def make() -> dict[str, Any]:
-        curve = _namer(job, modality, run)[1]
-        rows = [astuple(point)[:3] for point in curve]
-        return {"curve": rows, "seconds": sum(point.seconds for point in curve)}
-
-    return job.compute_once(f"encoder_{modality}_{run}", make)
+    return job.train_once(f"encoder_{modality}_{run}", lambda: _namer(job, modality, run), lambda net: {})
 
 
 def _train_once(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any]:
@@ -136,19 +106,12 @@ def _train_once(job: Job[RetrieveConfig], pair: Pair, run: int) -> dict[str, Any
     name = f"{pair[0]}_{pair[1]}_{run}"
     checkpoint = job.progress / f"{name}.pt"
 
-    def make() -> dict[str, Any]:
-        net, curve = _train(job, pair, run, checkpoint)
+    def score(net: TwoStream) -> dict[str, Any]:
         embeddings = _embeddings(job, net, pair, job.split.test)
-        return {
-            "map": _maps(job, pair, embeddings),
-            "named": _maps(job, pair, [_probabilities(net, some) for some in embeddings], cosine=False),
-            "curve": [astuple(point)[:3] for point in curve],
-            "seconds": sum(point.seconds for point in curve),
-        }
+        named = [_probabilities(net, some) for some in embeddings]
+        return {"map": _maps(job, pair, embeddings), "named": _maps(job, pair, named, cosine=False)}
 
-    result = job.compute_once(name, make)
-    checkpoint.unlink(missing_ok=True)
-    return result
+    return job.train_once(name, lambda: _train(job, pair, run, checkpoint), score, [checkpoint])
 
 
 def _train(
@@ -197,11 +160,8 @@ def _namer(job: Job[RetrieveConfig], modality: str, run: int) -> tuple[nn.Module
     def inputs(rows: np.ndarray, rng: np.random.Generator | None) -> torch.Tensor:
         return job.inputs(modality, rows, rng)
 
-    params = job.params
-    one_cycle = params.schedule == "one_cycle"
-    net, curve = train_namer(
-        job, "retrieve", modality, run, inputs, params.pretrain_epochs, one_cycle=one_cycle
-    )
+    epochs, one_cycle = job.params.pretrain_epochs, job.params.schedule == "one_cycle"
+    net, curve = train_namer(job, "retrieve", modality, run, inputs, epochs, one_cycle)
     return net.encoders[modality], curve
 
 
@@ -212,7 +172,7 @@ def _maps(
     labels = job.observations.labels[job.split.test]
     names = [modality[0].upper() for modality in pair]
     crossed = _score_crossed(embeddings, labels, len(labels), cosine)
-    maps = {f"{names[i]}->{names[1 - i]}": score for i, score in enumerate(crossed)}
+    maps = dict(zip(("->".join(names), "->".join(names[::-1])), crossed))
     if len(repeated_objects(labels, len(labels))):
         maps |= {
             f"{name}->{name}": score_within(x, labels, len(labels), cosine)
@@ -239,19 +199,14 @@ def _score_crossed(
     ]
 
 
-def _chunks(job: Job[RetrieveConfig], modality: str, rows: np.ndarray) -> Iterator[torch.Tensor]:
-    """Yield the encoder inputs of many rows in chunks."""
-    for some in np.array_split(rows, -(-len(rows) // CHUNK)):
-        yield job.inputs(modality, some)
-
-
 @torch.no_grad()
 def _embeddings(job: Job[RetrieveConfig], net: TwoStream, pair: Pair, rows: np.ndarray) -> list[np.ndarray]:
-    """Embeddings (n, embedding) of both streams."""
-    return [
-        torch.cat([net.embed(stream, x) for x in _chunks(job, modality, rows)]).cpu().numpy()
-        for stream, modality in enumerate(pair)
-    ]
+    """Return the embeddings (n, embedding) of both streams."""
+
+    def embed(stream: int, modality: str) -> np.ndarray:
+        return in_chunks(lambda some: net.embed(stream, job.inputs(modality, some)), rows).cpu().numpy()
+
+    return [embed(*one) for one in enumerate(pair)]
 
 
 @torch.no_grad()
@@ -266,8 +221,7 @@ def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
     shape = FEATURE_SIZES[modality]
 
     def pixels(rows: np.ndarray) -> np.ndarray:
-        inputs = _chunks(job, modality, rows)
-        return torch.cat([F.adaptive_avg_pool2d(x, shape).flatten(1) for x in inputs]).cpu().numpy()
+        return job.pooled(modality, rows, shape).cpu().numpy()
 
     train = pixels(job.split.train)
     whiten = fit_whitening(train, max(DIMENSIONS))

@@ -27,8 +27,8 @@ from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_ne
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import THRESHOLDS, best_level
-from objectfolder.benchmarks.tasks.job import Job
-from objectfolder.benchmarks.tasks.naming import CHUNK, train_namer
+from objectfolder.benchmarks.tasks.job import Job, in_chunks
+from objectfolder.benchmarks.tasks.naming import train_namer
 from objectfolder.benchmarks.tasks.reconstruct import ReconstructConfig
 
 #: Inputs of each variant. VA comes last: it starts from the nets of the others.
@@ -181,10 +181,8 @@ class ShapeTraining:
         self, encoder: nn.Module, modality: str, rows: np.ndarray, rng: np.random.Generator
     ) -> torch.Tensor:
         """Encode rows, one touch each; (n, features)."""
-        parts = np.array_split(rows, -(-len(rows) // CHUNK))
-        if modality == "touch":
-            parts = [some[:, None] for some in parts]
-        return torch.cat([encoder(self._inputs(modality, some, rng)) for some in parts])
+        several = rows[:, None] if modality == "touch" else rows
+        return in_chunks(lambda some: encoder(self._inputs(modality, some, rng)), several)
 
     def _train_together(self, model: ShapeModel, naming: nn.Linear, epochs: int) -> list[EpochPoint]:
         """Train encoders, fusion and decoder together, and to name the objects from their features."""

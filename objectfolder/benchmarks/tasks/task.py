@@ -93,14 +93,8 @@ class Task:
     ) -> TaskParams[Any]:
         """Return the task's parameters.
 
-        Raises ObjectFolderError if a section is missing or wrong.
-
-        Parameters
-        ----------
-        values : mapping, optional
-            Contents of ``params.yaml``, perhaps with a preset merged into it. Default: read from ``path``.
-        path : path
-            Named in errors.
+        They are of ``values``, the contents of ``params.yaml`` perhaps with a preset merged into it, or read
+        from ``path``, which errors name. Raises ObjectFolderError if a section is missing or wrong.
         """
         values = read(path) if values is None else dict(values)
         encode = settings(EncodeConfig, values, path) if self.trains_nets else None

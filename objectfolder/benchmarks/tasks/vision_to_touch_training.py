@@ -1,7 +1,6 @@
 """Imagine a touch from a close view (visuo-tactile generation of the ObjectFolder Benchmark, CVPR 2023)."""
 
 from collections.abc import Iterator
-from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,12 @@ from objectfolder.base.metrics import psnr, ssim
 from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.models.translator import Translator
-from objectfolder.benchmarks.scoring.scores import interval_95
-from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.scoring.scores import over_seeds
+from objectfolder.benchmarks.tasks.job import CHUNK, Job, in_chunks
 from objectfolder.benchmarks.tasks.vision_to_touch import VisionToTouchConfig
 
 ROUNDING = 1 / 12 / 255**2  #: mean squared error of rounding to grey levels; 59 dB
 POOLED = (10, 8)  #: size of the views by which the nearest is sought
-CHUNK = 64  #: views translated at once
 SHOWN = 16  #: test rows in the picture
 
 Batch = tuple[torch.Tensor, torch.Tensor]  #: views and touches, both in [0, 1] and (B, 3, H, W)
@@ -49,12 +47,11 @@ def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list
     truth = job.observations.read("touch", test)
     finished = [_train_once(job, run) for run in range(job.params.seeds)]
     runs = [unit["scores"] for unit in finished]
-    means = [run["psnr"] for run in runs]
     net = {name: float(np.mean([run[name] for run in runs])) for name in runs[0]}
     blank = np.broadcast_to(_mean_touch(job), truth.shape)
     answers = job.observations.read("touch", _nearest(job))
     scores = {
-        "net": net | {"seeds": means, "interval_95": interval_95(means)},
+        "net": net | over_seeds("psnr", [run["psnr"] for run in runs]),
         "nearest": score_answers(answers, truth),
         "mean": score_answers(blank, truth),
         **counts,
@@ -86,9 +83,8 @@ def _nearest(job: Job[VisionToTouchConfig]) -> np.ndarray:
     """Return the training row with the most similar view, for each test row."""
 
     def pooled(rows: np.ndarray) -> np.ndarray:
-        parts = np.array_split(rows, -(-len(rows) // CHUNK))
-        small = [F.adaptive_avg_pool2d(_tensor(job, "view", part), POOLED).flatten(1) for part in parts]
-        return torch.cat(small).cpu().numpy()
+        small = in_chunks(lambda some: F.adaptive_avg_pool2d(_tensor(job, "view", some), POOLED), rows)
+        return small.flatten(1).cpu().numpy()
 
     return job.split.train[cKDTree(pooled(job.split.train)).query(pooled(job.split.test))[1]]
 
@@ -97,22 +93,16 @@ def _train_once(job: Job[VisionToTouchConfig], run: int) -> dict[str, Any]:
     """Return the scores of one net, trained unless finished earlier."""
     checkpoint, sheet = job.progress / f"{run}.pt", job.progress / "0.png"
 
-    def make() -> dict[str, Any]:
-        net, curve = _train(job, run, checkpoint)
+    def score(net: Translator) -> dict[str, Any]:
         answers = _answers(job, net, _blank(job), job.split.test)
         truth = job.observations.read("touch", job.split.test)
         if run == 0:
             write_png(sheet, _sheet(job, answers, truth))
-        return {
-            "scores": score_answers(answers, truth),
-            "curve": [astuple(point)[:3] for point in curve],
-            "seconds": sum(point.seconds for point in curve),
-        }
+        return {"scores": score_answers(answers, truth)}
 
-    result = job.compute_once(str(run), make)
+    result = job.train_once(str(run), lambda: _train(job, run, checkpoint), score, [checkpoint])
     if run == 0:
         keep(sheet, job.progress / "sheet.png")  # moved to the results at each call
-    checkpoint.unlink(missing_ok=True)
     return result
 
 
@@ -133,15 +123,13 @@ def _train(job: Job[VisionToTouchConfig], run: int, checkpoint: Path) -> tuple[T
         return F.mse_loss(blank + net(views).float(), touches)
 
     truth = job.observations.read("touch", val)
+
+    def val_score() -> float:
+        return score_answers(_answers(job, net, blank, val), truth)["psnr_pooled"]
+
     curve = job.train(
         f"vision to touch {job.split.name}, seed {run + 1} of {params.seeds}",
-        Objective(
-            net,
-            epoch_batches,
-            batch_loss,
-            lambda: score_answers(_answers(job, net, blank, val), truth)["psnr_pooled"],
-            "PSNR",
-        ),
+        Objective(net, epoch_batches, batch_loss, val_score, "PSNR"),
         checkpoint,
         cycle=params.epochs * count_batches(len(train), params.batch),
     )
@@ -153,11 +141,11 @@ def _answers(
     job: Job[VisionToTouchConfig], net: Translator, blank: torch.Tensor, rows: np.ndarray
 ) -> np.ndarray:
     """Return the touches that a net draws, (N, H, W, 3) uint8."""
-    found = []
-    for part in np.array_split(rows, -(-len(rows) // CHUNK)):
-        drawn = (blank + net(_tensor(job, "view", part))).clamp(0, 1) * 255
-        found.append(drawn.round().byte().permute(0, 2, 3, 1).cpu().numpy())
-    return np.concatenate(found)
+
+    def draw(some: np.ndarray) -> torch.Tensor:
+        return ((blank + net(_tensor(job, "view", some))).clamp(0, 1) * 255).round().byte()
+
+    return in_chunks(draw, rows).permute(0, 2, 3, 1).cpu().numpy()
 
 
 def _blank(job: Job[VisionToTouchConfig]) -> torch.Tensor:

@@ -164,7 +164,6 @@ def _changed_params(dep: ParamsDependency) -> list[str]:
 
 
 def _output_changes(stage: Stage) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return descriptions of missing and of altered outputs."""
     missing: list[str] = []
     altered: list[str] = []
     for out in stage.outs:

@@ -7,9 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import dvc
 import networkx as nx
+from dvc.dependency import Dependency, ParamsDependency
 from dvc.exceptions import DvcException
-from dvc.stage import PipelineStage
+from dvc.lock import Lock
+from dvc.output import Output
+from dvc.stage import PipelineStage, Stage
 from dvc_data.hashfile.hash import file_md5
 from dvc_data.hashfile.hash_info import HashInfo
 from dvc_data.hashfile.meta import Meta
@@ -56,6 +60,33 @@ def recorded_outputs(repository: OpenRepository, targets: Sequence[str]) -> Iter
                 oid = out.hash_info.value
                 cached = Path(out.cache.oid_to_path(oid)) if out.use_cache else None
                 yield RecordedFile(address, out, Path(out.fs_path), oid, out.hash_name, cached)
+
+
+def other_files(repository: OpenRepository, stages: Iterable[Stage]) -> list[str] | None:
+    """Return the paths outside the folders of a workspace on which the state of stages depends.
+
+    They are settings, cached objects, and the folder of the installed libraries. None if the state depends on
+    more than local files, or on what is elsewhere.
+    """
+    repo, root = repository.repo, repository.root
+    if Path(repo.root_dir) != root or not isinstance(repo.lock, Lock):
+        return None
+    found = {*repo.config.files.values(), str(Path(dvc.__file__).parents[1])}
+    for stage in stages:
+        for item in (*stage.deps, *stage.outs):
+            path = Path(item.fs_path)
+            local = type(item) in (Dependency, Output) or isinstance(item, ParamsDependency)
+            if not (local and item.protocol == "local" and path.is_relative_to(root)):
+                return None
+            if path.relative_to(root).as_posix().startswith("."):
+                return None
+        for out in stage.outs:
+            if out.use_cache and out.hash_info:
+                tree = out.get_obj() if out.hash_info.isdir else ()
+                inside = [info.value for _, _, info in tree] if isinstance(tree, Tree) else []
+                found |= {out.cache.oid_to_path(oid) for oid in (out.hash_info.value, *inside)}
+    folders = [repository.cache, *repository.cache.glob("[0-9a-f][0-9a-f]")]  # what is left there goes
+    return [*found, *map(str, folders)]
 
 
 def records(repository: OpenRepository, targets: Sequence[str]) -> Iterator[tuple[str, Path, dict[str, Any]]]:

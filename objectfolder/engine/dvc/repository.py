@@ -183,7 +183,6 @@ def open_repository(root: str | Path = ".", wait: bool = False) -> Iterator[Open
 
 
 def _links_in(folder: Path, root: Path) -> list[str]:
-    """List the links to folders in a folder of a workspace."""
     with suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
         links = [entry.path for entry in entries if entry.is_symlink() and entry.is_dir()]
         return sorted(os.path.relpath(path, root) for path in links)

@@ -26,15 +26,12 @@ EXTENSIONS = (
 
 
 def extract(archive: Path, into: Path, max_bytes: int = MAX_BYTES, max_members: int = MAX_MEMBERS) -> None:
-    """Extract a zip or tar archive.
+    """Extract a zip or tar archive, whose format is recognised by its content.
 
-    The extraction filter of ``tarfile`` only sets safe permissions and owners here: it would extract links
-    inside the folder and absolute paths, and knows no limits.
-
-    ``archive``: the format is recognised by content; ``into``: new directory; removed again on error;
-    ``max_bytes``: maximum extracted size; ``max_members``: maximum number of members, folders included.
-    Raises ObjectFolderError if it is damaged, not an archive, too large, or has a member that is a link, a
-    device, encrypted, or outside the folder; the message names archive and member.
+    ``into``: new directory; removed again on error; ``max_bytes``: maximum extracted size; ``max_members``:
+    maximum number of members, folders included. Raises ObjectFolderError if it is damaged, not an archive,
+    too large, or has a member that is a link, a device, encrypted, or outside the folder; the message names
+    archive and member.
     """
     into.mkdir(parents=True)
     budget = _Budget(archive.name, max_bytes, max_members)
@@ -58,16 +55,14 @@ def safe_path(name: str, where: str) -> PurePosixPath:
 
     Raises ObjectFolderError if the path is empty, absolute, very deep or leaves the folder.
     """
-    path = PurePosixPath(name.replace("\\", "/"))
+    path, problem = PurePosixPath(name.replace("\\", "/")), ""
     if path.is_absolute() or PureWindowsPath(name).drive or ".." in path.parts or "\0" in name:
-        raise ObjectFolderError(
-            f"{where}: member {name!r} would be written outside the folder; the archive is not trustworthy"
-        )
-    if not name or len(path.parts) > MAX_DEPTH:
-        raise ObjectFolderError(
-            f"{where}: member {name[:100]!r} lies in {len(path.parts)} folders, expected a name in at most "
-            f"{MAX_DEPTH}; the archive is not trustworthy"
-        )
+        problem = f"{name!r} would be written outside the folder"
+    elif not name or len(path.parts) > MAX_DEPTH:
+        wanted = f"expected a name in at most {MAX_DEPTH}"
+        problem = f"{name[:100]!r} lies in {len(path.parts)} folders, {wanted}"
+    if problem:
+        raise ObjectFolderError(f"{where}: member {problem}; the archive is not trustworthy")
     return path
 
 
@@ -87,14 +82,11 @@ class _Budget:
         self.members += 1
         self.bytes += size
         if self.members > self.max_members:
-            raise ObjectFolderError(
-                f"{self.archive} has over {self.max_members} members; expected one object"
-            )
+            many = f"{self.archive} has over {self.max_members} members"
+            raise ObjectFolderError(f"{many}; expected one object")
         if size < 0 or self.bytes > self.max_bytes:
-            raise ObjectFolderError(
-                f"{self.archive}: {name}: the archive unpacks to over {self.max_bytes / 2**20:.0f} MB; "
-                "refused"
-            )
+            large = f"the archive unpacks to over {self.max_bytes / 2**20:.0f} MB"
+            raise ObjectFolderError(f"{self.archive}: {name}: {large}; refused")
 
 
 class _ZipFile(io.FileIO):
@@ -103,10 +95,8 @@ class _ZipFile(io.FileIO):
     def read(self, size: int | None = -1) -> bytes:
         left = os.fstat(self.fileno()).st_size - self.tell()
         if (left if size is None or size < 0 else size) > MAX_DIRECTORY:
-            raise ObjectFolderError(
-                f"{Path(str(self.name)).name} has a directory of over {MAX_DIRECTORY:,} bytes; expected one "
-                "object"
-            )
+            long = f"a directory of over {MAX_DIRECTORY:,} bytes"
+            raise ObjectFolderError(f"{Path(str(self.name)).name} has {long}; expected one object")
         return super().read(size) or b""
 
 
@@ -117,9 +107,8 @@ def _extract_zip(archive: Path, into: Path, budget: _Budget) -> None:
             if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
                 raise _refused(archive, info.filename)
             if info.flag_bits & 1:
-                raise ObjectFolderError(
-                    f"{archive.name}: member {info.filename!r} is encrypted; unpack it yourself"
-                )
+                name = f"{archive.name}: member {info.filename!r}"
+                raise ObjectFolderError(f"{name} is encrypted; unpack it yourself")
             # `orig_filename` is the name in the archive; `filename` is cut at a zero byte.
             path = safe_path(info.orig_filename, archive.name)
             budget.spend(info.filename, info.file_size)
@@ -136,10 +125,9 @@ def _extract_tar(archive: Path, into: Path, budget: _Budget) -> None:
             if self.type in EXTENSIONS:
                 budget.extensions += self.size
                 if not 0 <= self.size <= MAX_EXTENSION or budget.extensions > MAX_DIRECTORY:
-                    raise ObjectFolderError(
-                        f"{archive.name} has an extended header of {self.size:,} bytes, expected at most "
-                        f"{MAX_EXTENSION:,}, and {MAX_DIRECTORY:,} in all; the archive is not trustworthy"
-                    )
+                    most = f"expected at most {MAX_EXTENSION:,}, and {MAX_DIRECTORY:,} in all"
+                    long = f"an extended header of {self.size:,} bytes, {most}"
+                    raise ObjectFolderError(f"{archive.name} has {long}; the archive is not trustworthy")
             elif self.type == tarfile.GNUTYPE_SPARSE:
                 raise _refused(archive, self.name)
             return super()._proc_member(opened)  # type: ignore[misc]
@@ -148,6 +136,7 @@ def _extract_tar(archive: Path, into: Path, budget: _Budget) -> None:
             raise _refused(archive, member.name)
 
     def check(info: tarfile.TarInfo, folder: str) -> tarfile.TarInfo | None:
+        # The filter of `tarfile` extracts links inside the folder and absolute paths, and knows no limits.
         path = safe_path(info.name, archive.name)
         budget.spend(info.name, info.size)
         info.pax_headers = {}  # `tarfile` keeps all members
@@ -162,10 +151,8 @@ def _extract_tar(archive: Path, into: Path, budget: _Budget) -> None:
     except ObjectFolderError:
         raise
     except Exception as error:
-        raise ObjectFolderError(
-            f"{archive.name} is neither a zip nor a tar archive; it is damaged, or another file such as "
-            "a web page"
-        ) from error
+        unknown = f"{archive.name} is neither a zip nor a tar archive"
+        raise ObjectFolderError(f"{unknown}; it is damaged, or another file such as a web page") from error
     with opened:
         opened.extractall(into, filter=check)
         # The checksum of a compressed tar follows the padding, and is verified when that is read.

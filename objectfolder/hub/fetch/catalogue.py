@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from objectfolder.base.checks import is_web_address
 from objectfolder.base.errors import ObjectFolderError, quoted
+from objectfolder.base.io import existing_file
 from objectfolder.base.materials import material
 from objectfolder.base.yamlfile import read_yaml
 from objectfolder.workspace import params
@@ -88,25 +89,17 @@ def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
     instead of those in the catalogue. Raises ObjectFolderError if it is missing or invalid, an object has an
     unknown source, or a template is not a URL.
     """
-    if not path.is_file():
-        raise ObjectFolderError(
-            f"{path} does not exist; expected a catalogue of published objects, such as "
-            "catalogs/objectfolder1.yaml"
-        )
+    existing_file(path, "expected a catalogue of published objects, such as catalogs/objectfolder1.yaml")
     try:
         catalogue = Catalogue.model_validate(read_yaml(path))
     except ValidationError as error:
-        problems = (f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
-        raise ObjectFolderError(
-            f"{path} is not a catalogue of published objects: {'; '.join(problems)}"
-        ) from error
+        problems = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        raise ObjectFolderError(f"{path} is not a catalogue of published objects: {problems}") from error
     for key, entry in catalogue.objects.items():
         check_key(key, f"{path}: objects")
         if entry.source not in catalogue.sources:
-            raise ObjectFolderError(
-                f"{path}: objects.{key}.source is {quoted(entry.source)}, "
-                f"expected one of {', '.join(catalogue.sources)}"
-            )
+            wrong, expected = f"objects.{key}.source is {quoted(entry.source)}", ", ".join(catalogue.sources)
+            raise ObjectFolderError(f"{path}: {wrong}, expected one of {expected}")
     return catalogue.model_copy(update={"sources": _with_urls(catalogue.sources, urls)})
 
 
@@ -115,9 +108,8 @@ def _with_urls(sources: Mapping[str, MeshSource], urls: Sequence[str]) -> dict[s
     for option in urls:
         name, equals, template = option.partition("=")
         if not equals or name not in sources:
-            raise ObjectFolderError(
-                f"--url {option} is not SOURCE=TEMPLATE with SOURCE one of {', '.join(sources)}"
-            )
+            expected = f"SOURCE=TEMPLATE with SOURCE one of {', '.join(sources)}"
+            raise ObjectFolderError(f"--url {option} is not {expected}")
         changed[name] = sources[name].model_copy(update={"url": template})
     for name, source in (result := {**sources, **changed}).items():
         if "{model}" not in source.url or not is_web_address(object_url(source.url, "model")):
@@ -126,9 +118,8 @@ def _with_urls(sources: Mapping[str, MeshSource], urls: Sequence[str]) -> dict[s
                 "in place of the object's id; for files on this computer use --from DIR"
             )
         if not is_web_address(object_url(source.page, "model")):
-            raise ObjectFolderError(
-                f"page of source {name} is {quoted(source.page)}, expected an address with http:// or https://"
-            )
+            wrong = f"page of source {name} is {quoted(source.page)}"
+            raise ObjectFolderError(f"{wrong}, expected an address with http:// or https://")
     return result
 
 

@@ -8,10 +8,9 @@ import errno
 import io
 import socket
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeGuard
 from urllib.error import HTTPError
@@ -20,6 +19,7 @@ from urllib.request import HTTPHandler, HTTPRedirectHandler, HTTPSHandler, Reque
 
 from objectfolder.base.disk import free_bytes
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import installed_version
 from objectfolder.base.io import write_text
 
 WAITS = (1.0, 2.0, 4.0, 8.0)  #: seconds between attempts that bring nothing
@@ -30,21 +30,18 @@ RESERVE = 1 << 28  #: bytes that a download leaves free on the disk
 BLOCK = 1 << 16
 RETRYABLE = (408, 425, 429, 500, 502, 503, 504)  #: HTTP status codes
 RANGE_NOT_SATISFIABLE = 416
+_YOURSELF = "download the object yourself and use --from DIR"
 
 ProgressCallback = Callable[[int, int | None], None]  #: takes bytes received, and bytes expected if known
 ProgressFactory = Callable[[str], ProgressCallback]  #: takes the name of the file to download
 
 
 class UnreachableError(ObjectFolderError):
-    """No connection to a host at the first attempt.
-
-    ``host``: as in a URL, perhaps with a port.
-    """
+    """No connection to a host, which is as in a URL, perhaps with a port, at the first attempt."""
 
     def __init__(self, host: str, reason: object):
-        super().__init__(
-            f"{host} cannot be reached ({reason}): check the network and the address, or use --from DIR"
-        )
+        advice = "check the network and the address, or use --from DIR"
+        super().__init__(f"{host} cannot be reached ({reason}): {advice}")
         self.host = host
 
 
@@ -66,12 +63,10 @@ def download(
     """Download a file, resuming from the bytes that an earlier attempt left in ``path``.
 
     A download is resumed only if the server still has the same file, by its ETag or date (RFC 9110,
-    If-Range), which is stored next to it in ``<name>.tag``.
-
-    ``url``: ``http`` or ``https``. ``path``: destination, partial after an error. Its directory must exist.
-    ``report``: called with the bytes received and the bytes expected, or None. ``waits``: seconds before each
-    further attempt. Attempts that bring bytes at the least rate restart the sequence. ``most``: maximum size
-    of the file, bytes. Raises ObjectFolderError if the server cannot be reached (`UnreachableError`, after
+    If-Range), which is stored next to it in ``<name>.tag``. ``path``: partial after an error; its directory
+    must exist. ``report``: called with the bytes received and the bytes expected, or None. ``waits``: seconds
+    before each further attempt; those that bring bytes at the least rate restart the sequence. ``most``:
+    maximum size, bytes. Raises ObjectFolderError if the server cannot be reached (`UnreachableError`, after
     the first attempt), refuses, redirects to another protocol, keeps breaking off or is slower than
     `MIN_BYTES` in `PERIOD`, or the file is too large or cannot be written.
     """
@@ -91,10 +86,8 @@ def download(
                 furthest, since, left = size, now, list(waits)
             if not left:
                 kept = f" from the {size} bytes that are kept" if _tag(path).exists() else ""
-                raise ObjectFolderError(
-                    f"{url} broke off ({error}); run the same command again to go on{kept}, "
-                    "or download it yourself and use --from DIR"
-                ) from error
+                again = f"run the same command again to go on{kept}, or {_YOURSELF}"
+                raise ObjectFolderError(f"{url} broke off ({error}); {again}") from error
             time.sleep(left.pop(0))
     _tag(path).unlink(missing_ok=True)
 
@@ -150,12 +143,10 @@ class _SecureConnection(HTTPSConnection):
     response_class = _Response
 
 
-class _Http(HTTPHandler):
+class _Handler(HTTPHandler, HTTPSHandler):
     def http_open(self, request: Request) -> HTTPResponse:
         return self.do_open(_Connection, request)
 
-
-class _Https(HTTPSHandler):
     def https_open(self, request: Request) -> HTTPResponse:
         return self.do_open(_SecureConnection, request)
 
@@ -166,10 +157,8 @@ class _Redirects(HTTPRedirectHandler):
     ) -> Request | None:
         fp.close()  # or its body, which may be endless, is read to the end
         if not newurl.startswith(("http://", "https://")):
-            raise ObjectFolderError(
-                f"{req.full_url} redirects to {newurl}, expected http:// or https://; download the object "
-                "yourself and use --from DIR"
-            )
+            where = f"{req.full_url} redirects to {newurl}, expected http:// or https://"
+            raise ObjectFolderError(f"{where}; {_YOURSELF}")
         return super().redirect_request(req, fp, code, msg, headers, newurl)
 
 
@@ -178,11 +167,12 @@ def _attempt(url: str, path: Path, report: ProgressCallback, most: int) -> None:
     # Links are not followed: whatever a server is sent, or what is appended to, we have written.
     kept = all(file.is_file() and not file.is_symlink() for file in (path, tag))
     start = path.stat().st_size if kept else 0
-    headers = {"User-Agent": _user_agent(), "Accept-Encoding": "identity"}
+    # The terms of Poly Haven require a name.
+    headers = {"User-Agent": f"objectfolder/{installed_version()}", "Accept-Encoding": "identity"}
     if start:
         headers |= {"Range": f"bytes={start}-", "If-Range": tag.read_text()}
     try:
-        opener = build_opener(_Http, _Https, _Redirects)
+        opener = build_opener(_Handler, _Redirects)
         with opener.open(Request(url, headers=headers), timeout=TIMEOUT) as response:
             _receive(response, path, start, report, most)
     except HTTPError as error:
@@ -190,10 +180,9 @@ def _attempt(url: str, path: Path, report: ProgressCallback, most: int) -> None:
             if error.code == RANGE_NOT_SATISFIABLE:
                 _forget(path)  # the remote file is shorter now, or ours is complete: start again
             elif error.code not in RETRYABLE:
-                raise ObjectFolderError(
-                    f"{url} answered {error.code} {error.reason}; if the source has moved, give its address "
-                    "with --url SOURCE=TEMPLATE, or download the object yourself and use --from DIR"
-                ) from error
+                moved = "if the source has moved, give its address with --url SOURCE=TEMPLATE"
+                answer = f"{url} answered {error.code} {error.reason}"
+                raise ObjectFolderError(f"{answer}; {moved}, or {_YOURSELF}") from error
             raise _RetryableError(f"{error.code} {error.reason}") from error
     except (OSError, HTTPException, UnicodeError) as error:  # UnicodeError: of a host's name
         reason = getattr(error, "reason", None) or error or type(error).__name__
@@ -220,14 +209,12 @@ def _receive(response: HTTPResponse, path: Path, start: int, report: ProgressCal
     etag = headers.get("ETag", "")
     # A weak ETag does not promise the same bytes.
     validator = etag if etag.startswith('"') else headers.get("Last-Modified", "")
-    try:
+    with _writing(path):
         if not resumed:
             _forget(path)
             if validator.isprintable() and validator:
                 write_text(_tag(path), validator)
         stream = path.open("ab" if resumed else "xb")
-    except OSError as error:
-        raise _cannot_write(path, error) from error
     room = done + free_bytes(path) - RESERVE
     with stream:
         _check_size(response.url, path, total or done, most, room)
@@ -235,10 +222,8 @@ def _receive(response: HTTPResponse, path: Path, start: int, report: ProgressCal
         while block := response.read1(BLOCK):  # what has come; `read` would wait for the whole block
             done += len(block)
             _check_size(response.url, path, done, most, room)
-            try:
+            with _writing(path):
                 stream.write(block)
-            except OSError as error:
-                raise _cannot_write(path, error) from error
             report(done, total)
     if total is not None and done < total:
         raise _RetryableError(f"after {done} of {total} bytes")
@@ -247,21 +232,21 @@ def _receive(response: HTTPResponse, path: Path, start: int, report: ProgressCal
 def _check_size(url: str, path: Path, size: int, most: int, room: int) -> None:
     if size > most:
         _forget(path)
-        raise ObjectFolderError(
-            f"{url} is larger than {most / 1e6:,.1f} MB, the most that is downloaded; check the address, or "
-            "download the object yourself and use --from DIR"
-        )
+        large = f"{url} is larger than {most / 1e6:,.1f} MB, the most that is downloaded"
+        raise ObjectFolderError(f"{large}; check the address, or {_YOURSELF}")
     if size > room:
-        raise ObjectFolderError(
-            f"{url}: no space in {path.parent}: {size / 1e6:,.1f} MB would leave less than "
-            f"{RESERVE / 1e6:.0f} MB free; make room and run the same command again"
-        )
+        left = f"{size / 1e6:,.1f} MB would leave less than {RESERVE / 1e6:.0f} MB free"
+        again = "make room and run the same command again"
+        raise ObjectFolderError(f"{url}: no space in {path.parent}: {left}; {again}")
 
 
-def _cannot_write(path: Path, error: OSError) -> ObjectFolderError:
-    return ObjectFolderError(
-        f"cannot write {path}: {error.strerror}; make room, or make the directory writable"
-    )
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        advice = "make room, or make the directory writable"
+        raise ObjectFolderError(f"cannot write {path}: {error.strerror}; {advice}") from error
 
 
 def _forget(path: Path) -> None:
@@ -271,10 +256,3 @@ def _forget(path: Path) -> None:
 
 def _tag(path: Path) -> Path:
     return path.with_name(path.name + ".tag")
-
-
-def _user_agent() -> str:
-    # Required by the terms of Poly Haven.
-    with suppress(PackageNotFoundError):
-        return f"objectfolder/{version('objectfolder')}"
-    return "objectfolder"

@@ -15,9 +15,8 @@ from objectfolder.workspace.objects import references
 def check_directory(directory: Path) -> None:
     """Raise ObjectFolderError unless ``--from`` names a directory."""
     if not directory.is_dir():
-        raise ObjectFolderError(
-            f"--from {directory} is not a directory; expected one with archives or folders"
-        )
+        expected = "expected one with archives or folders"
+        raise ObjectFolderError(f"--from {directory} is not a directory; {expected}")
 
 
 def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
@@ -25,19 +24,15 @@ def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
 
     Case and punctuation are ignored. Accepted names: the object's key, its published name, its id at the
     source, either of these after the source's name, and the name of the source's archive. Otherwise, names
-    that start with the id, as ``025_mug_google_64k.tgz``; otherwise, the directory itself.
-
-    Raises ObjectFolderError if nothing matches, or more than one; the message lists candidates.
+    that start with the id, as ``025_mug_google_64k.tgz``; otherwise, the directory itself. Raises
+    ObjectFolderError if nothing matches, or more than one; the message lists candidates.
     """
     check_directory(directory)
     entry = catalogue.objects[key]
     ids = {comparable_name(entry.name), comparable_name(entry.source_model)}
     archive = unquote(catalogue.archive_name(key))
-    exact = (
-        ids
-        | {comparable_name(f"{entry.source}_{name}") for name in ids}
-        | {comparable_name(key), _form(archive)}
-    )
+    exact = ids | {comparable_name(f"{entry.source}_{name}") for name in ids}
+    exact |= {comparable_name(key), _form(archive)}
     candidates = sorted(
         path
         for path in directory.iterdir()
@@ -49,10 +44,8 @@ def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
         or [path for path in [directory.resolve()] if _form(path.name) in exact]
     )
     if len(found) > 1:
-        raise ObjectFolderError(
-            f"{directory} has {len(found)} candidates for {key} ({entry.name}): "
-            f"{', '.join(path.name for path in found)}; keep only one of them"
-        )
+        names, many = ", ".join(path.name for path in found), f"{len(found)} candidates"
+        raise ObjectFolderError(f"{directory} has {many} for {key} ({entry.name}): {names}; keep only one")
     if not found:
         forms = {_form(path.name): path.name for path in candidates}
         near = [forms[form] for name in exact for form in difflib.get_close_matches(name, forms, 2)]
@@ -83,21 +76,18 @@ def find_mesh(tree: Path, source: MeshSource) -> Path:
     if len(found) == 1:
         return found[0]
     shown = ", ".join(str(path.relative_to(tree)) for path in (found or _files(tree))[:8]) or "nothing"
+    found_what = "several meshes" if found else "no mesh"
     expected = f"one mesh ({source.mesh}, or the only {', '.join(FORMATS)})"
-    raise ObjectFolderError(
-        f"it has {'several meshes' if found else 'no mesh'}: {shown}; expected {expected}"
-    )
+    raise ObjectFolderError(f"it has {found_what}: {shown}; expected {expected}")
 
 
 def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
     """Copy a mesh and the files that it refers to into one folder.
 
     A file that is not at its path is looked up by name in the whole tree: Google Scanned Objects keep the
-    texture in another folder than the material. Missing files are reported later, by ``add_mesh``.
-
-    ``tree``: folder with the files of the source; ``into``: new directory. Returns ``mesh``, the copy;
-    ``files``, all copies, by their path relative to ``into``. Raises ObjectFolderError if the mesh cannot be
-    read, or refers to a file outside its folder.
+    texture in another folder than the material. Missing files are reported later, by ``add_mesh``. Returns
+    the copy of the mesh, and all copies by their path relative to ``into``, a new folder. Raises
+    ObjectFolderError if the mesh cannot be read, or refers to a file outside its folder.
     """
     into.mkdir()
     copy = into / mesh.name
@@ -123,9 +113,6 @@ def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
 
 def _files(tree: Path) -> list[Path]:
     """List files, without the hidden ones that macOS adds to archives."""
-    return sorted(
-        path
-        for path in tree.rglob("*")
-        if path.is_file()
-        and not any(part.startswith((".", "__MACOSX")) for part in path.relative_to(tree).parts)
-    )
+    files = (path for path in tree.rglob("*") if path.is_file())
+    hidden = (".", "__MACOSX")
+    return sorted(f for f in files if not any(p.startswith(hidden) for p in f.relative_to(tree).parts))

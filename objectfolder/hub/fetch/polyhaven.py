@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -28,13 +29,9 @@ def download_polyhaven(url: str, resolution: str, into: Path, part: Path, progre
     for number, (name, (address, size, md5)) in enumerate(sorted(files.items())):
         download_to(into / name, address, part.with_name(f"{part.name}.{number}.part"), progress, size)
         with (into / name).open("rb") as stream:
-            actual = hashlib.file_digest(stream, _md5).hexdigest()
+            actual = hashlib.file_digest(stream, partial(hashlib.md5, usedforsecurity=False)).hexdigest()
         if actual != md5:
             raise ObjectFolderError(f"{address} is damaged: its MD5 is {actual}, {url} says {md5}; try again")
-
-
-def _md5() -> Any:
-    return hashlib.md5(usedforsecurity=False)
 
 
 def _files(index: Path, url: str, resolution: str) -> dict[str, tuple[str, int, str]]:
@@ -42,14 +39,10 @@ def _files(index: Path, url: str, resolution: str) -> dict[str, tuple[str, int, 
     try:
         gltf: dict[str, Any] = json.loads(index.read_text())["gltf"][resolution]["gltf"]
         files = {PurePosixPath(gltf["url"]).name: gltf, **gltf.get("include", {})}
-        result = {
-            str(safe_path(name, url)): (
-                str(file["url"]),
-                min(int(file["size"]), MAX_DOWNLOAD),
-                str(file["md5"]),
-            )
-            for name, file in files.items()
-        }
+        result = {}
+        for name, file in files.items():
+            size = min(int(file["size"]), MAX_DOWNLOAD)
+            result[str(safe_path(name, url))] = str(file["url"]), size, str(file["md5"])
     except ObjectFolderError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:

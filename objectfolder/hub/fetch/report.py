@@ -20,8 +20,8 @@ def print_catalogue(catalogue: Catalogue, present: Collection[str], console: Con
     """Print one line per object, with a mark if it is in the workspace."""
     width = max(map(len, catalogue.objects))
     for key, entry in catalogue.objects.items():
-        mark = "✓" if key in present else " "
-        line = f"{mark} {key:{width}}  {entry.material:13}  {entry.scale:6.4g} m  {entry.name}"
+        name = f"{'✓' if key in present else ' '} {key:{width}}"
+        line = f"{name}  {entry.material:13}  {entry.scale:6.4g} m  {entry.name}"
         console.print(line, soft_wrap=True, highlight=False)
     print_overview(catalogue, present, console)
 

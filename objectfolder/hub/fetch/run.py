@@ -26,17 +26,17 @@ from objectfolder.hub.fetch.catalogue import Catalogue
 from objectfolder.hub.fetch.download import ProgressFactory, UnreachableError, download_to, no_progress
 from objectfolder.hub.fetch.files import collect, find_local, find_mesh
 from objectfolder.hub.fetch.polyhaven import download_polyhaven
+from objectfolder.hub.release.notices import SOURCE
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.settings import NormalizeConfig
 from objectfolder.workspace import params
 from objectfolder.workspace.objects import add_mesh
 
 CACHE = Path("build/.fetch")  #: unfinished downloads
-SOURCE_FILE = "SOURCE.txt"  #: beside the mesh
 SIZE_TOLERANCE = 0.05  #: between the catalogue's size and the mesh's own
 _log = logging.getLogger(__name__)
 CHECKSUMS = Path("data/checksums.yaml")
-CHECKSUMS_HEADER = (
+_HEADER = (
     "# SHA-256 of the files that `objectfolder fetch` has used, recorded at first use. Commit this file.\n"
 )
 
@@ -58,15 +58,6 @@ class FetchResult:
     detail: str  #: message
 
 
-@dataclass(frozen=True)
-class _Obtained:
-    """Files of an object, before they are copied."""
-
-    tree: Path
-    origin: str
-    archive: Path | None = None
-
-
 def fetch_object(
     key: str,
     catalogue: Catalogue,
@@ -77,28 +68,10 @@ def fetch_object(
 ) -> FetchResult:
     """Fetch one object and add it to the workspace, unless it is present.
 
-    Parameters
-    ----------
-    key : str
-    catalogue : Catalogue
-    directory : Path, optional
-        Local directory to take it from, instead of downloading it.
-    accept_changed : bool
-        Accept files that have changed since first use, and record their new checksums.
-    root : Path
-        Workspace.
-    progress : callable
-        Takes the name of a file to download and returns the callback for its progress.
-
-    Returns
-    -------
-    FetchResult
-        Added or present; failures raise.
-
-    Raises
-    ------
-    ObjectFolderError
-        On any failure; ``data/`` and ``params.yaml`` are then unchanged.
+    ``directory``: local one to take it from, instead of downloading it; ``accept_changed``: accept files that
+    have changed since first use, and record their new checksums; ``root``: workspace; ``progress``: takes the
+    name of a file to download and returns the callback for its progress. Raises ObjectFolderError on any
+    failure; ``data/`` and ``params.yaml`` are then unchanged.
     """
     if (present := _present(key, root)) is not None:
         return present
@@ -126,9 +99,7 @@ def _fetch(
     home = Path("data/objects") / key
     values = params.read(root / params.PARAMS_FILE)
     if os.path.lexists(root / home):
-        raise ObjectFolderError(
-            f"{home} exists, but {params.PARAMS_FILE} has no such object; remove the folder"
-        )
+        raise ObjectFolderError(f"{home} exists, but params.yaml has no such object; remove the folder")
     entry, source = catalogue.objects[key], catalogue.source(key)
     lock = root / CHECKSUMS
     recorded = read_checksums(lock).get(key, {})
@@ -136,15 +107,15 @@ def _fetch(
         shutil.rmtree(left, ignore_errors=True)
     with TemporaryDirectory(dir=root / CACHE, prefix=f"{key}.") as folder:
         scratch = Path(folder)
-        obtained = _obtain(key, catalogue, directory, scratch, root / CACHE, progress)
+        tree, origin, archive = _obtain(key, catalogue, directory, scratch, root / CACHE, progress)
         try:
-            mesh, files = collect(find_mesh(obtained.tree, source), obtained.tree, scratch / "object")
-            used = {obtained.archive.name: obtained.archive} if obtained.archive else files
+            mesh, files = collect(find_mesh(tree, source), tree, scratch / "object")
+            used = {archive.name: archive} if archive else files
             digests = {name: file_digest(path) for name, path in used.items()}
             if not accept_changed:
                 check_unchanged(recorded, digests, key, lock)
-            notice = scratch / SOURCE_FILE
-            notice.write_text(source_text(key, catalogue, obtained.origin), encoding="utf-8")
+            notice = scratch / SOURCE
+            notice.write_text(source_text(key, catalogue, origin), encoding="utf-8")
             most = params.settings(NormalizeConfig, values, root / params.PARAMS_FILE).texture_size
             own_size = float(np.ptp(load_mesh(mesh, texture_size=most).bounds, axis=0).max())
             # The source's up axis applies to its own format only.
@@ -152,7 +123,7 @@ def _fetch(
             add_mesh(mesh, key, entry.material, entry.scale, up, root, [notice], track=track)
         except (ObjectFolderError, OSError) as error:
             message = str(error).replace(f"{scratch / 'object'}/", "")
-            raise ObjectFolderError(f"{message} (from {obtained.origin})") from error
+            raise ObjectFolderError(f"{message} (from {origin})") from error
     record_checksums(lock, key, digests)
     detail = f"{entry.material}, {entry.scale:g} m"
     if abs(own_size / entry.scale - 1) > SIZE_TOLERANCE:
@@ -169,11 +140,9 @@ def fetch_all(
     progress: ProgressFactory = no_progress,
     on_result: Callable[[FetchResult], None] = lambda result: None,
 ) -> list[FetchResult]:
-    """Fetch objects one after another; a failure does not stop the others.
+    """Fetch objects one after another; a failure does not stop the others. Otherwise like `fetch_object`.
 
-    A host that cannot be reached is not asked for further objects.
-
-    ``on_result``: called with each result. The other parameters are those of `fetch_object`.
+    A host that cannot be reached is not asked for further objects. ``on_result``: called with each result.
     """
     # Without a workspace, raises once instead of once per object.
     present = params.read(root / params.PARAMS_FILE)["objects"]
@@ -222,35 +191,31 @@ def _obtain(
     scratch: Path,
     cache: Path,
     progress: ProgressFactory,
-) -> _Obtained:
+) -> tuple[Path, str, Path | None]:
+    """Return the folder with an object's files, where they are from, and their archive if there is one."""
     tree = scratch / "tree"
     if directory is not None:
         found = find_local(directory, catalogue, key)
         if found.is_dir():
-            return _Obtained(found, f"the folder {found.name}")
+            return found, f"the folder {found.name}", None
         extract(found, tree)
-        return _Obtained(tree, f"the archive {found.name}", found)
+        return tree, f"the archive {found.name}", found
     url = catalogue.url(key)
     if catalogue.source(key).kind == "polyhaven":
         download_polyhaven(url, catalogue.source(key).resolution, tree, cache / key, progress)
-        return _Obtained(tree, url)
+        return tree, url, None
     archive = scratch / catalogue.archive_name(key)
     download_to(archive, url, cache / f"{key}.part", progress)
     try:
         extract(archive, tree)
     except ObjectFolderError as error:
         raise ObjectFolderError(f"{error} (from {url})") from error
-    return _Obtained(tree, url, archive)
+    return tree, url, archive
 
 
 def read_checksums(path: Path) -> dict[str, dict[str, str]]:
-    """Read recorded checksums by object and file name; empty if the file does not exist.
-
-    Raises ObjectFolderError if it is damaged.
-    """
-    if not path.exists():
-        return {}
-    values = read_yaml(path)
+    """Read recorded checksums by object and file name, if there are any; ObjectFolderError if damaged."""
+    values = read_yaml(path) if path.exists() else None
     values = {} if values is None else values
     if not isinstance(values, dict) or not all(isinstance(files, dict) for files in values.values()):
         raise ObjectFolderError(f"{path} does not map objects to files and checksums; restore it from git")
@@ -258,10 +223,7 @@ def read_checksums(path: Path) -> dict[str, dict[str, str]]:
 
 
 def check_unchanged(recorded: Mapping[str, str], digests: Mapping[str, str], key: str, path: Path) -> None:
-    """Compare checksums with the recorded ones; new files are accepted.
-
-    Raises ObjectFolderError if a file has changed.
-    """
+    """Raise ObjectFolderError if a file has another checksum than the recorded one; new ones are accepted."""
     for name, digest in digests.items():
         if recorded.get(name, digest) != digest:
             raise ObjectFolderError(
@@ -279,4 +241,4 @@ def record_checksums(path: Path, key: str, digests: Mapping[str, str]) -> None:
     yaml.width = 4096
     stream = StringIO()
     yaml.dump({name: dict(sorted(values[name].items())) for name in sorted(values)}, stream)
-    write_text(path, CHECKSUMS_HEADER + stream.getvalue())
+    write_text(path, _HEADER + stream.getvalue())

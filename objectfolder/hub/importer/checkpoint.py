@@ -12,14 +12,12 @@ import torch
 
 from objectfolder.base.arrays import torch_problem
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.io import content_hint
+from objectfolder.base.io import content_hint, existing_file
 
 _KINDS = ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8")
 _ORDERS = ("<", ">", "=", "|")
-#: Largest file, bytes; a released file with a grid of small networks has a few hundred million.
-MAX_BYTES = 4 << 30
-#: Largest pickle in a zip archive, bytes; it contains the NumPy arrays, tensors are separate entries.
-MAX_PICKLE = 256 << 20
+MAX_BYTES = 4 << 30  #: of a file; one with a grid of small networks has a few hundred million
+MAX_PICKLE = 256 << 20  #: bytes of the pickle in a zip archive, with the NumPy arrays, but not the tensors
 MAX_ENTRIES = 100_000
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
@@ -43,10 +41,8 @@ class StoredDtype:
 class StoredArray:
     """Array as pickled: constructed empty, then filled from its state."""
 
-    value: np.ndarray
-
     def __init__(self) -> None:
-        self.value = np.empty(0)
+        self.value: np.ndarray = np.empty(0)
 
     def __setstate__(self, state: Any) -> None:
         _, shape, stored, columns_first, data = state
@@ -85,10 +81,10 @@ STAND_INS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
 
 
 class ReleasedDict:
-    """Dictionary of a released file, with methods that return validated entries.
+    """Dictionary of a released file, with methods that return validated entries, or raise ObjectFolderError.
 
-    ``path``: path of the file, for error messages; ``name``: keys that lead to the dictionary, joined by
-    dots; empty for the outermost dictionary.
+    ``path``: of the file, for messages; ``name``: keys that lead to the dictionary, joined by dots; empty for
+    the outermost one.
     """
 
     def __init__(self, path: str | Path, name: str, values: Mapping[Any, Any]):
@@ -100,10 +96,7 @@ class ReleasedDict:
         return key in self.values
 
     def part(self, key: str) -> "ReleasedDict":
-        """Return a nested dictionary.
-
-        Raises ObjectFolderError if the entry is missing or not as expected; all methods raise it.
-        """
+        """Return a nested dictionary."""
         value = self._get(key, "a dictionary")
         if not isinstance(value, Mapping):
             raise self.wrong(key, _describe(value), "a dictionary")
@@ -121,15 +114,13 @@ class ReleasedDict:
         return ReleasedDict(self.path, f"{self.name}.{prefix.rstrip('.')}", values)
 
     def tensor(self, key: str, *shape: int | None) -> torch.Tensor:
-        """Return a float32 tensor of finite numbers.
-
-        ``*shape``: expected shape; None allows any size.
-        """
+        """Return a float32 tensor of finite numbers of this shape, in which None stands for any size."""
         expected = f"a float tensor of shape {_shape_text(shape)}"
         value = self._get(key, expected)
-        if not isinstance(value, torch.Tensor) or value.layout != torch.strided:
-            raise self.wrong(key, _describe(value), expected)
-        if value.dtype not in _FLOATS or value.device.type != "cpu" or not _fits(value.shape, shape):
+        plain = (
+            isinstance(value, torch.Tensor) and value.layout == torch.strided and value.device.type == "cpu"
+        )
+        if not plain or value.dtype not in _FLOATS or not _fits(value.shape, shape):
             raise self.wrong(key, _describe(value), expected)
         # With strides of zero, a few bytes stand for a tensor of any size.
         if value.numel() * value.element_size() > Path(self.path).stat().st_size:
@@ -168,13 +159,11 @@ class ReleasedDict:
     def numbers_or_one(self, key: str, count: int) -> np.ndarray:
         """Return ``count`` numbers of any shape, or one number repeated; (count,) float64."""
         value = self._get(key, f"{count} numbers or one")
-        shape = value.value.shape if isinstance(value, StoredArray) else getattr(value, "shape", None)
-        if shape is None:
-            shape = (len(value),) if isinstance(value, list | tuple) else ()
+        held = value.value if isinstance(value, StoredArray) else value
+        shape = getattr(held, "shape", (len(held),) if isinstance(held, list | tuple) else ())
         if math.prod(shape) not in (1, count):
             raise self.wrong(key, _describe(value), f"{count} numbers or one")
-        numbers = self.numbers(key, *shape).reshape(-1)
-        return np.broadcast_to(numbers, (count,)).copy()
+        return np.broadcast_to(self.numbers(key, *shape).reshape(-1), (count,)).copy()
 
     def number(self, key: str) -> float:
         """Return a finite number."""
@@ -214,10 +203,8 @@ class ReleasedDict:
     def _get(self, key: str, expected: str) -> Any:
         if key not in self.values:
             there = ", ".join(sorted(map(str, self.values))[:12]) or "nothing"
-            raise ObjectFolderError(
-                f"{self.path}: {self._full(key)} is missing; expected {expected}. "
-                f"{self.name or 'The file'} holds {there}"
-            )
+            missing = f"{self.path}: {self._full(key)} is missing; expected {expected}"
+            raise ObjectFolderError(f"{missing}. {self.name or 'The file'} holds {there}")
         return self.values[key]
 
     def _full(self, key: str) -> str:
@@ -225,19 +212,16 @@ class ReleasedDict:
 
 
 def read_released(path: str | Path) -> ReleasedDict:
-    """Read a ``.pth`` file of numbers, in torch's zip format or its older one.
+    """Return the outermost dictionary of a ``.pth`` file of numbers, in torch's zip format or its older one.
 
     No code in it is executed: torch's restricted reader rebuilds tensors and plain containers, `STAND_INS`
-    rebuild NumPy arrays, and any other name is an error.
-
-    Returns the outermost dictionary. Raises ObjectFolderError if the file is missing, too large, damaged, or
-    contains more than numbers.
+    rebuild NumPy arrays, and any other name is an error. Raises ObjectFolderError if the file is missing, too
+    large, damaged, or contains more than numbers.
     """
     path = Path(path)
     if path.is_dir():
         raise ObjectFolderError(f"{path} is a folder; expected a file such as {path}/ObjectFile.pth")
-    if not path.is_file():
-        raise ObjectFolderError(f"{path} does not exist; expected a released ObjectFile.pth")
+    existing_file(path, "expected a released ObjectFile.pth")
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise ObjectFolderError(f"{path} has {size} bytes; a released file has at most {MAX_BYTES}")
@@ -251,10 +235,8 @@ def read_released(path: str | Path) -> ReleasedDict:
     except MemoryError as error:
         raise ObjectFolderError(f"{path} needs more memory than is available: the file is damaged") from error
     except Exception as error:
-        problem = f"({torch_problem(error)}){content_hint(path)}"
-        raise ObjectFolderError(
-            f"{path} is not a file of tensors and numbers {problem}; expected a released ObjectFile.pth"
-        ) from error
+        unread = f"{path} is not a file of tensors and numbers ({torch_problem(error)}){content_hint(path)}"
+        raise ObjectFolderError(f"{unread}; expected a released ObjectFile.pth") from error
     if not isinstance(values, Mapping):
         raise ObjectFolderError(f"{path} holds {_describe(values)}; expected a dictionary")
     return ReleasedDict(path, "", values)
@@ -269,9 +251,8 @@ def _check_archive(path: Path, size: int) -> None:
         raise ObjectFolderError(f"{path} is a damaged archive: {error}") from error
     packed = any(entry.compress_type != zipfile.ZIP_STORED for entry in entries)
     if packed or len(entries) > MAX_ENTRIES or sum(entry.file_size for entry in entries) > size:
-        raise ObjectFolderError(
-            f"{path} is not an archive that torch.save writes: its entries are compressed"
-        )
+        other = "not an archive that torch.save writes"
+        raise ObjectFolderError(f"{path} is {other}: its entries are compressed")
     pickles = [entry.file_size for entry in entries if entry.filename.endswith("data.pkl")]
     if max(pickles, default=0) > MAX_PICKLE:
         raise ObjectFolderError(f"{path}: data.pkl has {max(pickles)} bytes, expected at most {MAX_PICKLE}")

@@ -4,6 +4,7 @@ import dataclasses
 import logging
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,9 @@ from objectfolder.sound.released_gains import ReleasedGains
 from objectfolder.sound.released_spectrogram import ReleasedSpectrogram
 from objectfolder.stored.header import checked_name, format_name
 from objectfolder.touch.profiles import SensorProfile, load_profile
-from objectfolder.touch.released_net import DEPTH_SIZE, ReleasedDepth, ReleasedImage
+from objectfolder.touch.released_images import DEPTH_SIZE, ReleasedDepth, ReleasedImage
 from objectfolder.vision.released_kilo import ReleasedKilo
-from objectfolder.vision.released_net import ReleasedNerf
+from objectfolder.vision.released_nerf import ReleasedNerf
 from objectfolder.workspace.layout import MODALITIES
 
 SENSOR = "gelsight_r15"  #: default sensor that renders images from the depth maps of 2.0
@@ -67,28 +68,21 @@ class ImportOptions:
 
 
 def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> ObjectFile:
-    """Read a released ObjectFolder 1.0 or 2.0 file.
+    """Read a released ObjectFolder 1.0 or 2.0 file. Parts that cannot be read are left out with a warning.
 
-    Parts that cannot be read are left out with a warning.
-
-    Returns
-    -------
-    ObjectFile
-        Object File with parts of kinds ``released_*``, and a surface if a mesh is given.
-
-    Raises
-    ------
-    ObjectFolderError
-        If no part can be read, an option is invalid, or a mesh is of another size than the file's object.
+    Returns an Object File with parts of kinds ``released_*``, and a surface if a mesh is given. Raises
+    ObjectFolderError if no part can be read, an option is invalid, or a mesh is of another size than the
+    file's object.
     """
     path = Path(path)
-    # Checked here: an error of a part would leave the part out.
-    _check_names(options)
+    # Checked here: an error of a part would leave the part out. `workspace.stages.check_key` needs an extra.
+    if options.key is not None:
+        checked_name("key", options.key, "key")
+    checked_name("material", options.material, "material")
     sensor, gel = load_profile(options.sensor), _gel(options.gel)
     if options.crop is not None and finite_number("crop", options.crop) <= 0:
-        raise ObjectFolderError(
-            f"crop is {options.crop!r}, expected half the side of a cube in the unit frame, such as 0.6"
-        )
+        expected = "half the side of a cube in the unit frame, such as 0.6"
+        raise ObjectFolderError(f"crop is {options.crop!r}, expected {expected}")
     checkpoint = read_released(path)
     stored = _stored_bounds(checkpoint)
     bounds, geometry = _body(options, stored)
@@ -115,16 +109,20 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
         "provenance": {"released": file_digest(path)},
     }
     if options.material in materials.material_names():
-        header["material_properties"] = dataclasses.asdict(materials.material(options.material))
-        del header["material_properties"]["name"]
+        properties = dataclasses.asdict(materials.material(options.material))
+        header["material_properties"] = {name: properties[name] for name in properties if name != "name"}
     tensors: dict[str, np.ndarray] = {}
-    notes = []
+    notes: list[str] = []
+
+    def note(text: str) -> None:
+        notes.append(text)
+        log.warning("%s", text)
+
     for modality in MODALITIES:
         try:
             net = readers[modality](checkpoint.part(_NAMES[modality]))
         except ObjectFolderError as error:
-            notes.append(f"{modality} is left out: {error}")
-            log.warning("%s", notes[-1])
+            note(f"{modality} is left out: {error}")
             continue
         net_tensors, config = net.to_tensors()
         header[modality] = {"kind": _KINDS[type(net)], "net": config}
@@ -132,22 +130,13 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
     if not tensors:
         raise ObjectFolderError(f"{path}: nothing could be imported. " + "; ".join(notes))
     if options.scale is None and where is None:
-        notes.append(f"longest side not known ({scale:g} m assumed): give --scale or --bounds")
-        log.warning("%s", notes[-1])
-    header["imported"] = {"release": _release(header), "notes": notes}
+        note(f"longest side not known ({scale:g} m assumed): give --scale or --bounds")
+    kinds = {header[modality]["kind"] for modality in MODALITIES if modality in header}
+    release = "ObjectFolder 1.0" if {"released_spectrogram", "released_image"} & kinds else "ObjectFolder 2.0"
+    header["imported"] = {"release": release, "notes": notes}
     if geometry is not None:
         header["geometry"], tensors["geometry.distances"], header["source"] = geometry
     return ObjectFile(header, tensors, path)
-
-
-def _check_names(options: ImportOptions) -> None:
-    """Raise ObjectFolderError unless an Object File may hold key and material.
-
-    `objectfolder.workspace.stages.check_key` needs the build extra, which an import does without.
-    """
-    if options.key is not None:
-        checked_name("key", options.key, "key")
-    checked_name("material", options.material, "material")
 
 
 def _touch(
@@ -156,10 +145,8 @@ def _touch(
     if "xyz_min" in part or "xyz_max" in part:
         return depth_net(part, frame, sensor, gel)
     if bounds is None:
-        raise ObjectFolderError(
-            f"{part.path}: {part.name} holds no xyz_min; a file of 1.0 does not contain its bounds: "
-            "pass --bounds or --mesh"
-        )
+        absent = f"{part.path}: {part.name} holds no xyz_min; a file of 1.0 does not contain its bounds"
+        raise ObjectFolderError(f"{absent}: pass --bounds or --mesh")
     return image_net(part, frame, bounds)
 
 
@@ -177,14 +164,10 @@ def _gel(path: Path | None) -> np.ndarray | None:
 
 def _stored_bounds(checkpoint: ReleasedDict) -> np.ndarray | None:
     """Return the bounds stored in a file of 2.0, or None."""
-    for holder in (("TouchNet",), ("AudioNet", "normalizer")):
-        try:
-            part = checkpoint
-            for name in holder:
-                part = part.part(name)
-            return np.array(box(part))
-        except ObjectFolderError:
-            continue
+    with suppress(ObjectFolderError):
+        return np.array(box(checkpoint.part("TouchNet")))
+    with suppress(ObjectFolderError):
+        return np.array(box(checkpoint.part("AudioNet").part("normalizer")))
     return None
 
 
@@ -200,15 +183,12 @@ def _body(options: ImportOptions, stored: np.ndarray | None) -> tuple[np.ndarray
             return None, None
         bounds = np.asarray(options.bounds, np.float64)
         if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[0] < bounds[1]).all():
-            raise ObjectFolderError(
-                f"bounds are {bounds.ravel().tolist()}, expected xmin ymin zmin xmax ymax zmax, each minimum "
-                "below its maximum"
-            )
+            expected = "xmin ymin zmin xmax ymax zmax, each minimum below its maximum"
+            raise ObjectFolderError(f"bounds are {bounds.ravel().tolist()}, expected {expected}")
         return bounds, None
     if options.bounds is not None:
-        raise ObjectFolderError(
-            f"bounds are given beside the mesh {options.mesh}, which has its own; leave one of them out"
-        )
+        both = f"bounds are given beside the mesh {options.mesh}, which has its own"
+        raise ObjectFolderError(f"{both}; leave one of them out")
     # Imported here: needs the build extra. The mesh is not rotated, so that its axes stay those of the file.
     from objectfolder.mesh.gridcodec import pack_grid
     from objectfolder.mesh.normalize import normalize
@@ -223,11 +203,8 @@ def _body(options: ImportOptions, stored: np.ndarray | None) -> tuple[np.ndarray
     values, band = distance_grid(solid.surface.vertices, solid.surface.faces, RESOLUTION)
     stream, predictor = pack_grid(values)
     header = {"kind": "distance_grid", "resolution": RESOLUTION, "band": float(band), "predictor": predictor}
-    source = {
-        "source_centre": solid.source_centre.tolist(),
-        "source_size": solid.source_size,
-        "source_up": "z",
-    }
+    centre, size = solid.source_centre.tolist(), solid.source_size
+    source = {"source_centre": centre, "source_size": size, "source_up": "z"}
     return bounds, (header, stream, source)
 
 
@@ -236,18 +213,11 @@ def _check_size(mesh: Path, bounds: np.ndarray, stored: np.ndarray) -> None:
     pair = not np.ptp(stored, axis=1).any()
     size, expected = (np.ptp(x, axis=None if pair else 0).max() for x in (bounds, stored))
     if abs(size / expected - 1) > SIZE_MISMATCH:
-        what = "coordinates span" if pair else "longest side is"
+        what = f"its {'coordinates span' if pair else 'longest side is'} {size:.4g}"
         raise ObjectFolderError(
-            f"{mesh}: its {what} {size:.4g}, the file's stored bounds say {expected:.4g}; expected a mesh in "
-            "the coordinates of the released file. If it is that, give --scale, its longest side in metres"
+            f"{mesh}: {what}, the file's stored bounds say {expected:.4g}; expected a mesh in the "
+            "coordinates of the released file. If it is that, give --scale, its longest side in metres"
         )
-
-
-def _release(header: dict[str, Any]) -> str:
-    """Return the name of the release that the parts belong to."""
-    kinds = {header[modality]["kind"] for modality in MODALITIES if modality in header}
-    first = {"released_spectrogram", "released_image"} & kinds
-    return "ObjectFolder 1.0" if first else "ObjectFolder 2.0"
 
 
 def _key(path: Path) -> str:

@@ -1,4 +1,7 @@
-"""Readers of the nets of released files."""
+"""Readers of the nets of released files.
+
+All raise ObjectFolderError if an entry is missing or not as documented.
+"""
 
 import math
 from typing import Any
@@ -13,10 +16,10 @@ from objectfolder.nets.released_network import Frame, ReleasedNetwork, build_net
 from objectfolder.sound.released_gains import ReleasedGains
 from objectfolder.sound.released_spectrogram import AXES, NEIGHBOURS, ReleasedSpectrogram
 from objectfolder.touch.profiles import SensorProfile
-from objectfolder.touch.released_net import APEX, DEPTH_SIZE, DEPTHS, PIXEL, ReleasedDepth, ReleasedImage
+from objectfolder.touch.released_images import APEX, DEPTH_SIZE, DEPTHS, PIXEL, ReleasedDepth, ReleasedImage
 from objectfolder.vision.osf_net import ScatteringFunction
 from objectfolder.vision.released_kilo import MARGIN, MAX_CELLS, ReleasedKilo
-from objectfolder.vision.released_net import MAX_SAMPLES, March, ReleasedNerf, build_scattering
+from objectfolder.vision.released_nerf import MAX_SAMPLES, March, ReleasedNerf, build_scattering
 
 DEPTH = 8  #: default number of hidden layers
 MAX_MODES = 1 << 16
@@ -35,9 +38,7 @@ _QUANTILE = 0.9  # quantile of the probes' depths
 
 
 def by_octave(inputs: int, octaves: int) -> np.ndarray:
-    """Return the channels of the released encoding in our order.
-
-    Ours is that of `objectfolder.nets.positional.append_octaves`.
+    """Return the channels of the released encoding in our order, that of `nets.positional.append_octaves`.
 
     Released: all numbers, then for each octave all sines and all cosines. Ours: all numbers, then all sines,
     then all cosines, each ordered by number.
@@ -59,10 +60,15 @@ def octaves_of(state: ReleasedDict, key: str, channels: int, inputs: int) -> int
     """Return the octaves of an encoding with ``channels`` channels of ``inputs`` numbers."""
     octaves, rest = divmod(channels // inputs - 1, 2)
     if channels % inputs or rest or octaves < 0:
-        raise state.wrong(
-            key, f"for {channels} channels", f"{inputs} times an odd number: an encoding of {inputs} numbers"
-        )
+        expected = f"{inputs} times an odd number: an encoding of {inputs} numbers"
+        raise state.wrong(key, f"for {channels} channels", expected)
     return octaves
+
+
+def _layer(state: ReleasedDict, theirs: str, ours: str, *shape: int) -> dict[str, torch.Tensor]:
+    """Read weight and bias of a linear layer."""
+    weight, bias = state.tensor(f"{theirs}.weight", *shape), state.tensor(f"{theirs}.bias", shape[0])
+    return {f"{ours}.weight": weight, f"{ours}.bias": bias}
 
 
 def trunk(
@@ -73,48 +79,37 @@ def trunk(
     ``inputs``: numbers before encoding; ``prefix``: prefix of the returned names; ``refeed``: whether the
     input is concatenated again after the layer of index 4; ``depth``: number of layers.
     """
-    first = state.tensor("pts_linears.0.weight", None, None)
-    width, channels = first.shape
+    width, channels = state.tensor("pts_linears.0.weight", None, None).shape
     octaves = octaves_of(state, "pts_linears.0.weight", channels, inputs)
     order = by_octave(inputs, octaves)
-    tensors = {}
+    tensors: dict[str, torch.Tensor] = {}
     for i in range(depth):
         joined = channels if i == SKIP + 1 and refeed else 0
-        size = width + joined if i else channels
-        weight = state.tensor(f"pts_linears.{i}.weight", width, size)
+        name = f"{prefix}hidden.{i}"
+        tensors |= _layer(state, f"pts_linears.{i}", name, width, width + joined if i else channels)
+        weight = tensors[f"{name}.weight"]
         if i == 0 or joined:
-            weight = torch.cat([weight[:, :channels][:, order], weight[:, channels:]], 1)
+            tensors[f"{name}.weight"] = torch.cat([weight[:, :channels][:, order], weight[:, channels:]], 1)
         elif i == SKIP + 1:  # ours always concatenates the input: weights of zero ignore it
-            weight = torch.cat([weight.new_zeros(width, channels), weight], 1)
-        tensors[f"{prefix}hidden.{i}.weight"] = weight
-        tensors[f"{prefix}hidden.{i}.bias"] = state.tensor(f"pts_linears.{i}.bias", width)
+            tensors[f"{name}.weight"] = torch.cat([weight.new_zeros(width, channels), weight], 1)
     return tensors, octaves
 
 
-def network(state: ReleasedDict, inputs: int, outputs: int, prefix: str = "") -> dict[str, torch.Tensor]:
+def network(state: ReleasedDict, inputs: int, outputs: int) -> dict[str, torch.Tensor]:
     """Read ``pts_linears`` and ``output_linear`` as a `ReleasedNetwork`; the view layer is unused."""
-    tensors, _ = trunk(state, inputs, prefix)
-    width = len(tensors[f"{prefix}hidden.0.weight"])
-    tensors[f"{prefix}output.weight"] = state.tensor("output_linear.weight", outputs, width)
-    tensors[f"{prefix}output.bias"] = state.tensor("output_linear.bias", outputs)
-    return tensors
+    tensors, _ = trunk(state, inputs, "")
+    return tensors | _layer(state, "output_linear", "output", outputs, len(tensors["hidden.0.weight"]))
 
 
 def spectrogram_net(audio: ReleasedDict, frame: Frame) -> ReleasedSpectrogram:
-    """Read an AudioNet of ObjectFolder 1.0.
-
-    Raises ObjectFolderError if an entry is missing or not as documented.
-    """
+    """Read an AudioNet of ObjectFolder 1.0."""
     vertices = audio.numbers("voxel_vertex", None, 3)
     if len(vertices) < NEIGHBOURS or np.ptp(vertices) == 0:
         raise audio.wrong("voxel_vertex", f"{len(vertices)} vertices", f"{NEIGHBOURS} or more, not all equal")
     normalizer = audio.part("normalizer")
-    values = [_range(normalizer, axis) for axis in range(1, 4)]
+    values = [[normalizer.number(f"f{axis}_{end}") for end in ("min", "max")] for axis in (1, 2, 3)]
     state = audio.state("model_state_dict")
-    branches = []
-    for axis in AXES:
-        tensors = network(state.below(f"model_{axis}."), 5, 2)
-        branches.append(build_network(tensors, 5))
+    branches = [build_network(network(state.below(f"model_{axis}."), 5, 2), 5) for axis in AXES]
     config = {
         "frame": frame.to_dict(),
         "translation": audio.numbers("translation", 3).tolist(),
@@ -126,10 +121,7 @@ def spectrogram_net(audio: ReleasedDict, frame: Frame) -> ReleasedSpectrogram:
 
 
 def gains_net(audio: ReleasedDict, frame: Frame) -> ReleasedGains:
-    """Read an AudioNet of ObjectFolder 2.0.
-
-    Raises ObjectFolderError if an entry is missing or not as documented.
-    """
+    """Read an AudioNet of ObjectFolder 2.0."""
     frequencies = audio.numbers("frequencies", None)
     count = len(frequencies)
     dampings = audio.numbers("dampings", count)
@@ -161,16 +153,8 @@ def box(part: ReleasedDict) -> list[list[float]]:
     return [low.tolist(), high.tolist()]
 
 
-def _range(normalizer: ReleasedDict, axis: int) -> list[float]:
-    low, high = (normalizer.number(f"f{axis}_{end}") for end in ("min", "max"))
-    return [low, high]
-
-
 def nerf_net(vision: ReleasedDict, crop: float | None = None) -> ReleasedNerf:
-    """Read a VisionNet of ObjectFolder 1.0.
-
-    Raises ObjectFolderError if an entry is missing or not as documented; all functions here raise it.
-    """
+    """Read a VisionNet of ObjectFolder 1.0."""
     keys = {"coarse": "network_fn_state_dict", "fine": "network_fine_state_dict"}
     nets = {name: _net(vision.state(key)) for name, key in keys.items()}
     return ReleasedNerf(nets, MARCH, crop)
@@ -218,12 +202,8 @@ def _net(state: ReleasedDict, refeed: bool = True, depth: int = DEPTH) -> Scatte
     tensors, octaves = trunk(state, 3, "trunk.", refeed, depth)
     width = len(tensors["trunk.hidden.0.weight"])
     # Layer names of the released code, or those of the paper's description.
-    bottleneck = "bottleneck_linear" if "bottleneck_linear.weight" in state else "feature_linear"
-    views = "views_lights_linears.0" if "views_lights_linears.0.weight" in state else "views_linears.0"
-    if f"{bottleneck}.weight" not in state:
-        bottleneck = "bottleneck_linear"
-    if f"{views}.weight" not in state:
-        views = "views_lights_linears.0"
+    bottleneck = _first(state, "bottleneck_linear", "feature_linear")
+    views = _first(state, "views_lights_linears.0", "views_linears.0")
     joint = state.tensor(f"{views}.weight", None, None)
     branch, channels = len(joint), joint.shape[1] - width
     direction_octaves = octaves_of(state, f"{views}.weight", max(channels, 0), 6)
@@ -231,14 +211,15 @@ def _net(state: ReleasedDict, refeed: bool = True, depth: int = DEPTH) -> Scatte
     order = np.concatenate([np.arange(width), width + order, width + len(order) + order])
     tensors["branch.hidden.0.weight"] = joint[:, order]
     tensors["branch.hidden.0.bias"] = state.tensor(f"{views}.bias", branch)
-    for ours, theirs, shape in (
-        ("density", "alpha_linear", (1, width)),
-        ("bottleneck", bottleneck, (width, width)),
-        ("fraction", "rgb_linear", (3, branch)),
-    ):
-        tensors[f"{ours}.weight"] = state.tensor(f"{theirs}.weight", *shape)
-        tensors[f"{ours}.bias"] = state.tensor(f"{theirs}.bias", shape[0])
+    tensors |= _layer(state, "alpha_linear", "density", 1, width)
+    tensors |= _layer(state, bottleneck, "bottleneck", width, width)
+    tensors |= _layer(state, "rgb_linear", "fraction", 3, branch)
     return build_scattering(tensors, octaves, direction_octaves)
+
+
+def _first(state: ReleasedDict, *names: str) -> str:
+    """Return the first of the names that a layer has; of none, the first."""
+    return next((name for name in names if f"{name}.weight" in state), names[0])
 
 
 def _kilo(vision: ReleasedDict, cfg: ReleasedDict, state: ReleasedDict) -> ReleasedKilo:
@@ -271,11 +252,10 @@ def _kilo(vision: ReleasedDict, cfg: ReleasedDict, state: ReleasedDict) -> Relea
         "direction": ("direction_layer", width + view + light, branch),
         "color": ("rgb_linear", branch, 3),
     }
+    ways = [by_number(3, octaves[1]), view + by_number(3, octaves[2])]
     orders = {
         "points.0": by_number(3, octaves[0]),
-        "direction": np.concatenate(
-            [np.arange(width), width + by_number(3, octaves[1]), width + view + by_number(3, octaves[2])]
-        ),
+        "direction": np.concatenate([np.arange(width), *(width + way for way in ways)]),
     }
     weights: dict[str, Any] = {}
     for ours, (theirs, inputs, outputs) in names.items():
@@ -291,11 +271,10 @@ def _select_cells(occupied: torch.Tensor, voxels: tuple[int, ...], grid: tuple[i
     # A cell covers the voxels from one end to the other; one more on each side allows for rounding.
     mask = occupied.view(voxels)
     for axis, (fine, coarse) in enumerate(zip(voxels, grid)):
-        ends = [
-            (max(math.floor(i * fine / coarse) - 1, 0), min(math.ceil((i + 1) * fine / coarse) + 1, fine))
-            for i in range(coarse)
-        ]
-        mask = torch.stack([mask.narrow(axis, a, b - a).any(axis) for a, b in ends], axis)
+        starts = [max(math.floor(i * fine / coarse) - 1, 0) for i in range(coarse)]
+        ends = [min(math.ceil((i + 1) * fine / coarse) + 1, fine) for i in range(coarse)]
+        parts = [mask.narrow(axis, start, end - start) for start, end in zip(starts, ends)]
+        mask = torch.stack([part.any(axis) for part in parts], axis)
     return mask.flatten().nonzero()[:, 0]
 
 
@@ -308,19 +287,11 @@ def _sizes(part: ReleasedDict, key: str, limit: int) -> tuple[int, int, int]:
 
 
 def image_net(touch: ReleasedDict, frame: Frame, bounds: np.ndarray) -> ReleasedImage:
-    """Read a TouchNet of ObjectFolder 1.0.
-
-    ``bounds`` (2, 3): bounds of the object in the file's coordinates. Raises ObjectFolderError if an entry is
-    missing or not as documented.
-    """
+    """Read a TouchNet of ObjectFolder 1.0; ``bounds`` (2, 3): of the object in the file's coordinates."""
     net = build_network(network(touch.state("model_state_dict"), 5, 3), 5)
-    config = {
-        "frame": frame.to_dict(),
-        "coordinates": [float(bounds.min()), float(bounds.max())],
-        "press_depth": PRESS_DEPTH,
-        "angle": 0.0,
-        "sensor": "tacto_digit",
-    }
+    coordinates = [float(bounds.min()), float(bounds.max())]
+    config: dict[str, Any] = {"frame": frame.to_dict(), "coordinates": coordinates}
+    config |= {"press_depth": PRESS_DEPTH, "angle": 0.0, "sensor": "tacto_digit"}
     return ReleasedImage(net, config)
 
 
@@ -331,15 +302,14 @@ def depth_net(
 
     ``profile``: sensor that renders images from the depth maps. ``gel`` (120, 160): the untouched gel as the
     released code stores it (``calibs/depth_bg.npy``): heights in pixels. Default: the 90th percentile of the
-    depths of contacts across the object, pixel by pixel. Raises ObjectFolderError if an entry is missing or
-    not as documented.
+    depths of contacts across the object, pixel by pixel.
     """
     net = build_network(network(touch.state("model_state_dict"), 9, 1), 9)
     config = {"frame": frame.to_dict(), "bounds": box(touch), "sensor": profile.to_dict()}
-    depth = (
-        _estimate_gel(net) if gel is None else torch.from_numpy(APEX - PIXEL * np.asarray(gel, np.float64))
-    )
-    return ReleasedDepth(net, depth.float(), config)
+    if gel is None:
+        return ReleasedDepth(net, _estimate_gel(net).float(), config)
+    depth = APEX - PIXEL * np.asarray(gel, np.float64)
+    return ReleasedDepth(net, torch.from_numpy(depth).float(), config)
 
 
 @torch.no_grad()
@@ -350,12 +320,8 @@ def _estimate_gel(net: ReleasedNetwork) -> torch.Tensor:
     rows, columns = (torch.linspace(0, 1, n // _STRIDE) for n in DEPTH_SIZE)
     pixels = torch.stack(torch.meshgrid(rows, columns, indexing="ij"), -1).flatten(0, 1)
     upright = torch.tensor([0.0, 1.0, 0.0, 0.0])  # no tilt, azimuth 0, the lightest press
-    depths = torch.stack(
-        [
-            net(torch.cat([torch.cat([place, upright]).expand(len(pixels), -1), pixels], 1))[:, 0]
-            for place in places
-        ]
-    )
+    contacts = [torch.cat([place, upright]).expand(len(pixels), -1) for place in places]
+    depths = torch.stack([net(torch.cat([contact, pixels], 1))[:, 0] for contact in contacts])
     low = depths.quantile(_QUANTILE, 0).view(1, 1, len(rows), len(columns))
     full = interpolate(low, DEPTH_SIZE, mode="bilinear", align_corners=True)[0, 0]
     return full * (DEPTHS[1] - DEPTHS[0]) + DEPTHS[0]

@@ -31,6 +31,7 @@ _CONTEXT: dict[str, Any] = {
     "name": {"@container": "@language"},
     **{term: f"cr:{term}" for term in _TERMS},
 }
+_BYTES = "application/octet-stream"
 _TYPES = {str: "sc:Text", int: "sc:Integer", float: "sc:Float"}
 _MEANINGS = {
     "key": "Name of the object.",
@@ -52,10 +53,7 @@ _MEANINGS = {
 
 
 def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) -> dict[str, Any]:
-    """Return the metadata as JSON-LD.
-
-    ``words``: what people read; ``index_digest``: SHA-256 of the index.
-    """
+    """Return the metadata as JSON-LD; ``index_digest``: SHA-256 of the index."""
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
@@ -71,25 +69,10 @@ def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) ->
         "keywords": list(words.keywords),
         "isLiveDataset": False,
         "distribution": [
-            {
-                "@type": "cr:FileObject",
-                "@id": "index",
-                "name": INDEX,
-                "contentUrl": INDEX,
-                "encodingFormat": "text/csv",
-                "sha256": index_digest,
-            },
+            _file("index", INDEX, INDEX, "text/csv", index_digest),
             *(
-                {
-                    "@type": "cr:FileObject",
-                    "@id": _file_id(entry),
-                    "name": entry.key,
-                    "contentUrl": entry.path,
-                    "encodingFormat": "application/octet-stream",
-                    "contentSize": f"{entry.bytes} B",
-                    "sha256": entry.sha256,
-                    "license": entry.licence,
-                }
+                _file(_file_id(entry), entry.key, entry.path, _BYTES, entry.sha256)
+                | {"contentSize": f"{entry.bytes} B", "license": entry.licence}
                 for entry in entries
             ),
             {
@@ -98,7 +81,7 @@ def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) ->
                 "name": OBJECTS,
                 "description": "Object Files, safetensors.",
                 "containedIn": [{"@id": _file_id(entry)} for entry in entries],
-                "encodingFormat": "application/octet-stream",
+                "encodingFormat": _BYTES,
                 "includes": f"{OBJECTS}/*.safetensors",
             },
         ],
@@ -121,6 +104,11 @@ def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) ->
         "rai:personalSensitiveInformation": words.personal,
         "rai:dataReleaseMaintenancePlan": words.maintenance,
     }
+
+
+def _file(identity: str, name: str, path: str, encoding: str, digest: str) -> dict[str, Any]:
+    described = {"@type": "cr:FileObject", "@id": identity, "name": name, "contentUrl": path}
+    return described | {"encodingFormat": encoding, "sha256": digest}
 
 
 def _file_id(entry: IndexEntry) -> str:

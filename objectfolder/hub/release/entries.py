@@ -44,23 +44,21 @@ def entry_of(
     built or of another material or size than params.yaml says, its scores are of another build, its mesh is
     not there and so no SOURCE.txt, or its licence is not known or not the one that its SOURCE.txt states.
     """
-    build = Build(key, root)
+    build, again = Build(key, root), f"run `objectfolder build {key}`"
     if not build.object_file.is_file():
-        raise ObjectFolderError(f"{key} is not built: run `objectfolder build {key}`, or leave it out")
+        raise ObjectFolderError(f"{key} is not built: {again}, or leave it out")
     file, digest = ObjectFile.load(build.object_file), file_digest(build.object_file)
     entry = object_entry(key, dict(values))
-    wanted = own_material(entry.material, root=root).name, entry.scale
-    if (file.material, file.scale) != wanted:
+    material = own_material(entry.material, root=root).name
+    if (file.material, file.scale) != (material, entry.scale):
+        found, wanted = f"{file.material}, {file.scale:g} m", f"{material}, {entry.scale:g} m"
         raise ObjectFolderError(
-            f"{key}: {build.object_file} is of {file.material}, {file.scale:g} m, params.yaml says "
-            f"{wanted[0]}, {wanted[1]:g} m; run `objectfolder build {key}`"
+            f"{key}: {build.object_file} is of {found}, params.yaml says {wanted}; {again}"
         )
     scores = read_json(build.metrics) if build.metrics.is_file() else {}
     if scores and scores.get("file_sha256") != digest:
-        raise ObjectFolderError(
-            f"{key}: {build.metrics} has the scores of another Object File than {build.object_file}; run "
-            f"`objectfolder build {key}`"
-        )
+        other = f"has the scores of another Object File than {build.object_file}"
+        raise ObjectFolderError(f"{key}: {build.metrics} {other}; {again}")
     licence, source = _origin(key, values, licences, root)
     frequencies = file.frequencies
     return IndexEntry(
@@ -120,28 +118,20 @@ def _mesh(key: str, values: Mapping[str, Any], root: Path) -> Path:
 def _origin(key: str, values: Mapping[str, Any], licences: Mapping[str, str], root: Path) -> tuple[str, str]:
     mesh = _mesh(key, values, root)
     if key not in values["procedural"] and not mesh.is_file():
-        raise ObjectFolderError(
-            f"{key}: its mesh {mesh} is not here, so that no {SOURCE} beside it can state a licence; run "
-            f"`dvc pull data/objects/{key}.dvc`"
-        )
-    notice = read_notice(mesh)
+        absent = f"its mesh {mesh} is not here, so that no {SOURCE} beside it can state a licence"
+        raise ObjectFolderError(f"{key}: {absent}; run `dvc pull data/objects/{key}.dvc`")
+    notice, path, option = read_notice(mesh), mesh.parent / SOURCE, f"give --licence {key}=LICENCE"
     given, stated = licences.get(key), notice.licence if notice else ""
     if given and stated and licence_name(given) != licence_name(stated):
-        raise ObjectFolderError(
-            f"--licence {key}={given}: {mesh.parent / SOURCE} states {stated}; leave the option out, or "
-            "correct the file"
-        )
+        advice = "leave the option out, or correct the file"
+        raise ObjectFolderError(f"--licence {key}={given}: {path} states {stated}; {advice}")
     if notice and not stated and not given:
-        raise ObjectFolderError(
-            f"{key}: {mesh.parent / SOURCE} states no licence; add a line `Licence: ...` to it, or give "
-            f"--licence {key}=LICENCE"
-        )
+        advice = f"add a line `Licence: ...` to it, or {option}"
+        raise ObjectFolderError(f"{key}: {path} states no licence; {advice}")
     licence = stated or given or licences.get("")
     if not licence:
-        raise ObjectFolderError(
-            f"{key}: the licence of its mesh is not known; give --licence {key}=LICENCE, or for "
-            "all objects without one --licence LICENCE, such as CC0-1.0 or CC-BY-4.0"
-        )
+        advice = f"{option}, or for all objects without one --licence LICENCE, such as CC0-1.0 or CC-BY-4.0"
+        raise ObjectFolderError(f"{key}: the licence of its mesh is not known; {advice}")
     source = notice.source if notice else GENERATOR_SOURCE if key in values["procedural"] else ""
     return licence_name(licence), source
 

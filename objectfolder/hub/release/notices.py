@@ -44,30 +44,22 @@ def read_notice(mesh: Path) -> Notice | None:
     if len(content) > MAX_NOTICE:
         raise ObjectFolderError(f"{path} has more than {MAX_NOTICE:,} bytes, expected a notice; shorten it")
     text = content.decode(errors="replace")
-    fields = {
-        "licence": "Licen[cs]e",
-        "source": "Mesh and textures",
-        "attribution": "Attribution",
-        "changes": "Changes",
-    }
+    titles = {"licence": "Licen[cs]e", "source": "Mesh and textures"}
+    titles |= {"attribution": "Attribution", "changes": "Changes"}
     found = {
         name: visible(match[1].strip())
-        for name, title in fields.items()
+        for name, title in titles.items()
         if (match := re.search(rf"^\s*{title}\s*:\s*(\S.*)$", text, re.MULTILINE | re.IGNORECASE))
     }
     for name, value in found.items():
         if len(value) > MAX_TEXT:
-            raise ObjectFolderError(
-                f"{path}: its {name} has {len(value)} characters, expected at most {MAX_TEXT}; shorten it"
-            )
+            long = f"its {name} has {len(value)} characters, expected at most {MAX_TEXT}"
+            raise ObjectFolderError(f"{path}: {long}; shorten it")
     return Notice(path, **found)
 
 
 def licence_name(text: str) -> str:
-    """Return the SPDX identifier of a licence in one of its spellings, such as "CC BY 4.0 (https://...)".
-
-    Others are returned as they are.
-    """
+    """Return the SPDX identifier of a licence such as "CC BY 4.0 (https://...)"; others as they are."""
     short = re.sub(r"[\s-]+", "-", text.partition("(")[0].strip()).lower()
     return next((name for name in _LICENCES if name.lower() == short), text.strip())
 

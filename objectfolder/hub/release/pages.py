@@ -17,6 +17,10 @@ _PAPER = (
 )
 LICENCES = "licences"  #: folder of the notices
 _ATTRIBUTION = "Name these with what you make from the objects; the Object Files were made from their meshes."
+_INSTANCE = "An instance is one object; none is missing a label: the material is given."
+_PREPROCESSING = (
+    "Meshes were scaled to their size and closed to solids; small gaps between bodies may be filled."
+)
 _SITE = "\n\n[site/index.html](site/index.html) shows every object: see, strike and touch it in a browser."
 
 
@@ -160,31 +164,21 @@ Split by object, for tests on unseen objects: {count_values(entry.split for entr
 def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice]) -> str:
     """Return DATASHEET.md, after Gebru et al., Datasheets for Datasets, 2021."""
     named = attributions(notices)
+    attribution = f" {_ATTRIBUTION}\n\n{named}" if named else ""
     sources = _count(entry.source or "not stated" for entry in entries)
+    licences = _count(entry.licence for entry in entries)
+    splits = count_values(entry.split for entry in entries)
     answers = (
         ("Motivation", words.uses),
-        (
-            "Composition",
-            words.summary + " An instance is one object; none is missing a label: the material is given.",
-        ),
+        ("Composition", f"{words.summary} {_INSTANCE}"),
         ("Collection", f"{words.making} Meshes: {sources}."),
-        (
-            "Preprocessing",
-            "Meshes were scaled to their size and closed to solids; small gaps between bodies may be filled.",
-        ),
-        (
-            "Splits",
-            f"By object: {count_values(entry.split for entry in entries)}. Scores are of held-out data.",
-        ),
+        ("Preprocessing", _PREPROCESSING),
+        ("Splits", f"By object: {splits}. Scores are of held-out data."),
         ("Limits", words.limits),
         ("Biases", words.biases),
         ("Personal data", words.personal),
         ("Social impact", words.impact),
-        (
-            "Distribution",
-            f"Licences: {_count(entry.licence for entry in entries)}. Each object has that of its mesh."
-            + (f" {_ATTRIBUTION}\n\n{named}" if named else ""),
-        ),
+        ("Distribution", f"Licences: {licences}. Each object has that of its mesh.{attribution}"),
         ("Maintenance", f"{words.maintenance} By {in_markdown(words.creator)}."),
     )
     sections = "\n".join(f"## {title}\n\n{text}\n" for title, text in answers)

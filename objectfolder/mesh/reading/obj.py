@@ -94,7 +94,7 @@ def mtl_names(path: Path) -> list[str]:
 def _library_names(lines: ObjLines) -> list[str]:
     names: dict[str, None] = {}
     for text in filter(None, lines.statements("mtllib")[1]):
-        several = re.split(r"(?<=\.mtl)\s+", text, flags=re.I)
+        several = re.split(r"(?<=\.mtl)\s+", text.strip('"'), flags=re.I)
         names |= dict.fromkeys([name for name in several if name.lower().endswith(".mtl")] or [text])
     return list(names)
 
@@ -141,20 +141,12 @@ def _polypaint(lines: ObjLines, colors: np.ndarray) -> None:
     They follow their vertices, in blocks.
     """
     rows, texts = lines.statements("#MRGB")
-    blocks: list[tuple[int, list[int]]] = []  # vertices before it, and bytes
+    blocks: dict[int, list[str]] = {}  # by the number of vertices before them
     before = np.cumsum(lines.kind == VERTEX)
     for row, text in zip(rows, texts):
-        try:
-            values = list(bytes.fromhex(text))
-        except ValueError:
-            values = [0]
-        if len(values) % 4:
-            lines.refuse(np.array([row]), "has no colours of vertices, expected 8 digits each")
-        if not blocks or blocks[-1][0] != before[row]:
-            blocks.append((int(before[row]), []))
-        blocks[-1][1].extend(values)
-    for vertex, block in blocks:
-        own = np.reshape(block, (-1, 4))[: len(colors), 1:]
+        blocks.setdefault(int(before[row]), []).extend(re.findall("[0-9a-fA-F]{8}", text))
+    for vertex, block in blocks.items():
+        own = np.frombuffer(bytes.fromhex("".join(block)), np.uint8).reshape(-1, 4)[: len(colors), 1:]
         first = max(vertex - len(own), 0)
         colors[first : first + len(own)] = own / 255
 

@@ -61,6 +61,8 @@ def _read_binary(path: Path, data: bytes, count: int) -> MeshContent:
             f"{path} cannot be read as a mesh: it has {len(data)} bytes, expected "
             f"{HEADER + FACET.itemsize * count} of {count} triangles: cut off?"
         )
+    if held > count:
+        notes.append(f"{len(data) - HEADER - FACET.itemsize * count} bytes after the {count} facets left out")
     facets = np.frombuffer(data, FACET, count, HEADER)
     vertices = facets["corners"].reshape(-1, 3).astype(np.float64)
     colors = _colors(data[:80], facets["attribute"].astype(np.int64))

@@ -61,7 +61,8 @@ def coarser(solid: Solid) -> CutCells | None:
     """Return a solid in elements twice as large; None for elements other than cut cells."""
     if isinstance(solid, MixedCells):
         return solid.coarser
-    return halve_cells(solid) if isinstance(solid, CutCells) else None
+    found = halve_cells(solid) if isinstance(solid, CutCells) else None
+    return found[0] if found else None
 
 
 def discretisation_error(

@@ -25,10 +25,7 @@ _MIN_BULK_SHARE = 2 / 3  # share of the volume in full elements; thin shells nee
 _MIXED_RESOLUTIONS = 192, 160, 128, 96  # cells along the longest side where sizes are mixed
 _SUBDIVISIONS = 4  # of its cells: eight columns through each suffice, and cutting costs less than half
 _MAX_CUT_CELLS = 60_000  # at the surface, and eight times as many inside, that may be cut for it
-_EXTRA_SIZE, _EXTRA_ERROR = (
-    1 / 5,
-    1 / 3,
-)  # grids of this share of the size limit refine to this share of the error
+_EXTRA_SIZE, _EXTRA_ERROR = 1 / 5, 1 / 3  # grids of this share of the limit refine to that share of the error
 
 
 def adaptive_cut_cells(
@@ -108,10 +105,8 @@ def _mixed(
 ) -> Discretisation | None:
     """Cut a solid in cells of several sizes, the smallest as small as `_MAX_CUT_CELLS` allows."""
     touched, volume = _touched(*surface, _MORE_SAMPLES), signed_volume(*surface)
-    finest = next(
-        (step for step in _MIXED_RESOLUTIONS if touched(step) + volume * step**3 / 8 <= _MAX_CUT_CELLS),
-        _MIXED_RESOLUTIONS[-1],
-    )
+    fits = (step for step in _MIXED_RESOLUTIONS if touched(step) + volume * step**3 / 8 <= _MAX_CUT_CELLS)
+    finest = next(fits, _MIXED_RESOLUTIONS[-1])
     cells = cut_cells(*surface, finest, _SUBDIVISIONS, name)
     return refine_locally(cells, fine.max_degrees_of_freedom, material, scale)
 

@@ -53,17 +53,12 @@ def merge_full_blocks(cells: CutCells) -> CutCells:
     )
 
 
-def halve_cells(cells: CutCells) -> CutCells | None:
-    """Return the same solid on a grid of half the resolution, its moments computed from the fine ones.
+def halve_cells(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
+    """Return the same solid on a grid of half the resolution, and the coarse element of each one (E,), or -1.
 
-    None if the resolution is odd or the coarse elements are not connected.
+    Its moments are computed from the fine ones. None if the resolution is odd or the coarse elements are not
+    connected.
     """
-    found = halve_with_parents(cells)
-    return None if found is None else found[0]
-
-
-def halve_with_parents(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
-    """Return the solid as `halve_cells`, and the coarse element of each fine one, (E,), or -1."""
     if cells.resolution % 2:
         return None
     count, resolution = len(cells.index), cells.resolution // 2

@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.polynomial import legendre
 from scipy.spatial import cKDTree
+from typing_extensions import override  # the standard one is there since Python 3.12
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material
@@ -26,6 +27,7 @@ from objectfolder.mesh.topology import components, signed_volume
 from objectfolder.sound.fem.certainty import CUT_CELLS
 from objectfolder.sound.fem.elasticity import (
     FiniteElements,
+    Solid,
     elasticity,
     main_piece,
     mix_nodes,
@@ -44,7 +46,7 @@ MAX_VOLUME_ERROR = 0.05  #: accepted relative volume error of the cells, before 
 
 
 @dataclass(frozen=True)
-class CutCells:
+class CutCells(Solid):
     """Solid in the unit frame as cut cells: each element is a grid cell with one part of its material."""
 
     name: ClassVar[str] = CUT_CELLS  #: of the element
@@ -58,9 +60,8 @@ class CutCells:
     #: (E,) int64, side of each element in cells; above 1 in merged blocks (`objectfolder.sound.fem.blocks`)
     width: np.ndarray = field(default_factory=lambda: np.ones(0, np.int64))
     hanging: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  #: (H,) hanging nodes
-    hanging_element: np.ndarray = field(
-        default_factory=lambda: np.empty(0, np.int64)
-    )  #: (H,) large element of each
+    #: (H,) large element of each
+    hanging_element: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     #: (S, 3) float32, positions in cells, throughout the material of cells with several elements
     samples: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
     sample_element: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  #: (S,)
@@ -70,14 +71,9 @@ class CutCells:
             object.__setattr__(self, "width", np.ones(len(self.index), np.int64))
 
     @property
-    def elements(self) -> int:
-        """Number of elements."""
-        return len(self.index)
-
-    @property
+    @override
     def degrees_of_freedom(self) -> int:
-        """Number of unknowns."""
-        return 3 * (int(self.connectivity.max()) + 1 - len(self.hanging))
+        return super().degrees_of_freedom - 3 * len(self.hanging)
 
     @property
     def cell_size(self) -> float:
@@ -118,8 +114,8 @@ class CutCells:
         return 1 / (1 + self.volume_error)
 
     @property
+    @override
     def volume(self) -> float:
-        """Volume of the material, corrected."""
         return float((self.fill * self.width**3).sum() * self.cell_size**3 * self.correction)
 
     @property
@@ -154,8 +150,8 @@ class CutCells:
         places[self.connectivity] = self.index[:, None, :] + (NODES + 1) / 2 * self.width[:, None, None]
         return places
 
+    @override
     def assemble(self, material: Material, scale: float) -> FiniteElements:
-        """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
         size = self.cell_size * scale
         stiffness_basis, mass_basis = _reference_matrices(material, size)
         moments, width = self._moments(size), self.width[:, None]

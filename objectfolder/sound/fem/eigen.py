@@ -72,9 +72,8 @@ class FreeVibration:
         Returns eigenvalues (k,), rad^2/s^2, and mass-normalised vectors (3N, k).
         """
         fem = self.fem
-        return lowest_modes(
-            fem.stiffness, fem.nodal_mass, self._factor.solve, self._shift, self._rigid, wanted, tolerance
-        )
+        shifted = self._factor.solve, self._shift
+        return lowest_modes(fem.stiffness, fem.nodal_mass, *shifted, self._rigid, wanted, tolerance)
 
     def modes_below(self, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
         """Find the elastic modes below a frequency; see `solve_modes`."""
@@ -85,9 +84,8 @@ class FreeVibration:
             """Modes counted by inertia or, without a count, those found below the limit."""
             return min(int((found < limit).sum()) if below is None else below, max_modes)
 
-        values, vectors = self.lowest(
-            lambda found: min(wanted(found) + SPARE_MODES, fem.stiffness.shape[0] - 6)
-        )
+        most = fem.stiffness.shape[0] - 6
+        values, vectors = self.lowest(lambda found: min(wanted(found) + SPARE_MODES, most))
         if below is not None and int((values < limit).sum()) < wanted(values):
             raise ObjectFolderError(
                 f"{name}: inertia counts at least {wanted(values)} modes below {max_frequency:g} Hz, the "

@@ -1,8 +1,9 @@
 """What all finite elements share: linear elasticity, assembly, and the choice of one connected piece."""
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,44 +30,40 @@ class FiniteElements:
         return cls(stiffness, sp.kron(nodal_mass, sp.eye_array(3), format="csr"), nodal_mass, nodes)
 
 
-class Solid(Protocol):
+class Solid(ABC):
     """Solid in the unit frame, divided into finite elements."""
 
+    order: ClassVar[int]  #: degree of the complete polynomials in the element space
+    connectivity: np.ndarray  #: (E, n) int64, nodes of each element
+    resolution: int  #: elements along the longest side
+    dropped_volume: float  #: volume fraction of pieces not connected to the main one
+    volume_error: float  #: of the elements against the surface, relative, before any correction
+
     @property
+    @abstractmethod
     def name(self) -> str:
         """Name of the element."""
 
     @property
-    def resolution(self) -> int:
-        """Elements along the longest side."""
-
-    @property
-    def elements(self) -> int:
-        """Number of elements."""
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Number of unknowns, known without assembly."""
-
-    @property
-    def order(self) -> int:
-        """Degree of the complete polynomials in the element space."""
-
-    @property
+    @abstractmethod
     def volume(self) -> float:
         """Volume, unit frame."""
 
     @property
-    def volume_error(self) -> float:
-        """Relative error of the elements' volume against the surface's, before any correction."""
+    def elements(self) -> int:
+        """Number of elements."""
+        return len(self.connectivity)
 
     @property
-    def dropped_volume(self) -> float:
-        """Volume fraction of pieces not connected to the main one."""
+    def degrees_of_freedom(self) -> int:
+        """Number of unknowns, known without assembly."""
+        return 3 * (int(self.connectivity.max()) + 1)
 
+    @abstractmethod
     def assemble(self, material: Material, scale: float) -> FiniteElements:
         """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
 
+    @abstractmethod
     def interpolate(self, values: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Evaluate a nodal field at points of the unit frame; (N, C), (P, 3) -> (P, C)."""
 

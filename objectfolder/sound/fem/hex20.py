@@ -6,10 +6,8 @@ Taylor, The Finite Element Method, vol. 1, ch. 8).
 
 import numpy as np
 
-_CORNERS = (
-    2.0 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
-    - 1
-)
+_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+_CORNERS = 2.0 * _CORNERS - 1
 _EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)]
 NODES = np.concatenate([_CORNERS, [(_CORNERS[a] + _CORNERS[b]) / 2 for a, b in _EDGES]])  #: (20, 3)
 
@@ -31,14 +29,8 @@ def _with_gradients(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     factor = np.where(middle, 1 - x * x, 1 + NODES * x)
     slope = np.where(middle, -2 * x, NODES[None] + 0 * x)
     product = factor.prod(-1)
-    gradient = np.stack(
-        [
-            slope[..., 0] * factor[..., 1] * factor[..., 2],
-            factor[..., 0] * slope[..., 1] * factor[..., 2],
-            factor[..., 0] * factor[..., 1] * slope[..., 2],
-        ],
-        -1,
-    )
+    (fx, fy, fz), (sx, sy, sz) = np.moveaxis(factor, -1, 0), np.moveaxis(slope, -1, 0)
+    gradient = np.stack([sx * fy * fz, fx * sy * fz, fx * fy * sz], -1)
     corner = (~middle).all(-1)
     reach = (NODES * x).sum(-1) - 2
     value = np.where(corner, product * reach / 8, product / 4)

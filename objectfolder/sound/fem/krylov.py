@@ -15,11 +15,7 @@ from objectfolder.base.errors import ObjectFolderError
 
 RESIDUAL_TOLERANCE = 1e-11
 MAX_DENSE_SIZE, MAX_DENSE_RATIO = 600, 4  # limits of unknowns, in all and per wanted mode, for a dense solve
-_BLOCK, _WIDE_BLOCK, _WIDE_BLOCK_MODES = (
-    8,
-    16,
-    150,
-)  # block sizes, and the number of modes above which it is wide
+_BLOCK, _WIDE_BLOCK, _WIDE_BLOCK_MODES = 8, 16, 150  # block sizes; more modes than the last take the wide one
 # Basis size, per wanted mode and column of a block, beyond which nothing converges; 6 suffice
 _MAX_BASIS_RATIO = 50
 _FIRST_CHECK, _GROWTH = 2.0, 1.06  # basis size per wanted mode at the first convergence check; growth after

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from objectfolder.sound.fem.blocks import halve_with_parents
+from objectfolder.sound.fem.blocks import halve_cells
 from objectfolder.sound.fem.cutcell import CutCells
 
 
@@ -39,7 +39,7 @@ class Levels:
     def of(cls, finest: CutCells, count: int) -> "Levels":
         """Halve a grid as long as it is even and stays connected, up to ``count`` grids."""
         grids, parents = [finest], []
-        while len(grids) < count and (found := halve_with_parents(grids[-1])) is not None:
+        while len(grids) < count and (found := halve_cells(grids[-1])) is not None:
             grids.append(found[0])
             parents.append(found[1])
         return cls(grids, parents)

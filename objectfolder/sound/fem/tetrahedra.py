@@ -13,12 +13,14 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import roots_jacobi
+from typing_extensions import override  # the standard one is there since Python 3.12
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material
 from objectfolder.mesh.topology import components, signed_volume
 from objectfolder.sound.fem.elasticity import (
     FiniteElements,
+    Solid,
     elasticity,
     main_piece,
     mix_nodes,
@@ -33,7 +35,7 @@ _SEARCHED = 32  # nearest centroids among which a point's tetrahedron is searche
 
 
 @dataclass(frozen=True)
-class Tetrahedra:
+class Tetrahedra(Solid):
     """Solid in the unit frame as 10-node tetrahedra with straight edges."""
 
     name: ClassVar[str] = "tet10"  #: of the element
@@ -45,18 +47,8 @@ class Tetrahedra:
     volume_error: float = 0.0  #: relative to the surface's volume; not corrected
 
     @property
-    def elements(self) -> int:
-        """Number of elements."""
-        return len(self.connectivity)
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Number of unknowns."""
-        return 3 * len(self.vertices)
-
-    @property
+    @override
     def volume(self) -> float:
-        """Volume of the tetrahedra."""
         return float(self._volumes.sum())
 
     @cached_property
@@ -71,8 +63,8 @@ class Tetrahedra:
         inverse = np.linalg.inv(corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)
         return np.concatenate([-inverse.sum(1, keepdims=True), inverse], 1)
 
+    @override
     def assemble(self, material: Material, scale: float) -> FiniteElements:
-        """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
         points, weights = _quadrature(3)
         rigidity = elasticity(material)
         volumes = self._volumes * scale**3

@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
+from typing_extensions import override  # the standard one is there since Python 3.12
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material
@@ -18,6 +19,7 @@ from objectfolder.mesh.scanline import inside
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.sound.fem.elasticity import (
     FiniteElements,
+    Solid,
     elasticity,
     main_piece,
     mix_nodes,
@@ -33,7 +35,7 @@ _GAUSS = 1 / np.sqrt(3)
 
 
 @dataclass(frozen=True)
-class Voxels:
+class Voxels(Solid):
     """Solid in the unit frame as whole cells of a grid."""
 
     order: ClassVar[int] = 1  #: degree of the complete polynomials
@@ -45,19 +47,9 @@ class Voxels:
     volume_error: float = 0.0  #: relative to the surface's volume; not corrected
 
     @property
+    @override
     def name(self) -> str:
-        """Name of the element."""
         return "hex8 voxels" + " with incompatible modes" * self.incompatible
-
-    @property
-    def elements(self) -> int:
-        """Number of elements."""
-        return len(self.index)
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Number of unknowns."""
-        return 3 * (int(self.connectivity.max()) + 1)
 
     @property
     def cell_size(self) -> float:
@@ -65,8 +57,8 @@ class Voxels:
         return (1 + MARGIN) / self.resolution
 
     @property
+    @override
     def volume(self) -> float:
-        """Volume of the voxels."""
         return len(self.index) * self.cell_size**3
 
     @property
@@ -76,8 +68,8 @@ class Voxels:
         places[self.connectivity] = self.index[:, None, :] + (CORNERS + 1) / 2
         return places * self.cell_size - (1 + MARGIN) / 2
 
+    @override
     def assemble(self, material: Material, scale: float) -> FiniteElements:
-        """Assemble stiffness and mass; ``scale`` is the longest side in metres."""
         stiffness, mass = _element_matrices(material, self.cell_size * scale, self.incompatible)
         count, size = len(self.index), int(self.connectivity.max()) + 1
         return FiniteElements.of(
@@ -116,10 +108,8 @@ def voxels(
     index = np.argwhere(filled)
     main, dropped = main_piece(pieces[filled] - 1, np.ones(len(index)), name)
     index = index[main]
-    solid = Voxels(index, lattice_connectivity(index, CORNERS), resolution, incompatible)
-    return replace(
-        solid, dropped_volume=dropped, volume_error=solid.volume / signed_volume(vertices, faces) - 1
-    )
+    solid = Voxels(index, lattice_connectivity(index, CORNERS), resolution, incompatible, dropped)
+    return replace(solid, volume_error=solid.volume / signed_volume(vertices, faces) - 1)
 
 
 def lattice_connectivity(index: np.ndarray, nodes: np.ndarray) -> np.ndarray:

@@ -26,6 +26,7 @@ from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.code_digests import code_digest
 
 COUNT, SIDE = 10, 16
+SENSES = ("vision", "audio", "touch")
 
 
 @pytest.fixture(scope="module")
@@ -35,26 +36,41 @@ def sampled(brick, tmp_path_factory):
     return folder
 
 
+def load(folder, name):
+    return np.load(folder / f"{name}.npy", allow_pickle=False)
+
+
 def content(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def calls(monkeypatch):
-    """Record which modalities are asked for."""
-    asked, answer = [], sampling.ask
+@pytest.fixture
+def change_answers(monkeypatch):
+    """Lets a function change answers, given their modality and which are empty, or fail."""
+    answer = sampling.ask
 
-    def record(file, queries, modality, resolution):
-        if len(queries["touch_depth"]) > 1:  # more than the question how large an image is
-            asked.append(modality)
-        return answer(file, queries, modality, resolution)
+    def by(change):
+        def ask(file, queries, modality, resolution):
+            answers = answer(file, queries, modality, resolution)
+            if len(queries["touch_depth"]) > 1:  # more than the question how large an image is
+                return change(modality, *answers) or answers
+            return answers
 
-    monkeypatch.setattr(sampling, "ask", record)
-    return asked
+        monkeypatch.setattr(sampling, "ask", ask)
+
+    return by
 
 
-def lacking(file, part):
-    header = {name: value for name, value in file.header.items() if name != part}
-    return ObjectFile(header, dict(file.tensors))
+@pytest.fixture
+def asked(change_answers):
+    """Function that begins to list the modalities that are asked for."""
+
+    def begin():
+        found = []
+        change_answers(lambda modality, *answers: found.append(modality))
+        return found
+
+    return begin
 
 
 def test_a_record_never_vouches_for_the_array_of_another_request(brick, tmp_path, monkeypatch):
@@ -76,9 +92,7 @@ def test_a_record_never_vouches_for_the_array_of_another_request(brick, tmp_path
 
 def test_observations_are_what_the_object_file_answers(brick, sampled):
     queries = dict(np.load(sampled / "queries.npz", allow_pickle=False))
-    vision, audio, touch = (
-        np.load(sampled / f"{name}.npy", allow_pickle=False) for name in ("vision", "audio", "touch")
-    )
+    vision, audio, touch = (load(sampled, name) for name in SENSES)
     view = brick.view(queries["vision_camera"], queries["vision_light"], SIDE)
     assert (vision == (view * 255).round()).all()
     assert (audio == brick.impact(queries["audio_point"], queries["audio_force"], contact_time=0.0)).all()
@@ -91,23 +105,12 @@ def test_record_says_what_was_drawn(brick, sampled):
     record = json.loads((sampled / "observations.json").read_text())
     arrays = record.pop("arrays")
     assert record == {
-        "version": 1,
-        "code": code_digest(sample_observations),
-        "key": "brick",
-        "material": "plastic",
-        "scale": 0.1,
-        "sensor": "digit",
-        "object_sha256": object_digest(brick),
-        "count": COUNT,
-        "resolution": SIDE,
-        "sample_rate": 16000,
-        "seed": 7,
+        **{"version": 1, "code": code_digest(sample_observations), "object_sha256": object_digest(brick)},
+        **{"key": "brick", "material": "plastic", "scale": 0.1, "sensor": "digit"},
+        **{"count": COUNT, "resolution": SIDE, "sample_rate": 16000, "seed": 7},
     }
-    assert {name: array["shape"] for name, array in arrays.items()} == {
-        "vision": [10, 16, 16, 3],
-        "audio": [10, 32000],
-        "touch": [10, 160, 120, 3],
-    }
+    shapes = {"vision": [10, 16, 16, 3], "audio": [10, 32000], "touch": [10, 160, 120, 3]}
+    assert {name: array["shape"] for name, array in arrays.items()} == shapes
     assert [array["empty"] for array in arrays.values()] == [0, 0, 0]
 
 
@@ -156,89 +159,89 @@ def test_rows_depend_on_the_seed_and_their_number_not_on_the_count(brick):
         assert len(np.unique(many[name], axis=0)) == 30
 
 
-def test_the_same_call_gives_the_same_bytes(brick, sampled, tmp_path):
-    sample_observations(brick, COUNT, SIDE, 7, tmp_path / "deep" / "folder")
-    assert content(tmp_path / "deep" / "folder") == content(sampled)
-
-
-def test_complete_folder_is_left_alone(brick, sampled, monkeypatch):
-    before, asked = content(sampled), calls(monkeypatch)
+def test_complete_folder_is_left_alone(brick, sampled, asked):
+    before, found = content(sampled), asked()
     times = {path: path.stat().st_mtime_ns for path in sampled.iterdir()}
     sample_observations(brick, COUNT, SIDE, 7, sampled)
-    assert asked == []
+    assert found == []
     assert content(sampled) == before
     assert times == {path: path.stat().st_mtime_ns for path in sampled.iterdir()}
 
 
-def test_of_two_calls_at_once_one_samples_and_the_other_waits(brick, sampled, tmp_path, monkeypatch):
-    asked = calls(monkeypatch)
+def test_of_two_calls_at_once_one_samples_and_both_give_the_same_bytes(brick, sampled, tmp_path, asked):
+    found, folder = asked(), tmp_path / "deep" / "folder"
     with ThreadPoolExecutor(2) as pool:
-        for call in [pool.submit(sample_observations, brick, COUNT, SIDE, 7, tmp_path) for _ in range(2)]:
+        for call in [pool.submit(sample_observations, brick, COUNT, SIDE, 7, folder) for _ in range(2)]:
             call.result()
-    assert len(asked) == 3 * COUNT // 10
-    assert content(tmp_path) == content(sampled)
+    assert len(found) == 3 * COUNT // 10
+    assert content(folder) == content(sampled)
 
 
-@pytest.mark.parametrize(("failing", "left"), [("audio", ["audio", "touch"]), ("touch", ["touch"])])
-def test_interrupted_call_goes_on(brick, sampled, tmp_path, monkeypatch, failing, left):
-    with monkeypatch.context() as patch:
-        answer = sampling.ask
+FULL, FAILED = OSError(errno.ENOSPC, "No space left"), ObjectFolderError("out of tune")
+BLOCK, FROM_AUDIO = "brick: audio observations 0 to 9: ", ["audio", "touch"]
 
-        def stop(file, queries, modality, resolution):
-            if modality == failing and len(queries["touch_depth"]) > 1:
-                raise KeyboardInterrupt
-            return answer(file, queries, modality, resolution)
 
-        patch.setattr(sampling, "ask", stop)
-        with pytest.raises(KeyboardInterrupt):
-            sample_observations(brick, COUNT, SIDE, 7, tmp_path)
-    assert not (tmp_path / "observations.json").exists()
-    assert not (tmp_path / f"{failing}.npy").exists()
-    asked = calls(monkeypatch)
+@pytest.mark.parametrize(
+    ("failing", "error", "message", "left"),
+    [
+        ("audio", KeyboardInterrupt, None, FROM_AUDIO),
+        ("touch", KeyboardInterrupt, None, ["touch"]),
+        ("audio", FULL, "no space in {} to write .*/audio.npy: ", FROM_AUDIO),
+        ("audio", FAILED, f"{BLOCK}out of tune", FROM_AUDIO),
+        ("audio", np.nan, f"{BLOCK}values are not finite", FROM_AUDIO),
+    ],
+)
+def test_what_breaks_off_keeps_what_is_complete_and_goes_on(
+    brick, sampled, tmp_path, change_answers, asked, failing, error, message, left
+):
+    def stop(modality, answers, empty):
+        if modality == failing and error is np.nan:
+            answers[3, 5] = error
+        elif modality == failing:
+            raise error
+
+    change_answers(stop)
+    expected = KeyboardInterrupt if message is None else ObjectFolderError
+    with pytest.raises(expected, match=message and message.format(tmp_path)):
+        sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    kept = [f"{name}.{ending}" for name in SENSES[: -len(left)] for ending in ("json", "npy")]
+    begun = ["ObjectFile.safetensors", "queries.npz", "relief.npy"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*begun, *kept])
+    found = asked()
     sample_observations(brick, COUNT, SIDE, 7, tmp_path)
-    assert asked == left
+    assert found == left
     assert content(tmp_path) == content(sampled)
 
 
 @pytest.mark.parametrize("name", ["touch.npy", "touch.json"])
 @pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: b"", None])
-def test_what_is_damaged_or_gone_is_made_again(brick, sampled, tmp_path, monkeypatch, name, damage):
+def test_what_is_damaged_or_gone_is_made_again(brick, sampled, tmp_path, asked, name, damage):
     for path in sampled.iterdir():
         data = path.read_bytes()
         if path.name == name:
             data = damage and damage(data)
         if data is not None:
             (tmp_path / path.name).write_bytes(data)
-    asked = calls(monkeypatch)
+    found = asked()
     sample_observations(brick, COUNT, SIDE, 7, tmp_path)
     # One newline less at the end of a JSON file is no damage.
-    assert asked == ([] if name == "touch.json" and damage and damage(b"ab") else ["touch"])
-    assert (tmp_path / "touch.npy").read_bytes() == (sampled / "touch.npy").read_bytes()
-    assert (tmp_path / "observations.json").read_bytes() == (sampled / "observations.json").read_bytes()
+    assert found == ([] if name == "touch.json" and damage and damage(b"ab") else ["touch"])
+    for name in ("touch.npy", "observations.json"):
+        assert (tmp_path / name).read_bytes() == (sampled / name).read_bytes()
 
 
-@pytest.mark.parametrize(
-    "other", [{"count": 20}, {"resolution": 8}, {"seed": 8}], ids=["count", "resolution", "seed"]
-)
-def test_folder_of_other_parameters_is_redone(brick, sampled, tmp_path, monkeypatch, other):
-    for name, data in content(sampled).items():
-        (tmp_path / name).write_bytes(data)
-    arguments = {"count": COUNT, "resolution": SIDE, "seed": 7} | other
-    asked = calls(monkeypatch)
-    sample_observations(brick, **arguments, folder=tmp_path)
-    assert set(asked) == {"vision", "audio", "touch"}
+@pytest.mark.parametrize("other", [{"count": 20}, {"resolution": 8}, {"seed": 8}, {"scale": 0.2}], ids=str)
+def test_folder_of_another_request_is_redone(brick, sampled, tmp_path, asked, other):
+    shutil.copytree(sampled, tmp_path, dirs_exist_ok=True)
+    found, arguments = asked(), {"count": COUNT, "resolution": SIDE, "seed": 7} | other
+    file = ObjectFile(brick.header | {"scale": arguments.pop("scale", 0.1)}, dict(brick.tensors))
+    sample_observations(file, **arguments, folder=tmp_path)
+    assert set(found) == set(SENSES)
     record = json.loads((tmp_path / "observations.json").read_text())
-    assert {name: record[name] for name in arguments} == arguments
-
-
-def test_folder_of_another_object_file_is_redone(brick, sampled, tmp_path):
-    for name, data in content(sampled).items():
-        (tmp_path / name).write_bytes(data)
-    heavier = ObjectFile(brick.header | {"scale": 0.2}, dict(brick.tensors))
-    sample_observations(heavier, COUNT, SIDE, 7, tmp_path)
-    record = json.loads((tmp_path / "observations.json").read_text())
-    assert (record["scale"], record["object_sha256"]) == (0.2, object_digest(heavier))
-    assert (tmp_path / "touch.npy").read_bytes() != (sampled / "touch.npy").read_bytes()
+    expected = arguments | {"scale": file.scale, "object_sha256": object_digest(file)}
+    assert {name: record[name] for name in expected} == expected
+    changed = (tmp_path / "touch.npy").read_bytes() != (sampled / "touch.npy").read_bytes()
+    assert changed != ("resolution" in other)
 
 
 def test_digest_is_of_the_content_and_not_of_the_place(brick, brick_path, tmp_path):
@@ -252,8 +255,9 @@ def test_digest_is_of_the_content_and_not_of_the_place(brick, brick_path, tmp_pa
 
 @pytest.mark.parametrize("part", ["geometry", "vision", "audio", "touch"])
 def test_object_file_that_lacks_a_part_is_refused(brick, tmp_path, part):
+    header = {name: value for name, value in brick.header.items() if name != part}
     with pytest.raises(ObjectFolderError, match=f"brick: the Object File holds no {part}; benchmarks"):
-        sample_observations(lacking(brick, part), COUNT, SIDE, 7, tmp_path / "folder")
+        sample_observations(ObjectFile(header, dict(brick.tensors)), COUNT, SIDE, 7, tmp_path / "folder")
     assert not (tmp_path / "folder").exists()
 
 
@@ -274,44 +278,6 @@ def test_small_disk_is_refused_before_any_work(brick, tmp_path, monkeypatch):
     assert not list(folder.iterdir())
 
 
-def test_disk_that_fills_up_says_so_and_keeps_what_is_complete(brick, sampled, tmp_path, monkeypatch):
-    answer = sampling.ask
-
-    def full(file, queries, modality, resolution):
-        if modality == "audio":
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return answer(file, queries, modality, resolution)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(sampling, "ask", full)
-        with pytest.raises(ObjectFolderError, match=f"no space in {tmp_path} to write .*/audio.npy: "):
-            sample_observations(brick, COUNT, SIDE, 7, tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        *("ObjectFile.safetensors", "queries.npz", "relief.npy", "vision.json", "vision.npy")
-    ]
-    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
-    assert content(tmp_path) == content(sampled)
-
-
-@pytest.mark.parametrize("failure", ["raise", "nan"])
-def test_failing_rows_do_not_pass(brick, tmp_path, monkeypatch, failure):
-    answer = sampling.ask
-
-    def broken(file, queries, modality, resolution):
-        if modality == "audio" and failure == "raise":
-            raise ObjectFolderError("out of tune")
-        answers, empty = answer(file, queries, modality, resolution)
-        if modality == "audio":
-            answers[3, 5] = np.nan
-        return answers, empty
-
-    monkeypatch.setattr(sampling, "ask", broken)
-    message = "out of tune" if failure == "raise" else "values are not finite"
-    with pytest.raises(ObjectFolderError, match=f"brick: audio observations 0 to 9: {message}"):
-        sample_observations(brick, COUNT, SIDE, 7, tmp_path)
-    assert not (tmp_path / "audio.npy").exists()
-
-
 def test_observations_that_show_nothing_are_counted(brick):
     queries = {name: values[:2] for name, values in draw_queries(brick, 10, 0).items()}
     queries["audio_force"] = np.array([[0, 0, 0], [0, 0, 0.5]])
@@ -328,37 +294,26 @@ def test_net_that_knows_one_press_is_asked_for_that(brick, tmp_path):
     file = with_images(brick, 0.0012, 0.3)
     sample_observations(file, COUNT, SIDE, 7, tmp_path)
     assert (np.load(tmp_path / "queries.npz", allow_pickle=False)["touch_depth"] == 0.0012).all()
-    assert np.load(tmp_path / "touch.npy", allow_pickle=False).shape == (10, 6, 4, 3)
+    assert load(tmp_path, "touch").shape == (10, 6, 4, 3)
 
 
-def test_presses_that_miss_are_known_by_the_bare_gel(brick, tmp_path, monkeypatch):
-    answer = sampling.ask
-
-    def miss_once(file, queries, modality, resolution):
-        answers, empty = answer(file, queries, modality, resolution)
+def test_presses_that_miss_are_known_by_the_bare_gel(brick, tmp_path, change_answers, asked):
+    def miss_once(modality, answers, empty):
         if modality == "touch":
             answers[0] = brick.sensor_background
-        return answers, empty
 
-    with monkeypatch.context() as patch:
-        patch.setattr(sampling, "ask", miss_once)
-        sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    change_answers(miss_once)
+    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
     assert Observations({"brick": tmp_path}).untouched(np.array([3, 0, 9, 0])).tolist() == [False, True] * 2
     (tmp_path / "untouched.npy").unlink()  # as in observations of before
-    asked = calls(monkeypatch)
+    found = asked()
     sample_observations(brick, COUNT, SIDE, 7, tmp_path)
-    assert asked == []
+    assert found == []
     assert Observations({"brick": tmp_path}).untouched(np.array([0, 1])).tolist() == [True, False]
 
 
-def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
-    answer = sampling.ask
-
-    def silent(file, queries, modality, resolution):
-        answers, empty = answer(file, queries, modality, resolution)
-        return (answers * 0, empty | True) if modality == "audio" else (answers, empty)
-
-    monkeypatch.setattr(sampling, "ask", silent)
+def test_silent_object_is_named(brick, tmp_path, change_answers, caplog):
+    change_answers(lambda name, answers, empty: (0 * answers, empty | True) if name == "audio" else None)
     with caplog.at_level(logging.WARNING):
         sample_observations(brick, COUNT, SIDE, 7, tmp_path)
     assert "brick: 10 of 10 observations of audio are empty" in caplog.text
@@ -368,23 +323,19 @@ def test_silent_object_is_named(brick, tmp_path, monkeypatch, caplog):
 def test_observations_do_not_depend_on_how_many_follow(brick, sampled, tmp_path):
     heard = []
     sample_observations(brick, 20, SIDE, 7, tmp_path, lambda modality, done: heard.append((modality, done)))
-    assert heard == [(name, done) for name in ("vision", "audio", "touch") for done in (10, 20)]
-    for name in ("vision", "audio", "touch"):
-        assert (
-            np.load(tmp_path / f"{name}.npy", allow_pickle=False)[:10]
-            == np.load(sampled / f"{name}.npy", allow_pickle=False)
-        ).all()
+    assert heard == [(name, done) for name in SENSES for done in (10, 20)]
+    for name in SENSES:
+        assert (load(tmp_path, name)[:10] == load(sampled, name)).all()
 
 
 def test_an_interrupted_sampling_leaves_no_second_file_of_the_object(
-    brick, brick_path, tmp_path, monkeypatch
+    brick, brick_path, tmp_path, change_answers
 ):
-    shutil.copy(brick_path, tmp_path / "ObjectFile.safetensors")
-
     def interrupted(*given):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sampling, "_write", interrupted)
+    shutil.copy(brick_path, tmp_path / "ObjectFile.safetensors")
+    change_answers(interrupted)
     with pytest.raises(KeyboardInterrupt):
         sample_observations(brick, COUNT, SIDE, 7, tmp_path / "observations" / "brick")
     assert len(list(tmp_path.rglob("ObjectFile.safetensors"))) == 2
@@ -395,8 +346,6 @@ def test_a_named_folder_without_an_object_file_is_refused(brick, tmp_path):
     (tmp_path / "mug").mkdir()
     (tmp_path / "brick").mkdir()
     brick.save(tmp_path / "brick" / "ObjectFile.safetensors")
-    with pytest.raises(
-        ObjectFolderError, match=r"no Object Files in .*mug: no ObjectFile\.safetensors in it"
-    ):
+    with pytest.raises(ObjectFolderError, match=r"no Object Files in .*mug: no ObjectFile\.safetensors in"):
         load_object_files([tmp_path / "brick", tmp_path / "mug"])
     assert list(load_object_files([tmp_path])) == ["brick"]

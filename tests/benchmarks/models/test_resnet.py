@@ -53,14 +53,7 @@ def test_each_stage_halves_the_picture():
     for module in (net.conv1, net.maxpool, net.layer1, net.layer2, net.layer3, net.layer4):
         module.register_forward_hook(lambda module, inputs, out: sizes.append(tuple(out.shape[1:])))
     assert net(torch.zeros(2, 3, 224, 160)).shape == (2, 512)
-    assert sizes == [
-        (64, 112, 80),
-        (64, 56, 40),
-        (64, 56, 40),
-        (128, 28, 20),
-        (256, 14, 10),
-        (512, 7, 5),
-    ]
+    assert sizes == [(64, 112, 80), (64, 56, 40), (64, 56, 40), (128, 28, 20), (256, 14, 10), (512, 7, 5)]
 
 
 def test_block_of_zero_weight_passes_its_positive_input_on():

@@ -6,13 +6,11 @@ import pytest
 import torch
 from brick import with_images
 from encoding import encoding
-from torch import nn
+from made_up import MadeUp, hum
 
 from objectfolder.base.arrays import write_npz
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.contacts import contact_split, sample_contacts
-from objectfolder.benchmarks.datasets.samples import Samples
-from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.localizer import SOFTNESS, add_beliefs, choose_likeliest
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import localize_training
@@ -25,39 +23,21 @@ SIZES = InputSizes(8, (16, 8), (8, 6))
 COUNT = 400
 
 
-@register_encoder("test_localizer")
-class Linear(nn.Module):
-    """One layer on an input of 8 x 4 pixels: trained in a moment."""
-
-    features = 32
-
-    def __init__(self, channels):
-        super().__init__()
-        self.layer = nn.Sequential(nn.Linear(32 * channels, 32), nn.ReLU())
-
-    def forward(self, x):
-        return self.layer(nn.functional.adaptive_avg_pool2d(x, (8, 4)).flatten(1))
-
-
 def square(seed=0, sounds=True):
     """Return contacts on a unit square: touches show x as a brightness, sounds tell y by their pitch."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-0.5, 0.5, (COUNT, 2)), np.zeros(COUNT)])
     level = 128 + 200 * points[:, 0, None, None, None]
     touch = np.clip(level + rng.normal(0, 3, (COUNT, 8, 6, 3)), 0, 255).astype(np.uint8)
-    time = np.arange(1600) / 16000
-    audio = np.sin(2 * np.pi * (2500 + 4000 * points[:, 1:2]) * time) * np.exp(-20 * time) * sounds
-    arrays = {"touch": [touch], "audio": [audio.astype(np.float32)], "point": [points]}
-    return Samples({"square": {"count": COUNT}}, arrays)
+    audio = hum(2500 + 4000 * points[:, 1], rng) * np.float32(sounds)
+    return MadeUp(["square"], {"touch": touch, "audio": audio, "point": points})
 
 
 def job(progress, samples=None, **changed):
     values = {"seeds": 1, "contacts": COUNT, "epochs": 25, "batch": 32, "learning_rate": 0.01}
     settings = LocalizeConfig(**(values | {"weight_decay": 0.0, "patience": 25} | changed))
     samples = square() if samples is None else samples
-    return Job(
-        samples, contact_split(COUNT), settings, encoding("test_localizer", SIZES), seed=1, progress=progress
-    )
+    return Job(samples, contact_split(COUNT), settings, encoding("linear", SIZES), seed=1, progress=progress)
 
 
 def test_the_answer_has_the_least_expected_distance():
@@ -122,24 +102,6 @@ def test_silence_tells_nothing(tmp_path):
     scores, _ = localize(job(tmp_path, square(sounds=False), epochs=4))
     assert scores["A"]["net"]["mean"] == pytest.approx(scores["constant"], rel=0.1)
     assert scores["A"]["nearest"]["mean"] > 0.9 * scores["constant"]
-
-
-def test_same_numbers_again_and_after_an_interruption(tmp_path):
-    class Interrupted(Exception):
-        pass
-
-    def stop(line):
-        if line.startswith("localize A") and "epoch 2" in line:
-            raise Interrupted
-
-    whole = localize(job(tmp_path / "whole", epochs=3))
-    cut = job(tmp_path / "cut", epochs=3)
-    with pytest.raises(Interrupted):
-        localize(Job(**(vars(cut) | {"report": stop})))
-    resumed = localize(cut)
-    for scores, _ in (whole, resumed):
-        scores.pop("seconds")
-    assert resumed == whole
 
 
 def test_contacts_are_touched_and_struck_at_the_same_points():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from encoding import encoding
+from made_up import Linear, MadeUp, hum, picture
 from PIL import Image
 from solids import box, sphere
 from torch import nn
@@ -16,7 +17,6 @@ from objectfolder.base.seeding import seeded
 from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
 from objectfolder.benchmarks.models import encoders
-from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.shape_model import (
     Setup,
@@ -29,11 +29,11 @@ from objectfolder.benchmarks.models.shape_model import (
 from objectfolder.benchmarks.scoring import truth
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import Truth, best_level
-from objectfolder.benchmarks.tasks import job, reconstruct_training
+from objectfolder.benchmarks.tasks import reconstruct_training
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import namer_checkpoint
-from objectfolder.benchmarks.tasks.reconstruct import TASK
-from objectfolder.benchmarks.tasks.reconstruct_training import over_seeds, reconstruct
+from objectfolder.benchmarks.tasks.reconstruct import TASK, ReconstructConfig
+from objectfolder.benchmarks.tasks.reconstruct_training import mean_scores, reconstruct
 from objectfolder.benchmarks.tasks.shape_training import (
     VARIANTS,
     ShapeTraining,
@@ -55,70 +55,34 @@ SOLIDS = {
 }
 COUNT = 20
 SURFACES = {key: Isosurface(DistanceGrid(*distance_grid(*solid, 40))) for key, solid in SOLIDS.items()}
-PARAMS = SimpleNamespace(
-    seeds=1,
-    epochs=8,
-    batch=8,
-    points=128,
-    width=24,
-    blocks=1,
-    frequencies=1,
-    pretrain_epochs=2,
-    pretrain_rate=4e-3,
-    naming=1.0,
-    learning_rate=2e-3,
-    weight_decay=1e-4,
-    patience=8,
-    resolution=12,
-    score_points=1500,
-    views=2,
-    touches=4,
+PARAMS = ReconstructConfig(
+    **{"seeds": 1, "epochs": 8, "batch": 8, "learning_rate": 2e-3, "weight_decay": 1e-4, "patience": 8},
+    **{"points": 128, "width": 24, "blocks": 1, "frequencies": 1, "resolution": 12, "score_points": 1500},
+    **{"pretrain_epochs": 2, "touches": 4},
 )
 SIZES = InputSizes(12, (16, 10), (8, 6))
 SPLIT = per_sample(tuple(SOLIDS), COUNT)
 
 
-class Observed:
+class Observed(MadeUp):
     """Pictures of one colour and hums of one pitch per object, with a little noise: easy to tell apart."""
 
-    keys, count, digest = tuple(SOLIDS), COUNT, "observed"
-    labels = np.repeat(np.arange(len(SOLIDS)), COUNT)
-
-    records = {key: {"object_sha256": key} for key in keys}  # noqa: RUF012
+    def __init__(self):
+        rng, labels = np.random.default_rng(0), np.repeat(np.arange(len(SOLIDS)), COUNT)
+        colours = 200 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])[labels]
+        arrays = {name: picture(colours, 16, 5, rng) for name in ("vision", "touch")}
+        super().__init__(SOLIDS, arrays | {"audio": hum(500 * (1 + labels), rng)}, object_sha256=[*SOLIDS])
 
     def object_file(self, key):
         return Path(key)
 
-    def shape(self, modality):
-        return self.read(modality, np.array([0])).shape[1:]
 
-    def read(self, modality, rows):
-        noise = np.stack([np.random.default_rng(row).normal(size=(16, 16, 3)) for row in rows])
-        label = np.asarray(rows) // COUNT
-        if modality in ("vision", "touch"):
-            colour = 200 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])[label]
-            return (colour[:, None, None] + 5 * noise).clip(0, 255).astype(np.uint8)
-        time = np.arange(32000) / 16000
-        hum = np.sin(2 * np.pi * (500 * (1 + label[:, None])) * time)
-        return (hum * (1 + 0.1 * noise[:, 0, 0, :1])).astype(np.float32)
+LABELS = Observed().labels
 
 
-@register_encoder("tiny_shapes")
-class Tiny(nn.Module):
-    features = 16
-
-    def __init__(self, channels):
-        super().__init__()
-        self.layers = nn.Sequential(
-            nn.AdaptiveAvgPool2d((8, 2)),
-            nn.Flatten(),
-            nn.Linear(16 * channels, 16),
-            nn.BatchNorm1d(16),
-            nn.ReLU(),
-        )
-
-    def forward(self, x):
-        return self.layers(x)
+def make_job(progress, split=SPLIT, observed=None, **changes):
+    observed, params = observed or Observed(), replace(PARAMS, **changes)
+    return Job(observed, split, params, encoding("linear", SIZES), seed=0, progress=progress)
 
 
 @pytest.fixture
@@ -131,23 +95,6 @@ def occupancy(monkeypatch):
     return sampled
 
 
-def run(progress, report=lambda line: None, params=PARAMS):
-    """Scores but for the time they took, and curves."""
-    scores, curves = reconstruct(
-        Job(
-            Observed(),
-            SPLIT,
-            params,
-            encoding("tiny_shapes", SIZES),
-            seed=0,
-            progress=progress,
-            report=report,
-        )
-    )
-    assert scores.pop("seconds") > 0
-    return json.loads(json.dumps(scores, allow_nan=False)), curves
-
-
 @pytest.fixture(autouse=True)
 def _one_thread():
     threads = torch.get_num_threads()
@@ -158,13 +105,11 @@ def _one_thread():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pretrain_epochs", [0, 2])
-def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
-    occupancy, tmp_path, monkeypatch, pretrain_epochs
-):
-    params = SimpleNamespace(**vars(PARAMS) | {"pretrain_epochs": pretrain_epochs})
-    seen, curves = run(tmp_path / "a", params=params)
+def test_every_variant_beats_the_average_shape(occupancy, tmp_path, pretrain_epochs):
+    seen, curves = reconstruct(make_job(tmp_path, pretrain_epochs=pretrain_epochs))
+    json.dumps(seen, allow_nan=False)
     assert set(seen) == {
-        *(*VARIANTS, "average_shape", "similar_view", "perfect"),
+        *(*VARIANTS, "average_shape", "similar_view", "perfect", "seconds"),
         *("touches", "views", "objects", "rows", "duplicates", "untested"),
     }
     assert seen["rows"] == {"train": 64, "val": 8, "test": 8}  # two of each object
@@ -183,33 +128,14 @@ def test_every_variant_beats_the_average_shape_and_an_interrupted_call_goes_on(
     first = {variant: next(row for row in curves if row[0] == variant) for variant in VARIANTS}
     assert len([row for row in curves if row[0] == "VA"]) == PARAMS.epochs / 2
     assert first["VA"][3] < 0.9 * first["V"][3]  # it starts from what the others learnt
-    model, picture = (tmp_path / "a" / name for name in ("model.safetensors", "sheet.png"))
-    assert load_model(model).setup.modalities == ("vision",)
-    with Image.open(picture) as page:
+    assert load_model(tmp_path / "model.safetensors").setup.modalities == ("vision",)
+    with Image.open(tmp_path / "sheet.png") as page:
         assert page.size[0] > page.size[1] / 2 > 200
-
-    def interrupt(line):
-        if "A, seed 1 of 1, epoch 2" in line:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "b", interrupt, params)
-    went_on = []
-    assert run(tmp_path / "b", went_on.append, params) == (seen, curves)
-    assert (
-        "seen, A, seed 1 of 1, epoch 3" in went_on[0]
-    )  # V is not trained again, nor the first two epochs of A
-    for name in ("model.safetensors", "sheet.png"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-    assert not list((tmp_path / "b").glob("*.pt"))
-    # What is finished is read.
-    monkeypatch.setattr(job, "train", lambda *a, **k: pytest.fail("trained"))
-    assert run(tmp_path / "b", params=params) == (seen, curves)
 
 
 @pytest.mark.parametrize("variant", ["V", *(pytest.param(name, marks=pytest.mark.slow) for name in "AT")])
 def test_encoders_that_name_the_objects_stay_as_they_are(occupancy, tmp_path, variant):
-    job = Job(Observed(), SPLIT, PARAMS, encoding("tiny_shapes", SIZES), seed=0, progress=tmp_path)
+    job = make_job(tmp_path)
     model, curve, before = ShapeTraining(job, occupancy, variant, 0, tmp_path / "last.pt").train([], 0)
     assert before > 0
     assert curve[-1].train_loss < 0.9 * curve[0].train_loss
@@ -221,7 +147,7 @@ def test_encoders_that_name_the_objects_stay_as_they_are(occupancy, tmp_path, va
 
 
 def test_touches_of_a_row_are_of_its_object_and_encoded_as_one_by_one(occupancy, tmp_path):
-    job = Job(Observed(), SPLIT, PARAMS, encoding("tiny_shapes", SIZES), seed=0, progress=tmp_path)
+    job = make_job(tmp_path)
     training = ShapeTraining(job, occupancy, "T", 0, tmp_path / "last.pt")
     rows = SPLIT.val[[0, 7]]
     touches = read_variant(job, ("touch",), rows)["touch"]
@@ -243,29 +169,24 @@ def test_touches_of_a_row_are_of_its_object_and_encoded_as_one_by_one(occupancy,
 
 def test_what_no_epoch_changes_is_encoded_once(occupancy, tmp_path):
     """Features of sounds and touches, those of A also for VA; of views only the frame."""
-    asked = []
-
-    class Counted(Observed):
-        def read(self, modality, rows):
-            asked.append((modality, len(rows)))
-            return super().read(modality, rows)
+    asked, observed = [], Observed()
 
     class Encoder(nn.Module):
         features = 1
 
         def forward(self, x):
-            asked.append(("encoded", len(x)))
+            asked.append(len(x))
             return x.flatten(1).mean(1, keepdim=True)
 
-    job = Job(Counted(), SPLIT, PARAMS, encoding("tiny_shapes", SIZES), seed=0, progress=tmp_path)
+    job = make_job(tmp_path, observed=observed)
     rows, encoder, rng = SPLIT.train, Encoder(), np.random.default_rng(0)
     for modality, times in (("audio", 1), ("touch", 1), ("vision", 3)):
         found = []
         for variant in ("VA", "A", "A") if modality == "audio" else [modality[0].upper()] * 3:
             training = ShapeTraining(replace(job, split=SPLIT), occupancy, variant, 0, tmp_path / "none.pt")
             found.append(training._features(encoder, modality, rng))
-        assert sum(count for name, count in asked if name == "encoded") == times * len(rows)
-        assert sum(count for name, count in asked if name == modality and count > 1) == len(rows)
+        assert sum(asked) == times * len(rows)
+        assert sum(map(len, observed.reads[modality])) == len(rows)
         assert torch.equal(found[0], found[1]) == torch.equal(found[0], found[2]) == (modality != "vision")
         asked.clear()
     crops = training._views(rows[:3], np.random.default_rng(1))
@@ -273,7 +194,7 @@ def test_what_no_epoch_changes_is_encoded_once(occupancy, tmp_path):
     assert torch.equal(crops, shape_inputs("vision", raw, SIZES, np.random.default_rng(1)))
     other = ShapeTraining(job, occupancy, "A", 1, tmp_path / "none.pt")
     other._features(encoder, "audio", rng)  # another seed has other encoders
-    assert ("encoded", len(rows)) in asked
+    assert sum(asked) == len(rows)
 
 
 def test_scores_over_seeds_are_means_with_an_interval():
@@ -281,25 +202,25 @@ def test_scores_over_seeds_are_means_with_an_interval():
         {"iou": iou, "chamfer_l1": chamfer, "per_object": {"ball": iou}}
         for iou, chamfer in ((0.4, 0.1), (0.6, None), (0.8, 0.2))
     ]
-    seen = over_seeds(runs)
+    seen = mean_scores(runs)
     assert seen["iou"] == seen["per_object"]["ball"] == pytest.approx(0.6)
     assert seen["chamfer_l1"] is None  # an empty mesh has none
     assert seen["seeds"] == [0.4, 0.6, 0.8]
     assert seen["interval_95"] == pytest.approx(4.303 * 0.2 / 3**0.5, rel=1e-3)  # Student's, two degrees
-    assert over_seeds(runs[:1])["interval_95"] is None
+    assert mean_scores(runs[:1])["interval_95"] is None
 
 
 def test_selection_is_the_first_rows_of_each_object():
     rows = np.array([3, 5, 7, 21, 40, 41, 42])
-    assert first_rows(rows, Observed.labels, 2).tolist() == [3, 5, 21, 40, 41]
+    assert first_rows(rows, LABELS, 2).tolist() == [3, 5, 21, 40, 41]
 
 
 def test_of_objects_without_validation_rows_training_rows_help_to_choose(tmp_path):
     ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
-    seen = per_sample(Observed.keys, COUNT)
+    seen = per_sample(tuple(SOLIDS), COUNT)
     unseen = Split("unseen", np.concatenate([ball, slab]), block, cube)
     for split, rows in ((seen, seen.val), (unseen, np.concatenate([block[:2], ball[:2], slab[:2]]))):
-        job = Job(Observed(), split, PARAMS, encoding("tiny_shapes", SIZES), 0, tmp_path)
+        job = make_job(tmp_path, split)
         assert validation_rows(job).tolist() == rows.tolist()
 
 
@@ -307,9 +228,9 @@ def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
     """A net that knows the training objects by heart and nothing else has learnt nothing."""
     ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
     split = Split("unseen", np.concatenate([ball, slab]), block, cube)
-    job = Job(Observed(), split, PARAMS, encoding("tiny_shapes", SIZES), 0, tmp_path)
+    job = make_job(tmp_path, split)
     training = ShapeTraining(job, occupancy, "V", 0, tmp_path / "none.pt")
-    labels = Observed.labels[validation_rows(job)]
+    labels = LABELS[validation_rows(job)]
 
     def validated(answers):
         logits = np.where(occupancy.val_inside[answers], 5.0, -5.0)
@@ -323,34 +244,28 @@ def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
 
 
 def test_an_object_without_validation_rows_is_not_validated_on_what_it_learnt(tmp_path):
-    seen = per_sample(Observed.keys, COUNT)
-    silent = replace(seen, val=seen.val[Observed.labels[seen.val] > 0])
-    job = Job(Observed(), silent, PARAMS, encoding("tiny_shapes", SIZES), 0, tmp_path)
+    seen = per_sample(tuple(SOLIDS), COUNT)
+    silent = replace(seen, val=seen.val[LABELS[seen.val] > 0])
+    job = make_job(tmp_path, silent)
     assert validation_rows(job).tolist() == silent.val.tolist()
 
 
 def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hearing_alone(
     occupancy, tmp_path, monkeypatch
 ):
-    class Silent(Observed):
-        def read(self, modality, rows):
-            found = super().read(modality, rows)
-            if modality == "audio":
-                found[self.labels[rows] == 1] = 0
-            return found
-
     tested = {}
 
     def finished(jobs, truth, variant, run):
         rows = reconstruct_training._test(jobs[variant])
-        tested[variant] = np.bincount(Observed.labels[rows], minlength=4).tolist()
+        tested[variant] = np.bincount(LABELS[rows], minlength=4).tolist()
         return {"scores": {"iou": 0.5}, "curve": [], "seconds": 0.0}
 
     (tmp_path / "V_0.safetensors").touch()
     monkeypatch.setattr(reconstruct_training, "_train_once", finished)
     monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
-    params = SimpleNamespace(**vars(PARAMS) | {"views": 1})
-    scores, _ = reconstruct(Job(Silent(), SPLIT, params, encoding("tiny_shapes", SIZES), 0, tmp_path))
+    silent = Observed()
+    silent.arrays["audio"][LABELS == 1] = 0
+    scores, _ = reconstruct(make_job(tmp_path, observed=silent, views=1))
     assert tested == {"V": [1] * 4, "A": [1, 0, 1, 1], "T": [1] * 4, "VA": [1] * 4}
     assert scores["rows"] == {"train": 64, "val": 4, "test": 4}
     assert scores["duplicates"]["audio"] == {"val": 1, "test": 1}
@@ -370,7 +285,7 @@ def test_unknown_objects_are_compared_with_known_ones(occupancy, tmp_path, monke
     (tmp_path / "V_0.safetensors").touch()
     monkeypatch.setattr(reconstruct_training, "_train_once", finished)
     monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
-    scores, _ = reconstruct(Job(Observed(), unseen, PARAMS, encoding("tiny_shapes", SIZES), 0, tmp_path))
+    scores, _ = reconstruct(make_job(tmp_path, unseen))
     inside = occupancy.score_inside
     to_cube = [(inside[i] & inside[3]).sum() / (inside[i] | inside[3]).sum() for i in (0, 2)]
     assert to_cube[0] != to_cube[1]
@@ -409,7 +324,7 @@ def test_best_level_by_hand():
 
 
 def test_model_file_keeps_everything_and_refuses_what_it_is_not(occupancy, tmp_path, brick_path):
-    setup = Setup(("vision",), "tiny_shapes", SIZES, 16, 8, 1, 2, 8, tuple(SOLIDS), 0.45)
+    setup = Setup(("vision",), "linear", SIZES, 16, 8, 1, 2, 8, tuple(SOLIDS), 0.45)
     with seeded(0, "model"):
         net = new_net(setup).eval()
     nn.init.normal_(net.decoder.blocks[0].norm1.beta.weight)  # not 0: the embedding counts
@@ -445,10 +360,10 @@ def test_model_file_keeps_everything_and_refuses_what_it_is_not(occupancy, tmp_p
 
 
 def test_encoders_start_from_given_weights(tmp_path):
-    weights = encoders.Weights(tmp_path, Tiny(3).state_dict())
+    weights = encoders.Weights(tmp_path, Linear(3).state_dict())
     ones = {name: torch.ones_like(value) for name, value in weights.items()}
     net = new_net(
-        Setup(("vision",), "tiny_shapes", SIZES, 16, 8, 1, 0, 8, ("ball",)), encoders.Weights(tmp_path, ones)
+        Setup(("vision",), "linear", SIZES, 16, 8, 1, 0, 8, ("ball",)), encoders.Weights(tmp_path, ones)
     )
     assert all((value == 1).all() for value in net.encoders["vision"].state_dict().values())
 

@@ -1,17 +1,15 @@
 import json
-from dataclasses import replace
-from types import SimpleNamespace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 import torch
 from encoding import encoding
-from torch import nn
+from made_up import Linear, MadeUp, hum, picture
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
-from objectfolder.benchmarks.models.encoders import register_encoder
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.models.two_stream import (
     TwoStream,
@@ -24,93 +22,41 @@ from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.naming import repeated_objects, score_within
 from objectfolder.benchmarks.tasks.recognize_training import recognize
 from objectfolder.benchmarks.tasks.reconstruct_training import reconstruct
-from objectfolder.benchmarks.tasks.retrieve import TASK, check_objects
+from objectfolder.benchmarks.tasks.retrieve import TASK, RetrieveConfig, check_objects
 from objectfolder.benchmarks.tasks.retrieve_training import retrieve
 from objectfolder.benchmarks.tasks.task import Objects
 
 DIRECTIONS = {"V->A", "A->V", "V->T", "T->V", "A->T", "T->A"}
 SIZES = InputSizes(8, (16, 8), (8, 6))
-ENCODE = {
-    **{"encoder": "test_linear", "image": 8, "spectrogram": [16, 8], "touch": [8, 6]},
-    **{"subtract": False, "shift": 0, "flip": False, "precision": "float32"},
-}
+PARAMS = RetrieveConfig(
+    seeds=1, epochs=5, batch=16, learning_rate=0.03, weight_decay=0, patience=8, embedding=8
+)
 
 
-@register_encoder("test_linear")
-class Linear(nn.Module):
-    """One layer on an input of 8 x 4 pixels: trained in a moment."""
-
-    features = 16
-
-    def __init__(self, channels):
-        super().__init__()
-        self.layer = nn.Sequential(nn.Linear(32 * channels, 16), nn.BatchNorm1d(16))
-
-    def forward(self, x):
-        return self.layer(nn.functional.adaptive_avg_pool2d(x, (8, 4)).flatten(1))
-
-
-class Table:
-    """Observations of made-up objects: a colour, a pitch and a stripe tell which one it is.
+class Table(MadeUp):
+    """A colour, a pitch and a stripe tell which object it is.
 
     With ``strangers`` the rows of each modality are those of objects of its own: nothing is shared.
     """
 
-    count = 20
-
-    def __init__(self, objects=6, strangers=False, salt=0):
-        self.keys = tuple(f"object_{i}" for i in range(objects))
-        self.labels = np.repeat(np.arange(objects), self.count)
-        self.digest = f"{objects} {strangers} {salt}"
-        self.reads = []
-        rng = np.random.default_rng(salt)
-        rows = len(self.labels)
-
-        def nature():
-            return rng.permutation(self.labels) if strangers else self.labels
-
+    def __init__(self, objects=6, strangers=False):
+        rng, labels = np.random.default_rng(0), np.repeat(np.arange(objects), 20)
         colours = 60 + 150 * np.random.default_rng(1).random((objects, 3))
-        vision = colours[nature()][:, None, None] + rng.normal(0, 15, (rows, 10, 10, 3))
-        time = np.arange(1600) / 16000
-        pitch = 700 * (1 + nature())
-        sounds = np.sin(2 * np.pi * pitch[:, None] * time) * np.exp(-20 * time)
-        stripe = np.arange(8) == nature()[:, None] % 8
-        touch = 100 + 80 * stripe[:, :, None, None] + rng.normal(0, 10, (rows, 8, 6, 3))
-        self.arrays = {
-            "vision": np.clip(vision, 0, 255).astype(np.uint8),
-            "audio": (sounds + 0.01 * rng.normal(size=sounds.shape)).astype(np.float32),
-            "touch": np.clip(touch, 0, 255).astype(np.uint8),
-        }
-
-    def __len__(self):
-        return len(self.labels)
-
-    def read(self, modality, rows):
-        self.reads.append((modality, np.asarray(rows)))
-        return self.arrays[modality][rows]
+        seen, heard, felt = (rng.permutation(labels) if strangers else labels for _ in range(3))
+        stripe = 100 + 80 * (np.arange(8) == felt[:, None] % 8)[:, :, None, None]
+        touch = np.clip(stripe + rng.normal(0, 10, (len(labels), 8, 6, 3)), 0, 255).astype(np.uint8)
+        arrays = {"vision": picture(colours[seen], 10, 15, rng), "audio": hum(700 * (1 + heard), rng)}
+        super().__init__([f"object_{i}" for i in range(objects)], arrays | {"touch": touch})
 
 
-def params(**changed):
-    values = {
-        "seeds": 1,
-        "epochs": 5,
-        "batch": 16,
-        "learning_rate": 0.03,
-        "weight_decay": 0.0,
-        "patience": 8,
-        "margin": 0.5,
-        "embedding": 8,
-        "pretrain_epochs": 0,
-        "schedule": "cosine",
-    }
-    return SimpleNamespace(**(values | changed))
+def make_job(table, progress, split=None, sizes=SIZES, **changes):
+    split = split or per_sample(table.keys, table.count)
+    params = replace(PARAMS, **changes)
+    return Job(table, split, params, encoding("linear", sizes), seed=3, progress=progress)
 
 
-def run(table, progress, split=None, **changed):
-    split = per_sample(table.keys, table.count) if split is None else split
-    return retrieve(
-        Job(table, split, params(**changed), encoding("test_linear", SIZES), seed=3, progress=progress)
-    )
+def run(*given, **changes):
+    return retrieve(make_job(*given, **changes))
 
 
 def unit(*degrees):
@@ -118,60 +64,31 @@ def unit(*degrees):
     return torch.stack([angles.cos(), angles.sin()], dim=1).requires_grad_()
 
 
-def cos(degrees):
-    return np.cos(np.radians(degrees))
+def by_definition(anchors, positives, labels, margin):
+    """Equation 1: the mean over all anchors and rows of other objects in their modality."""
 
+    def distance(a, b):
+        return 1 - (a @ b / np.linalg.norm(a) / np.linalg.norm(b))
 
-def test_triplet_loss_by_hand():
-    # Two objects, one row each. Anchor 0 degrees: positive at 60, negative (the other anchor) at 90.
-    # D(anchor, positive) - D(anchor, negative) + m = (1 - 1/2) - (1 - 0) + 0.7 = 0.2.
-    # Anchor 90: positive at 180, negative at 0: 1 - 1 + 0.7 = 0.7.
-    loss = triplet_loss(unit(0, 90), unit(60, 180), torch.tensor([4, 9]), 0.7)
-    assert loss.item() == pytest.approx((0.2 + 0.7) / 2, rel=1e-6)
-    # The margin is kept by the first anchor, which then adds nothing.
-    loss = triplet_loss(unit(0, 90), unit(60, 180), torch.tensor([4, 9]), 0.4)
-    assert loss.item() == pytest.approx((0 + 0.4) / 2, rel=1e-6)
-
-
-def test_lengths_of_embeddings_do_not_matter():
-    labels = torch.tensor([0, 1])
-    plain = triplet_loss(unit(0, 90), unit(60, 180), labels, 0.7)
-    assert triplet_loss(5 * unit(0, 90), 0.1 * unit(60, 180), labels, 0.7).item() == pytest.approx(
-        plain.item()
-    )
-
-
-def test_negatives_are_all_rows_of_other_objects_and_no_others():
-    # Rows 0 and 2 are one object, whose anchors nearly agree: as each other's negatives they would cost most.
-    anchors, positives = (0, 100, 5), (30, 170, 20)
-    loss = triplet_loss(unit(*anchors), unit(*positives), torch.tensor([1, 0, 1]), 0.9)
-    triplets = [(0, 1), (1, 0), (1, 2), (2, 1)]
-    costs = [max(0, cos(anchors[i] - anchors[j]) - cos(anchors[i] - positives[i]) + 0.9) for i, j in triplets]
-    assert loss.item() == pytest.approx(np.mean(costs), rel=1e-6)
+    costs = [
+        max(0, distance(anchor, positive) - distance(anchor, negative) + margin)
+        for anchor, positive, label in zip(anchors, positives, labels)
+        for negative, other in zip(anchors, labels)
+        if other != label
+    ]
     assert min(costs) == 0 < max(costs)
+    return np.mean(costs)
 
 
-def test_both_modalities_are_anchors():
-    first, second, labels = unit(0, 100, 40), unit(30, 170, 80), torch.tensor([0, 1, 2])
-    both = cross_sensory_loss(first, second, labels, 0.9)
-    expected = triplet_loss(first, second, labels, 0.9) + triplet_loss(second, first, labels, 0.9)
-    assert both.item() == pytest.approx(expected.item())
-    assert both.item() == pytest.approx(cross_sensory_loss(second, first, labels, 0.9).item())
-    assert triplet_loss(first, second, labels, 0.9) != triplet_loss(second, first, labels, 0.9)
-
-
-def test_descent_pulls_positives_closer_and_pushes_negatives_apart():
-    first, second, labels = unit(0, 40), unit(60, 100), torch.tensor([0, 1])
-    cross_sensory_loss(first, second, labels, 1.0).backward()
-    with torch.no_grad():
-        moved_1, moved_2 = first - 0.05 * first.grad, second - 0.05 * second.grad
-
-    def cosines(a, b):
-        return nn.functional.cosine_similarity(a, b)
-
-    assert torch.all(cosines(moved_1, moved_2) > cosines(first, second))
-    assert cosines(moved_1[:1], moved_1[1:]) < cosines(first[:1], first[1:])
-    assert cosines(moved_2[:1], moved_2[1:]) < cosines(second[:1], second[1:])
+def test_losses_are_those_of_the_paper():
+    """Whatever the lengths; rows of one object are no negatives; both modalities are anchors."""
+    rng = np.random.default_rng(0)
+    first, second = (rng.normal(size=(6, 3)) * rng.uniform(0.1, 9, (6, 1)) for _ in range(2))
+    labels = np.array([4, 9, 4, 2, 9, 4])
+    given = *map(torch.from_numpy, (first, second, labels)), 0.4
+    one, other = (by_definition(*pair, labels, 0.4) for pair in ((first, second), (second, first)))
+    assert triplet_loss(*given).item() == pytest.approx(one, rel=1e-6)
+    assert cross_sensory_loss(*given).item() == pytest.approx(one + other, rel=1e-6)
 
 
 def test_no_gradient_where_the_margin_is_kept():
@@ -220,14 +137,13 @@ def test_pairs_and_order_change_with_the_epoch():
     assert np.mean(epoch(1)[:, 0] == epoch(1)[:, 1]) < 0.5
 
 
-def test_refuses_what_has_no_negatives():
-    rng = np.random.default_rng(0)
-    with pytest.raises(ObjectFolderError, match="1 object"):
-        list(paired_batches(np.arange(4), np.zeros(4, int), 4, rng))
-    with pytest.raises(ObjectFolderError, match="batches of 2"):
-        list(paired_batches(np.arange(4), np.array([0, 0, 1, 1]), 2, rng))
-    with pytest.raises(ObjectFolderError, match="as many of each"):
-        list(paired_batches(np.arange(4), np.array([0, 0, 0, 1]), 4, rng))
+@pytest.mark.parametrize(
+    ("labels", "batch", "message"),
+    [([0] * 4, 4, "1 object"), ([0, 0, 1, 1], 2, "batches of 2"), ([0, 0, 0, 1], 4, "as many of each")],
+)
+def test_refuses_what_has_no_negatives(labels, batch, message):
+    with pytest.raises(ObjectFolderError, match=message):
+        list(paired_batches(np.arange(4), np.array(labels), batch, np.random.default_rng(0)))
 
 
 def test_one_object_to_rank_is_refused():
@@ -255,7 +171,7 @@ def test_streams_share_the_head_and_nothing_else():
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory):
     table = Table()
-    return table, *run(table, tmp_path_factory.mktemp("progress"), seeds=2)
+    return table, *run(table, tmp_path_factory.mktemp("progress"), seeds=2, epochs=8)
 
 
 def test_learns_what_the_senses_share(learnt):
@@ -274,9 +190,7 @@ def test_learns_what_the_senses_share(learnt):
 
 def test_pairs_start_from_encoders_that_name_the_objects(tmp_path, monkeypatch):
     table = Table()
-    settings = params(pretrain_epochs=4, schedule="one_cycle", epochs=1)
-    split = per_sample(table.keys, table.count)
-    job = Job(table, split, settings, encoding("test_linear", SIZES), seed=3, progress=tmp_path)
+    job = make_job(table, tmp_path, pretrain_epochs=4, schedule="one_cycle", epochs=1)
     _, curves = retrieve(job)
     alone = [row for row in curves if row[1] == ""]
     assert {row[0] for row in alone} == {"vision", "audio", "touch"}
@@ -311,7 +225,7 @@ def test_says_what_it_is_of(learnt):
     assert results["duplicates"]["audio"] == {"val": 0, "test": 0}
     assert results["seconds"] > 0
     json.dumps(results, allow_nan=False)
-    assert len(curves) <= 3 * 2 * 5
+    assert len(curves) <= 3 * 2 * 8
     assert {len(row) for row in curves} == {len(TASK.columns)}
     assert {tuple(row[:3]) for row in curves} == {
         (a, b, s) for a, b in [("vision", "audio"), ("vision", "touch"), ("audio", "touch")] for s in (0, 1)
@@ -347,9 +261,9 @@ def test_test_rows_are_read_after_the_training_only(tmp_path, monkeypatch):
     monkeypatch.setattr(retrieve_training, "_correlate", lambda *_: ({"V->A": 0.0}, {}))
     monkeypatch.setattr(retrieve_training, "PAIRS", (("vision", "audio"),))
     run(table, tmp_path, split)
-    from_tests = [np.isin(rows, split.test).any() for _, rows in table.reads]
-    assert sum(from_tests) == 2
-    assert from_tests[-2:] == [True, True]
+    for name in ("vision", "audio"):
+        from_tests = [np.isin(rows, split.test).any() for rows in table.reads[name]]
+        assert sum(from_tests) == from_tests[-1] == 1
 
 
 def test_unseen_objects_and_one_to_choose_the_epoch_by(tmp_path):
@@ -360,35 +274,6 @@ def test_unseen_objects_and_one_to_choose_the_epoch_by(tmp_path):
     assert all(0.5 < score["chance"] < 0.6 for score in results["directions"].values())  # of two objects
     assert all(0 < row[5] < 1 for row in curves)
     assert len({row[5] for row in curves}) > 1
-
-
-def test_same_numbers_again_and_after_an_interruption(tmp_path, monkeypatch):
-    table = Table()
-    whole = run(table, tmp_path / "whole", epochs=3)
-
-    class Interrupted(Exception):
-        pass
-
-    lines = []
-
-    def stop_in_the_second_training(line):
-        lines.append(line)
-        if "vision and touch" in line and "epoch 2" in line:
-            raise Interrupted
-
-    split = per_sample(table.keys, table.count)
-    job = Job(
-        table, split, params(epochs=3), encoding("test_linear", SIZES), seed=3, progress=tmp_path / "cut"
-    )
-    with pytest.raises(Interrupted):
-        retrieve(replace(job, report=stop_in_the_second_training))
-    assert sorted(path.suffix for path in (tmp_path / "cut").iterdir()) == [".json", ".json", ".pt"]
-    resumed = retrieve(replace(job, report=lines.append))
-    assert len(lines) == len(set(lines)) == 9  # no epoch twice
-    for results, _ in (whole, resumed):
-        results.pop("seconds")
-    assert resumed == whole
-    assert {path.suffix for path in (tmp_path / "cut").iterdir()} == {".json"}
 
 
 def test_correlations_are_found_once_for_all_seeds(tmp_path, monkeypatch):
@@ -405,21 +290,20 @@ def test_correlations_are_found_once_for_all_seeds(tmp_path, monkeypatch):
 def test_inputs_that_cannot_be_made_are_refused_before_any_training(tmp_path, monkeypatch, modality, size):
     monkeypatch.setattr(Job, "train", lambda *_, **__: pytest.fail("trained"))
     table = Table(3)
-    sizes = replace(SIZES, **{{"audio": "spectrogram", "touch": "touch"}[modality]: size})
-    job = Job(
-        table, per_sample(table.keys, table.count), params(), encoding("test_linear", sizes), 3, tmp_path
-    )
+    name = {"audio": "spectrogram", "touch": "touch"}[modality]
+    job = make_job(table, tmp_path, sizes=replace(SIZES, **{name: size}))
     for task in (retrieve, recognize, reconstruct):
         with pytest.raises(ObjectFolderError, match="is smaller than the encoder's"):
             task(job)
-    assert max(len(rows) for _, rows in table.reads) == 1
+    assert max(len(rows) for reads in table.reads.values() for rows in reads) == 1
 
 
 def test_batches_without_negatives_are_no_settings():
-    values = {"seed": 0, "sensor": "digit", "retrieve": vars(params(batch=2)), "encode": ENCODE}
+    values = {"seed": 0, "sensor": "digit", "retrieve": asdict(PARAMS), "encode": asdict(encoding())}
+    assert TASK.params(values).settings == PARAMS
+    values["retrieve"]["batch"] = 2
     with pytest.raises(ObjectFolderError, match="retrieve: batch"):
         TASK.params(values)
-    assert TASK.params(values | {"retrieve": vars(params(batch=3))}).settings.batch == 3
 
 
 def test_finished_scores_are_taken_from_the_folder(tmp_path):

@@ -131,8 +131,9 @@ def test_a_second_run_waits_and_says_so(tmp_path):
 
 def fail_if_odd(number, folder):
     if number % 2:
-        raise ObjectFolderError(f"object {number}: odd")
+        return f"object {number}: odd"
     (folder / str(number)).touch()
+    return None
 
 
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -144,18 +145,29 @@ def test_an_object_that_fails_does_not_stop_the_others(tmp_path, jobs):
         run._call_all(fail_if_odd, [(5, tmp_path)], jobs)
 
 
+@pytest.fixture
+def run_part(monkeypatch, tmp_path):
+    """Runs a part of a task in a folder, with something instead of the benchmark."""
+
+    def call(task, threads, inputs, benchmark):
+        monkeypatch.setattr(run, "run_benchmark", benchmark)
+        monkeypatch.setitem(run.SAMPLES, "observations", lambda folders: None)
+        shared = {"task": task, "params": PARAMS, "folder": Benchmarks(tmp_path), "device": "cpu"}
+        assert run._run_part("part", inputs, None, print, {**shared, "threads": threads}) is None
+
+    return call
+
+
 @pytest.mark.parametrize("threads", [1, 2])
-def test_threads_are_those_of_every_pool(monkeypatch, brick_path, threads):
+def test_threads_are_those_of_every_pool(run_part, brick_path, threads):
     before, found = torch.get_num_threads(), []
 
     def look(*given):
         found.append({pool["num_threads"] for pool in threadpool_info()} | {torch.get_num_threads()})
+        return running.RunTime(1.0, 1.0)
 
-    monkeypatch.setattr(run, "_run_timed", look)
-    monkeypatch.setitem(run.SAMPLES, "observations", lambda folders: None)
-    rest = PARAMS, Benchmarks("out"), None, threads, "cpu", print
-    run._run_part(retrieve.TASK, "seen", {}, *rest)
-    run._run_part(localize.TASK, "brick", (brick_path, 0), *rest)
+    run_part(retrieve.TASK, threads, {}, look)
+    run_part(localize.TASK, threads, (brick_path, 0), look)
     torch.set_num_threads(before)
     assert found == [{threads}] * 2
 
@@ -196,13 +208,10 @@ def test_a_run_with_another_module_of_its_own_encoder_is_another_run(monkeypatch
     assert all(one != other for one, other in zip(*found[:2]))
 
 
-def test_the_cost_of_a_finished_run_stays_as_it_was(tmp_path, monkeypatch):
-    spec = SimpleNamespace(task=SimpleNamespace(name="small"), part="seen", folder=Benchmarks(tmp_path))
-    costs = iter([running.RunTime(100.0, 90.0), running.RunTime(100.0, 91.0), running.RunTime(200.0, 185.0)])
-    monkeypatch.setattr(run, "run_benchmark", lambda spec, report: next(costs))
-    path, found = spec.folder.machine("small", "seen"), []
-    for threads in (8, 1, 2):
-        run._run_timed(spec, print, threads, "cpu")
+def test_the_cost_of_a_finished_run_stays_as_it_was(tmp_path, run_part):
+    path, found = Benchmarks(tmp_path).machine("retrieve", "part"), []
+    for threads, seconds, cpu_seconds in ((8, 100.0, 90.0), (1, 100.0, 91.0), (2, 200.0, 185.0)):
+        run_part(retrieve.TASK, threads, {}, lambda *given: running.RunTime(seconds, cpu_seconds))  # noqa: B023
         found.append((read_json(path)["threads"], read_json(path)["cpu_seconds"]))
     assert found == [(8, 90.0), (8, 90.0), (2, 185.0)]
 

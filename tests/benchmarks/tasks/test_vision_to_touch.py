@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 from encoding import encoding
+from made_up import MadeUp
 
-from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import per_sample
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import vision_to_touch_training as task
@@ -18,15 +18,12 @@ SIZE = (16, 12)
 def pairs(count=60, seed=0):
     """Views of a bright bar on dark ground; touches show the same bar in red on grey."""
     rng = np.random.default_rng(seed)
-    arrays = {"view": [], "touch": []}
-    for _ in range(2):
-        bar = np.zeros((count, *SIZE, 1), bool)
-        for row, start in zip(bar, rng.integers(0, SIZE[0] - 3, count), strict=True):
-            row[start : start + 3] = True
-        view = np.where(bar, 220, 40) + rng.integers(-9, 10, (count, *SIZE, 3))
-        arrays["view"].append(view.astype(np.uint8))
-        arrays["touch"].append(np.where(bar, (200, 100, 100), (100, 100, 100)).astype(np.uint8))
-    return Samples({key: {"count": count} for key in ("a", "b")}, arrays)
+    bar = np.zeros((2 * count, *SIZE, 1), bool)
+    for row, start in zip(bar, rng.integers(0, SIZE[0] - 3, 2 * count), strict=True):
+        row[start : start + 3] = True
+    view = np.where(bar, 220, 40) + rng.integers(-9, 10, (2 * count, *SIZE, 3))
+    touch = np.where(bar, (200, 100, 100), (100, 100, 100))
+    return MadeUp("ab", {"view": view.astype(np.uint8), "touch": touch.astype(np.uint8)})
 
 
 def job(progress, samples=None, **changed):
@@ -55,30 +52,11 @@ def test_the_net_draws_what_the_view_shows(tmp_path):
 
 
 def test_views_that_say_nothing_give_the_mean_touch(tmp_path):
-    samples = pairs()
-    noise = np.random.default_rng(1).integers(0, 255, (2, 60, *SIZE, 3), np.uint8)
-    blind = Samples(samples.records, {"view": list(noise), "touch": samples._arrays["touch"]})
+    blind = pairs()
+    blind.arrays["view"] = np.random.default_rng(1).integers(0, 255, (120, *SIZE, 3), np.uint8)
     scores, _ = vision_to_touch(job(tmp_path, blind, epochs=4, patience=4))
     assert scores["net"]["psnr"] == pytest.approx(scores["mean"]["psnr"], abs=1.0)
     assert scores["nearest"]["psnr"] < scores["mean"]["psnr"]
-
-
-def test_same_numbers_again_and_after_an_interruption(tmp_path):
-    class Interrupted(Exception):
-        pass
-
-    def stop(line):
-        if "epoch 2" in line:
-            raise Interrupted
-
-    whole = vision_to_touch(job(tmp_path / "whole", epochs=3))
-    cut = job(tmp_path / "cut", epochs=3)
-    with pytest.raises(Interrupted):
-        vision_to_touch(Job(**(vars(cut) | {"report": stop})))
-    resumed = vision_to_touch(cut)
-    for scores, _ in (whole, resumed):
-        scores.pop("seconds")
-    assert resumed == whole
 
 
 def test_the_pooled_error_chooses_the_epoch(tmp_path, monkeypatch):

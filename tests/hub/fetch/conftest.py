@@ -1,8 +1,14 @@
 import pytest
-from own_workspace import workspace  # noqa: F401
+from own_workspace import ROOT, workspace  # noqa: F401
 from publisher import Publisher
 
 from objectfolder.hub.fetch import download
+from objectfolder.hub.fetch.catalogue import read_catalogue
+
+
+@pytest.fixture(scope="session")
+def catalogue():
+    return read_catalogue(ROOT / "catalogs/objectfolder1.yaml")
 
 
 @pytest.fixture

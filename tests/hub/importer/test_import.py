@@ -3,6 +3,7 @@
 import copy
 import logging
 import re
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import released_files as released
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from typer.testing import CliRunner
 
 from objectfolder import ObjectFile
@@ -42,6 +44,7 @@ CAMERAS = np.array([[0.0, -2.5, 0.2], [1.5, 1.5, 1.3]])
 LIGHT = np.array([0.0, 0.6, 0.8])
 POINTS = np.array([[0.05, -0.03, 0.07], [-0.02, 0.01, 0.1], [0.1, -0.07, 0.02]])
 SMALL = Intrinsics(7, 5, 8.0)
+SENSOR = load_profile("gelsight_r15")
 
 
 @pytest.fixture
@@ -84,13 +87,11 @@ def test_a_file_of_1_0_answers_all_three_questions(file, tmp_path):
     assert obj.view(CAMERAS, LIGHT, intrinsics=SMALL).shape == (2, 5, 7, 3)
     sound = obj.impact(POINTS[:1], [[1.0, 2.0, -1.0]])
     assert sound.shape == (1, 32000)
-    assert np.abs(sound).max() > 0
+    assert sound.any()
     np.testing.assert_allclose(obj.impact(POINTS[:1], [[2.0, 4.0, -2.0]]), 2 * sound, rtol=1e-4, atol=1e-5)
     assert obj.touch(POINTS).shape == (3, 160, 120, 3)
-    with pytest.raises(ObjectFolderError, match="holds no geometry"):
-        obj.sample_surface(3)
-    with pytest.raises(ObjectFolderError, match="trained at depth"):
-        obj.touch(POINTS, depth=0.002)
+    refused("holds no geometry", obj.sample_surface, 3)
+    refused("trained at depth", obj.touch, POINTS, depth=0.002)
 
 
 def test_a_file_of_2_0_answers_all_three_questions(file, tmp_path):
@@ -101,28 +102,22 @@ def test_a_file_of_2_0_answers_all_three_questions(file, tmp_path):
     assert obj.view(CAMERAS, LIGHT, intrinsics=SMALL).shape == (2, 5, 7, 3)
     assert obj.frequencies.shape == (7,)
     assert obj.impact(POINTS, np.eye(3), sample_rate=44100, duration=0.1).shape == (3, 4410)
-    with pytest.raises(ObjectFolderError, match="own material and size only"):
-        obj.impact(POINTS, np.eye(3), material="steel")
-    with pytest.raises(ObjectFolderError, match=r"striker touches is not known.*give contact_time instead"):
-        obj.impact(POINTS, np.eye(3), striker="finger")
+    refused("own material and size only", obj.impact, POINTS, np.eye(3), material="steel")
+    unknown = r"striker touches is not known.*give contact_time instead"
+    refused(unknown, obj.impact, POINTS, np.eye(3), striker="finger")
     assert obj.impact(POINTS, np.eye(3), duration=0.1, contact_time=1e-3).any()
     felt = obj.press(POINTS, depth=[0.0005, 0.001, 0.002], tilt=0.1, azimuth=[0, 1, 2])
     assert felt.images.shape == (3, 320, 240, 3)
     assert felt.height.shape == felt.mask.shape == (3, 320, 240)
-    with pytest.raises(ObjectFolderError, match=r"depth: row 0 is 0\.003; the released net was trained on"):
-        obj.touch(POINTS, depth=0.003)
-    with pytest.raises(ObjectFolderError, match="tilt: row 0"):
-        obj.touch(POINTS, tilt=0.5)
-    with pytest.raises(ObjectFolderError, match="angle: row 0"):
-        obj.touch(POINTS, angle=0.5)
+    refused(r"depth: row 0 is 0\.003; the released net was trained on", obj.touch, POINTS, depth=0.003)
+    refused("tilt: row 0", obj.touch, POINTS, tilt=0.5)
+    refused("angle: row 0", obj.touch, POINTS, angle=0.5)
     maps = obj.depth_maps(POINTS, depth=[0.0005, 0.001, 0.002], tilt=0.1, azimuth=[0, 1, 2])
     net = obj._parts.touch.net
-    exact = net.depth_maps(
-        POINTS / obj.scale, np.array([0.0005, 0.001, 0.002]), np.full(3, 0.1), np.arange(3)
-    )
+    depths = np.array([0.0005, 0.001, 0.002])
+    exact = net.depth_maps(POINTS / obj.scale, depths, np.full(3, 0.1), np.arange(3))
     np.testing.assert_array_equal(maps, exact)
-    other = obj.touch(POINTS[:1], sensor="digit")
-    assert other.shape == (1, 160, 120, 3)
+    assert obj.touch(POINTS[:1], sensor="digit").shape == (1, 160, 120, 3)
 
 
 def test_an_answer_depends_on_its_own_row_only(file):
@@ -168,13 +163,11 @@ def test_what_cannot_be_read_is_left_out_with_a_warning(file, caplog):
     assert "vision is left out" in caplog.text
     assert "VisionNet.cfg is missing" in caplog.text
     assert [part for part in ("vision", "audio", "touch") if part in obj.header] == ["audio", "touch"]
-    with pytest.raises(ObjectFolderError, match="holds no vision"):
-        obj.view(CAMERAS, LIGHT)
+    refused("holds no vision", obj.view, CAMERAS, LIGHT)
     obj = file(released.released_1(1))  # without bounds
     assert "pass --bounds or --mesh" in obj.header["imported"]["notes"][0]
     assert "touch" not in obj.header
-    with pytest.raises(ObjectFolderError, match="nothing could be imported"):
-        file({"VisionNet": {}})
+    refused("nothing could be imported", file, {"VisionNet": {}})
 
 
 KILO = {
@@ -197,8 +190,7 @@ KILO = {
 def test_settings_that_are_not_known_are_errors_that_name_them(file, key):
     values = released.released_kilo(3)
     values["VisionNet"]["cfg"][key] = KILO[key]
-    with pytest.raises(ObjectFolderError, match="VisionNet"):
-        file(values)
+    refused("VisionNet", file, values)
 
 
 def leaves(values, path=()):
@@ -211,14 +203,8 @@ def leaves(values, path=()):
 
 #: What no part reads, or has a default.
 UNUSED = ("global_step", "optimizer_state_dict", "views_linears", "perturb", "raw_noise_std", "model_type")
-UNUSED += (
-    "direction_layer_size",
-    "hidden_layer_size",
-    "llff_lindisp",
-    "no_color_sigmoid",
-    "refeed_position",
-    "threshold",
-)
+UNUSED += ("direction_layer_size", "hidden_layer_size", "llff_lindisp", "no_color_sigmoid")
+UNUSED += ("refeed_position", "threshold")
 
 
 def without(values, path):
@@ -230,17 +216,11 @@ def without(values, path):
 @pytest.mark.parametrize("make", [released.released_1, released.released_2, released.released_kilo])
 def test_every_missing_key_is_named(tmp_path, quick_gel, make):
     torch.save(make(1, 4), tmp_path / "file.pth")
-    whole = read_released(tmp_path / "file.pth").values
+    whole, first = read_released(tmp_path / "file.pth").values, make is released.released_1
     readers = {
-        "VisionNet": lambda part: (nerf_net if make is released.released_1 else configured_net)(part),
-        "AudioNet": lambda part: (spectrogram_net if make is released.released_1 else gains_net)(
-            part, Frame()
-        ),
-        "TouchNet": lambda part: (
-            image_net(part, Frame(), BOUNDS)
-            if make is released.released_1
-            else depth_net(part, Frame(), load_profile("gelsight_r15"))
-        ),
+        "VisionNet": (nerf_net if first else configured_net, ()),
+        "AudioNet": (spectrogram_net if first else gains_net, (Frame(),)),
+        "TouchNet": (image_net, (Frame(), BOUNDS)) if first else (depth_net, (Frame(), SENSOR)),
     }
     needed = [p for p in leaves(whole) if not any(name in key for key in p for name in UNUSED)]
     assert len(needed) > 20
@@ -248,9 +228,9 @@ def test_every_missing_key_is_named(tmp_path, quick_gel, make):
         if path[-1] == "occupancy_grid":
             continue  # without, every net is asked
         part = ReleasedDict("file.pth", "", without(whole, path)).part(path[0])
+        read, arguments = readers[path[0]]
         named = re.escape(".".join(path).replace("module.", ""))
-        with pytest.raises(ObjectFolderError, match=named):
-            readers[path[0]](ReleasedDict(tmp_path / "file.pth", path[0], part.values))
+        refused(named, read, ReleasedDict(tmp_path / "file.pth", path[0], part.values), *arguments)
 
 
 def test_points_are_those_of_the_released_file_or_of_the_centred_mesh(file, tmp_path, monkeypatch):
@@ -269,8 +249,7 @@ def test_points_are_those_of_the_released_file_or_of_the_centred_mesh(file, tmp_
     np.testing.assert_allclose(centred.bounds, [[-0.1] * 3, [0.1] * 3], atol=2e-3)
     shapes = centred.mode_shapes(place / 100 - BOUNDS.mean(0))
     np.testing.assert_allclose(shapes, plain.mode_shapes(place), rtol=2e-2, atol=2e-2 * np.abs(shapes).max())
-    with pytest.raises(ObjectFolderError, match="off the surface"):
-        centred.mode_shapes([[0.0, 0.0, 0.0]])
+    refused("off the surface", centred.mode_shapes, [[0.0, 0.0, 0.0]])
     assert len(centred.sample_surface(5)) == 5
 
 
@@ -285,19 +264,13 @@ def test_points_outside_the_bounds_of_the_net_are_refused(file, quick_gel):
         (first.touch, box["first"]),
     ]
     for ask, bounds in questions:
-        with pytest.raises(ObjectFolderError) as error:
-            ask(np.array([[0.0, 0.0, 0.0], [50.0, -30.0, 70.0]]))  # of the second, in millimetres
-        assert f"row 1 at [50.0, -30.0, 70.0] m is outside the net's bounds, {bounds}" in str(error.value)
-        assert "points are in the released file's coordinates, metres" in str(error.value)
-    for end, outside in ((-0.08, -1), (0.11, 1)):
-        assert second.mode_shapes([[end + outside * 0.0037, 0, 0]]).shape == (
-            1,
-            3,
-            7,
-        )  # 2 % of 0.19 m: 0.0038
-        for axis in range(3):
-            with pytest.raises(ObjectFolderError, match=r"by more than 0\.0038 m"):
-                second.mode_shapes([np.eye(3)[axis] * (end + outside * 0.0039)])
+        error = refused(None, ask, np.array([[0.0, 0.0, 0.0], [50.0, -30.0, 70.0]]))  # of the second, in mm
+        assert f"row 1 at [50.0, -30.0, 70.0] m is outside the net's bounds, {bounds}" in error
+        assert "points are in the released file's coordinates, metres" in error
+    for end, outside in ((-0.08, -1), (0.11, 1)):  # 2 % of 0.19 m: 0.0038
+        assert second.mode_shapes([[end + outside * 0.0037, 0, 0]]).shape == (1, 3, 7)
+        for axis in np.eye(3):
+            refused(r"by more than 0\.0038 m", second.mode_shapes, [axis * (end + outside * 0.0039)])
     assert second.mode_shapes([[0.2, 0, 0]], tolerance=0.5).shape == (1, 3, 7)
 
 
@@ -317,15 +290,12 @@ def test_a_mesh_is_as_large_as_the_file_says(file, tmp_path, quick_gel, monkeypa
     # One pair for all axes spans the numbers of all of them.
     found, expected = ("coordinates span 190", "0.19") if pair else ("longest side is 110", "0.11")
     message = rf"box\.ply: its {found}, the file's stored bounds say {expected}; .* give --scale"
-    with pytest.raises(ObjectFolderError, match=message):
-        converted(1000)
+    refused(message, converted, 1000)
     for factor in (0.89, 1.11):
-        with pytest.raises(ObjectFolderError, match="stored bounds"):
-            converted(factor)
+        refused("stored bounds", converted, factor)
     assert converted(1.09).scale == pytest.approx(1.09 * 0.11)
     assert converted(1000, scale=0.11).scale == 0.11
-    with pytest.raises(ObjectFolderError, match=r"bounds are given beside the mesh .*box\.ply"):
-        converted(1, bounds=bounds)
+    refused(r"bounds are given beside the mesh .*box\.ply", converted, 1, bounds=bounds)
 
 
 def test_a_size_that_nothing_tells_is_said_to_be_assumed(file, caplog):
@@ -344,9 +314,8 @@ def test_a_size_that_nothing_tells_is_said_to_be_assumed(file, caplog):
 def test_cropping_changes_nothing_inside(file):
     values = released.released_1(5, density=5.0)
     whole, cropped = file(values), file(values, crop=10.0)
-    np.testing.assert_array_equal(
-        whole.view(CAMERAS, LIGHT, intrinsics=SMALL), cropped.view(CAMERAS, LIGHT, intrinsics=SMALL)
-    )
+    seen = [obj.view(CAMERAS, LIGHT, intrinsics=SMALL) for obj in (whole, cropped)]
+    np.testing.assert_array_equal(*seen)
     small = file(values, crop=0.3).render(CAMERAS[0], LIGHT, intrinsics=Intrinsics(40, 40, 55.0))
     seen = small.alpha[0] > 0
     assert 0.02 < seen.mean() < 0.2  # a cube of 0.6, 2.5 away: (0.6 / 2.5 * 55)^2 of 1600 pixels
@@ -378,8 +347,7 @@ def test_contact_is_where_the_depth_map_is_past_the_gel(file):
 
 @pytest.mark.parametrize("sensor", available_profiles())
 def test_sampled_presses_are_answered_whatever_the_sensor(file, quick_gel, sensor):
-    obj = file(released.released_2(1, 4), sensor=sensor)
-    given = load_profile(sensor)
+    obj, given = file(released.released_2(1, 4), sensor=sensor), load_profile(sensor)
     for presses in (sample_presses(obj, 100), sample_presses(obj, 100, sensor=given)):
         tilt, _, depth = presses.T
         obj._parts.touch.net.require(depth, tilt)
@@ -404,20 +372,16 @@ def test_an_imported_file_with_a_surface_has_a_certificate(file, quick_gel, bric
 
 
 def test_the_command_writes_an_object_file(tmp_path):
-    torch.save(released.released_1(1), tmp_path / "ObjectFile.pth")
-    out = tmp_path / "bowl.safetensors"
-    bounds = [str(x) for x in BOUNDS.ravel()]
-    ran = CliRunner().invoke(
-        app, ["import", str(tmp_path / "ObjectFile.pth"), str(out), "--key", "bowl", "--bounds", *bounds]
-    )
-    assert ran.exit_code == 0, ran.output
-    assert "ObjectFolder 1.0" in ran.output
+    source, out, written = tmp_path / "ObjectFile.pth", tmp_path / "bowl.safetensors", []
+    torch.save(released.released_1(1), source)
+    command = ["import", str(source), str(out), "--key", "bowl", "--bounds", *map(str, BOUNDS.ravel())]
+    for _ in range(2):
+        ran = CliRunner().invoke(app, command)
+        assert ran.exit_code == 0, ran.output
+        assert "ObjectFolder 1.0" in ran.output
+        written.append(out.read_bytes())
+    assert written[0] == written[1]
     assert ObjectFile.load(out).key == "bowl"
-    first = out.read_bytes()
-    CliRunner().invoke(
-        app, ["import", str(tmp_path / "ObjectFile.pth"), str(out), "--key", "bowl", "--bounds", *bounds]
-    )
-    assert out.read_bytes() == first
     assert "released_image" in CliRunner().invoke(app, ["info", str(out)]).output
 
 
@@ -431,19 +395,14 @@ def test_no_other_file_is_overwritten(tmp_path):
 
 
 def test_options_that_make_no_sense_are_errors(file):
-    for options, message in (
-        ({"bounds": BOUNDS[::-1]}, "expected xmin"),
-        ({"scale": -1.0}, "longest side"),
-        ({"key": "../x"}, "^key is '../x', expected a letter"),
-        ({"key": "Bowl 1"}, "^key is 'Bowl 1', expected a letter, then letters"),
-        ({"key": ""}, "^key is '', expected a letter"),
-        ({"key": "k" * 101}, "^key is 'k+', .* at most 100$"),
-        ({"material": "m" * 101}, "^material is 'm+', .* at most 100 characters$"),
-        ({"material": ""}, "^material is '', expected a name such as steel"),
-        ({"material": " "}, "^material is ' ', expected a name such as steel"),
-    ):
-        with pytest.raises(ObjectFolderError, match=message):
-            file(released.released_1(1, 4), **options)
+    values = released.released_1(1, 4)
+    refused("expected xmin", file, values, bounds=BOUNDS[::-1])
+    refused("longest side", file, values, scale=-1.0)
+    for key, rest in (("../x", ""), ("Bowl 1", ", then letters"), ("", ""), ("k" * 101, ".* at most 100$")):
+        refused(f"^key is '{key}', expected a letter{rest}", file, values, key=key)
+    refused("^material is 'm+', .* at most 100 characters$", file, values, material="m" * 101)
+    for name in ("", " "):
+        refused(f"^material is '{name}', expected a name such as steel", file, values, material=name)
 
 
 @pytest.mark.parametrize(
@@ -475,32 +434,11 @@ def test_wrong_options_write_nothing(tmp_path, monkeypatch, options, message):
     assert not (tmp_path / "out.safetensors").exists()
 
 
-MUTANTS = st.sampled_from(
-    [
-        None,
-        0,
-        -1.5,
-        "text",
-        [],
-        {},
-        [1, 2, 3],
-        float("nan"),
-        float("inf"),
-        np.zeros(0),
-        np.full(3, np.nan),
-        np.zeros((2, 2), complex),
-        np.float64(1e300),
-        torch.zeros(()),
-        torch.zeros(3, 0),
-        torch.full((4, 63), torch.inf),
-        torch.arange(5),
-        torch.ones(4, 4, dtype=torch.complex64),
-        torch.ones(7, dtype=torch.float64),
-        torch.zeros(1).expand(1 << 40),
-        torch.zeros(1).expand(4, 1 << 30),
-        1 << 70,
-    ]
-)
+MUTANTS = [None, 0, -1.5, 1 << 70, "text", [], {}, [1, 2, 3], float("nan"), float("inf"), np.float64(1e300)]
+MUTANTS += [np.zeros(0), np.full(3, np.nan), np.zeros((2, 2), complex), torch.zeros(()), torch.zeros(3, 0)]
+MUTANTS += [torch.full((4, 63), torch.inf), torch.arange(5), torch.ones(4, 4, dtype=torch.complex64)]
+MUTANTS += [torch.ones(7, dtype=torch.float64)]
+MUTANTS += [torch.zeros(1).expand(1 << 40), torch.zeros(1).expand(4, 1 << 30)]
 
 
 @given(st.data())
@@ -514,11 +452,10 @@ def test_any_other_structure_is_an_error_or_an_object_file(file, quick_gel, data
         place = values
         for key in path[: data.draw(st.integers(1, len(path))) - 1]:
             place = place[key] if isinstance(place.get(key), dict) else place
-        place[data.draw(st.sampled_from(sorted(place))) if place else "x"] = data.draw(MUTANTS)
-    try:
+        changed = data.draw(st.sampled_from(sorted(place))) if place else "x"
+        place[changed] = data.draw(st.sampled_from(MUTANTS))
+    with suppress(ObjectFolderError):
         obj = file(values, bounds=BOUNDS)
         obj.check()
         if "vision" in obj.header:
             assert np.isfinite(obj.view(CAMERAS[:1], LIGHT, intrinsics=Intrinsics(2, 2, 3.0))).all()
-    except ObjectFolderError:
-        pass

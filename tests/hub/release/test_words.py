@@ -6,9 +6,10 @@ import re
 
 import pytest
 from hostile import CONTROLS, WORDS
+from index_rows import MUG
 from markdown_it import MarkdownIt
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.text import visible
 from objectfolder.base.yamlfile import read_yaml
 from objectfolder.hub.release.croissant import croissant
@@ -16,12 +17,6 @@ from objectfolder.hub.release.entries import index_text
 from objectfolder.hub.release.notices import MAX_NOTICE, read_notice
 from objectfolder.hub.release.pages import card, datasheet, describe_release
 from objectfolder.objectfile.dataset import IndexEntry, read_index
-
-ENTRY = {
-    **{"key": "blue_mug", "path": "objects/blue_mug.safetensors", "material": "ceramic", "size": 0.112},
-    **{"split": "train", "modes": 30, "lowest_hz": 1500.0, "vision_psnr": -3.5, "gain_error": 1e-05},
-    **{"touch_psnr": None, "bytes": 1000, "sha256": "0" * 64},
-}
 
 
 def mesh(folder, text):
@@ -37,7 +32,7 @@ def release(folder, text):
     """Texts of a release all of whose words are a stranger's; their entry."""
     notice = read_notice(mesh(folder, text))
     said = {"licence": notice.licence, "source": notice.source, "category": visible(text)[:100]}
-    entries = [IndexEntry(**ENTRY, **said)]
+    entries = [IndexEntry(**MUG | said | {"key": "blue_mug", "path": "objects/blue_mug.safetensors"})]
     named = {"name": text, "creator": text, "version": "1.0.0", "date": "2026-11-24", "url": "https://a.b"}
     words, notices = describe_release(entries, **named), {"blue_mug": notice}
     texts = {
@@ -63,24 +58,21 @@ def test_no_destination_obeys(tmp_path, text):
     texts, entries = release(tmp_path, text)
     plain, _ = release(tmp_path, "plain")
     shown = visible(text)
-
     for name in ("README.md", "DATASHEET.md"):
         body, expected = (held[name].split("\n---\n")[-1] for held in (texts, plain))
         assert structure(body)[0] == structure(expected)[0]
         assert structure(body)[1].count(shown.strip()) >= 2
         assert texts[name].replace("\n", "").isprintable()
-
     front, _, _ = texts["README.md"].removeprefix("---\n").partition("\n---\n")
     (tmp_path / "front.yaml").write_text(front, encoding="utf-8")
     found = read_yaml(tmp_path / "front.yaml")
-    assert found.pop("pretty_name") == shown
     assert found == {
+        "pretty_name": shown,
         "license": "other",
         "tags": ["multisensory", "robotics", "3d", "audio", "tactile", "safetensors"],
         "size_categories": ["n<1K"],
         "configs": [{"config_name": "default", "data_files": [{"split": "objects", "path": "objects.csv"}]}],
     }
-
     index = tmp_path / "objects.csv"
     index.write_text(texts["objects.csv"], encoding="utf-8")
     assert list(read_index(index)) == entries
@@ -88,7 +80,6 @@ def test_no_destination_obeys(tmp_path, text):
     for cell in row.values():
         for piece in re.split("[,;]", cell):
             assert not re.match('["\\s]*[=+\\-@\t\r＝]', piece) or re.fullmatch(r"-[0-9.]+", piece)
-
     assert json.loads(texts["croissant.json"])["license"] == [entries[0].licence]
     for content in texts.values():
         assert content.encode()
@@ -112,22 +103,16 @@ def test_a_notice_is_read_without_control_characters(tmp_path, text):
 def test_a_notice_is_short_and_no_link_to_a_private_file(tmp_path):
     home = tmp_path / "cup"
     home.mkdir()
-    with pytest.raises(ObjectFolderError, match="its licence has 1001 characters, expected at most 1000"):
-        read_notice(mesh(home, "l" * 1001))
-    (home / "SOURCE.txt").write_text("a" * (MAX_NOTICE + 1))
-    with pytest.raises(ObjectFolderError, match="has more than 65,536 bytes, expected a notice"):
-        read_notice(home / "mesh.glb")
-    (home / "SOURCE.txt").unlink()
-    secret = tmp_path / "id_rsa"
+    notice, secret, cached = home / "SOURCE.txt", tmp_path / "id_rsa", tmp_path / ".dvc/cache/files/md5/ab/cd"
+    refused("its licence has 1001 characters, expected at most 1000", read_notice, mesh(home, "l" * 1001))
+    notice.write_text("a" * (MAX_NOTICE + 1))
+    refused("has more than 65,536 bytes, expected a notice", read_notice, home / "mesh.glb")
+    notice.unlink()
     secret.write_text("Licence: secret")
-    (home / "SOURCE.txt").symlink_to(secret)
-    with pytest.raises(
-        ObjectFolderError, match=r"SOURCE\.txt is a link to .*id_rsa, expected a file of its own"
-    ):
-        read_notice(home / "mesh.glb")
-    cached = tmp_path / ".dvc/cache/files/md5/ab/cdef"  # with cache.type symlink
+    notice.symlink_to(secret)
+    refused(r"SOURCE\.txt is a link to .*id_rsa, expected a file of its own", read_notice, home / "mesh.glb")
     cached.parent.mkdir(parents=True)
     secret.rename(cached)
-    (home / "SOURCE.txt").unlink()
-    (home / "SOURCE.txt").symlink_to(cached)
+    notice.unlink()
+    notice.symlink_to(cached)  # with cache.type symlink
     assert read_notice(home / "mesh.glb").licence == "secret"

@@ -1,13 +1,32 @@
-"""Random valid files of the text formats, against what their generator knows."""
+"""Random valid files of the text formats, against what their generator knows, and the same damaged."""
 
 import logging
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from gltf_scene import colors_at
 from random_meshes import PLAIN, WRITERS
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.reading.load import load_mesh, references
+
+DAMAGE = (
+    b"",
+    b"",
+    b"nan",
+    b"-1",
+    b"99999999999",
+    b"1e400",
+    b"x",
+    b"0",
+    b"#",
+    b"\\",
+    b"\xff",
+    b"1,5",
+    b"\n",
+    b"list",
+)
 
 
 def compare(mesh, truth):
@@ -30,6 +49,14 @@ def sorted_rows(triangles, colors):
     return rows[np.lexsort(rows[..., :3].reshape(len(rows), -1).T)]
 
 
+def damaged(rng, data):
+    """Delete, cut off or write over a few bytes."""
+    for place in rng.integers(0, len(data) + 1, rng.integers(1, 4)):
+        more = DAMAGE[rng.integers(len(DAMAGE))]
+        data = data[:place] + more + (data[place + rng.integers(9) :] if rng.random() < 0.9 else b"")
+    return data
+
+
 @pytest.mark.parametrize("seeds", [range(60), pytest.param(range(2000), marks=pytest.mark.slow)], ids=len)
 @pytest.mark.parametrize("kind", WRITERS)
 def test_a_random_file_is_read_as_it_was_meant(tmp_path, caplog, kind, seeds):
@@ -41,6 +68,10 @@ def test_a_random_file_is_read_as_it_was_meant(tmp_path, caplog, kind, seeds):
         try:
             compare(load_mesh(path), truth)
             assert all((folder / name).is_file() for name in references(path))
+            path.write_bytes(damaged(np.random.default_rng(seed), path.read_bytes()))
+            for read in (load_mesh, lambda p: list(references(p))):
+                with suppress(ObjectFolderError):
+                    read(path)
         except Exception as error:
             raise AssertionError(f"{path} of seed {seed}: {error}") from error
     assert not caplog.records

@@ -18,11 +18,11 @@ from objectfolder.nets.released_network import Frame
 from objectfolder.sound.released_gains import ReleasedGains
 from objectfolder.sound.released_spectrogram import ReleasedSpectrogram
 from objectfolder.touch.profiles import load_profile
-from objectfolder.touch.released_net import DEPTH_SIZE, ReleasedDepth, ReleasedImage
+from objectfolder.touch.released_images import DEPTH_SIZE, ReleasedDepth, ReleasedImage
 from objectfolder.vision.cameras import Intrinsics, look_at
 from objectfolder.vision.color import on_white
 from objectfolder.vision.released_kilo import ReleasedKilo
-from objectfolder.vision.released_net import ReleasedNerf
+from objectfolder.vision.released_nerf import ReleasedNerf
 
 FRAME = Frame((0.01, -0.02, 0.03), 0.2)  # the object is 0.2 long in released coordinates
 BOUNDS = np.array([[-0.09, -0.12, -0.07], [0.11, 0.08, 0.13]])

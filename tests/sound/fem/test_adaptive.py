@@ -43,12 +43,14 @@ def refine(surface, fine=FINE, resolution=8):
 def estimating(monkeypatch, errors):
     """Let the estimate depend on the resolution; returns the resolutions asked about."""
     asked = []
+
+    def estimate(candidate, _):
+        asked.append(candidate.solid.resolution)
+        error = errors[asked[-1]]
+        return None if error is None else [error]
+
     monkeypatch.setattr(Discretisation, "lowest_frequencies", lambda *_: np.ones(1))
-    monkeypatch.setattr(
-        Discretisation,
-        "errors",
-        lambda candidate, _: asked.append(candidate.solid.resolution) or [errors[candidate.solid.resolution]],
-    )
+    monkeypatch.setattr(Discretisation, "errors", estimate)
     return asked
 
 
@@ -87,40 +89,22 @@ def test_large_errors_are_refined_and_small_ones_are_not():
     assert refine(THICK, fine(10**6, error * 1.01)).resolution == 8
 
 
-def test_a_step_leads_to_the_coarsest_grid_that_should_suffice(monkeypatch):
-    asked = estimating(monkeypatch, {8: 0.02 * 1.5**1.5 * 0.99, 12: 0.01})
-    assert refine(THICK).resolution == 12
-    assert asked == [8, 12]
-    asked = estimating(monkeypatch, {8: 0.02 * 1.5**1.5 * 1.01})
-    assert refine(THICK).resolution == 16
-    assert asked == [8]  # nothing is finer than 16
-
-
-def test_small_grids_are_refined_until_a_third_of_the_error_is_accepted(monkeypatch):
-    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 1)
-    asked = estimating(monkeypatch, {8: 0.01, 12: 0.006})
-    assert refine(THICK).resolution == 12
-    assert asked == [8, 12]
-    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", 1e-4)
-    estimating(monkeypatch, {8: 0.01})
-    assert refine(THICK).resolution == 8
-
-
-def test_without_an_estimate_the_next_grid_is_tried(monkeypatch):
-    asked = []
-    monkeypatch.setattr(Discretisation, "lowest_frequencies", lambda *_: np.ones(1))
-    monkeypatch.setattr(
-        Discretisation,
-        "errors",
-        lambda candidate, _: asked.append(candidate.solid.resolution) or ([0.01] if len(asked) > 1 else None),
-    )
-    assert refine(THICK).resolution == 12
-    assert asked == [8, 12]
-
-
-def test_steps_are_repeated_until_the_error_is_accepted(monkeypatch):
-    estimating(monkeypatch, {8: 0.021, 12: 0.021})
-    assert refine(THICK).resolution == 16
+@pytest.mark.parametrize(
+    ("errors", "small", "chosen"),
+    [
+        pytest.param({8: 0.02 * 1.5**1.5 * 0.99, 12: 0.01}, 0, 12, id="the coarsest that should suffice"),
+        pytest.param({8: 0.02 * 1.5**1.5 * 1.01}, 0, 16, id="nothing is finer than 16"),
+        pytest.param({8: 0.021, 12: 0.021}, 0, 16, id="until it is accepted"),
+        pytest.param({8: 0.01, 12: 0.006}, 1, 12, id="small ones until a third of it is accepted"),
+        pytest.param({8: 0.01}, 1e-4, 8, id="not small"),
+        pytest.param({8: None, 12: 0.01}, 0, 12, id="the next without an estimate"),
+    ],
+)
+def test_grids_follow_the_estimates(monkeypatch, errors, small, chosen):
+    monkeypatch.setattr(adaptive, "_EXTRA_SIZE", small)
+    asked = estimating(monkeypatch, errors)
+    assert refine(THICK).resolution == chosen
+    assert asked == [*errors]
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ def test_a_thin_solid_has_nothing_to_merge():
 
 @pytest.mark.parametrize("merge", [False, True])
 def test_halving_gives_the_moments_of_the_coarse_grid(ball, merged, merge):
-    coarse = halve_cells(merged if merge else ball)
+    coarse = halve_cells(merged if merge else ball)[0]
     direct = cut_cells(*sphere(0.5, 4), 4, 8)
     order = [np.lexsort(c.index.T) for c in (coarse, direct)]
     np.testing.assert_array_equal(coarse.index[order[0]], direct.index[order[1]])
@@ -80,5 +80,5 @@ def test_halving_gives_the_moments_of_the_coarse_grid(ball, merged, merge):
 def test_a_rod_thinner_than_the_coarse_cells_cannot_be_halved():
     rod = cut_cells(*box((1, 1 / 200, 1 / 200)), 32, 8)
     while rod is not None:
-        size, rod = rod.resolution, halve_cells(rod)
+        size, rod = rod.resolution, (halve_cells(rod) or (None,))[0]
     assert size == 16

@@ -39,15 +39,10 @@ def timoshenko_lowest(material):
     def inner(a, b):
         return (a * w) @ b.T
 
-    stiffness = np.block(
-        [
-            [kappa * shear * area * inner(slopes, slopes), -kappa * shear * area * inner(slopes, values)],
-            [
-                -kappa * shear * area * inner(values, slopes),
-                kappa * shear * area * inner(values, values) + e * inertia * inner(slopes, slopes),
-            ],
-        ]
-    )
+    rigidity = kappa * shear * area
+    across = -rigidity * inner(slopes, values)
+    turning = rigidity * inner(values, values) + e * inertia * inner(slopes, slopes)
+    stiffness = np.block([[rigidity * inner(slopes, slopes), across], [across.T, turning]])
     mass = scipy.linalg.block_diag(rho * area * inner(values, values), rho * inertia * inner(values, values))
     return np.sqrt(scipy.linalg.eigh(stiffness, mass, eigvals_only=True)[2]) / (2 * np.pi)
 

@@ -15,6 +15,7 @@ from objectfolder.sound.fem.tetrahedra import quadratic
 from objectfolder.sound.fem.voxel import voxels
 
 SIDES = np.array([1.0, 0.6, 0.4])
+OFF_SIDES = np.array([0.36, 0.2, 0.12])
 KINDS = ("cut_cell_hex20", "hex8", "hex8_incompatible", "tet10")
 
 
@@ -35,16 +36,26 @@ def solid(kind, counts=(10, 6, 4)):
     return discretize(*box(SIDES), kind, [counts[0]], 4, 10**6)
 
 
-@pytest.fixture(scope="module", params=KINDS)
+def inside(rng, count):
+    """Points in the box of `off_grid`, which is in the others."""
+    return (rng.random((count, 3)) - 0.5) * OFF_SIDES @ TURN.T
+
+
+def off_grid():
+    """Cells that a turned box cuts in all ways."""
+    return cut_cells(*box(OFF_SIDES, (0, 0, 0), TURN), 12, 8)
+
+
+@pytest.fixture(scope="module", params=[*KINDS, "off the grid"])
 def element(request):
-    divided = solid(request.param)
+    divided = off_grid() if request.param == "off the grid" else solid(request.param)
     return divided, divided.assemble(STUFF, 0.2)
 
 
 def test_volume_and_mass(element):
     divided, fem = element
-    assert divided.volume == pytest.approx(SIDES.prod(), rel=1e-3)
-    assert fem.nodal_mass.sum() == pytest.approx(1000 * SIDES.prod() * 0.2**3, rel=1e-3)
+    assert min(abs(divided.volume / sides.prod() - 1) for sides in (SIDES, OFF_SIDES)) < 1e-3
+    assert fem.nodal_mass.sum() == pytest.approx(1000 * divided.volume * 0.2**3, rel=1e-3)
 
 
 def test_degrees_of_freedom_are_known_before_assembly(element):
@@ -56,6 +67,7 @@ def test_rigid_motions_store_no_energy(element):
     fem = element[1]
     motions = rigid_motions(fem.nodes)
     assert np.abs(fem.stiffness @ motions).max() < 1e-11 * abs(fem.stiffness).max()
+    assert abs(fem.stiffness - fem.stiffness.T).max() == 0
 
 
 def test_a_constant_strain_stores_its_energy(element, rng):
@@ -70,7 +82,7 @@ def test_a_constant_strain_stores_its_energy(element, rng):
 
 def test_interpolation_holds_a_few_nodal_values_at_once(element, rng, monkeypatch):
     divided, fem = element
-    points, values = rng.uniform(-0.2, 0.2, (2000, 3)), rng.random((len(fem.nodes), 300))
+    points, values = inside(rng, 2000), rng.random((len(fem.nodes), 300))
     whole = divided.interpolate(values, points)
     monkeypatch.setattr("objectfolder.sound.fem.elasticity.MAX_GATHERED_VALUES", 20_000)
     tracemalloc.start()
@@ -84,7 +96,7 @@ def test_interpolation_holds_a_few_nodal_values_at_once(element, rng, monkeypatc
 
 def test_complete_polynomials_are_interpolated_exactly(element, rng):
     divided, fem = element
-    points = (rng.random((200, 3)) - 0.5) * SIDES * 0.99
+    points = inside(rng, 200)
 
     def field(x):
         linear = x @ np.array([1.0, -2.0, 0.5]) + 0.3

@@ -1,5 +1,6 @@
 import dataclasses
 import json
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ from solids import box
 from objectfolder.base.materials import material
 from objectfolder.sound.fem.cutcell import cut_cells
 from objectfolder.sound.fem.modal import modal_analysis, solved_band
-from objectfolder.sound.fem.reuse import Request, problem_digest, rescaled, solution_record
+from objectfolder.sound.fem.settings import ModalConfig
 from objectfolder.sound.fem.similarity import similarity
+from objectfolder.sound.truth import Request, compute_modes, problem_digest, rescaled
 
 SOLID = box((1, 0.55, 0.3))
 GLASS = material("glass")
@@ -33,13 +35,12 @@ def solve():
 
 def stored(solve, request, task="task"):
     """What the stage keeps of a solve."""
-    data = solve(request)
-    band = solved_band(data, request.material, request.max_frequency, request.max_modes)
-    return {
-        **data.arrays(),
-        "band_hz": np.array(band),
-        "solution": np.array(solution_record(task, request, data)),
-    }
+    return computed(solve, request, task, None)[0]
+
+
+def computed(solve, request, task, earlier):
+    with patch("objectfolder.sound.truth.refined_analysis", lambda *_, **__: solve(request)):
+        return compute_modes(None, None, None, request, None, task, earlier, "box")
 
 
 @pytest.mark.parametrize(
@@ -102,9 +103,11 @@ def test_it_takes_a_solve(solve, changes, why):
 
 
 def test_another_solid_or_solver_takes_a_solve(solve):
-    wanted = dataclasses.replace(BASE, scale=0.1)
-    assert rescaled(stored(solve, BASE), "task", wanted) is not None
-    assert rescaled(stored(solve, BASE), "another", wanted) is None
+    wanted, solved = dataclasses.replace(BASE, scale=0.1), stored(solve, BASE)
+    for task, earlier, reused in (("task", solved, True), ("another", solved, False), ("task", None, False)):
+        arrays, report = computed(solve, wanted, task, earlier)
+        assert report["reused"] is reused
+        assert json.loads(str(arrays["solution"]))["problem"] == task
 
 
 def test_a_solve_by_a_version_whose_materials_have_other_fields_takes_a_solve(solve):
@@ -177,20 +180,17 @@ def test_similarity_is_that_of_the_wave_equation():
     assert shape == pytest.approx((8000 / 2600 * 8) ** -0.5)
 
 
-def test_a_problem_is_all_that_scaling_leaves(tmp_path):
-    points = np.arange(6.0).reshape(2, 3)
-    solid, code = tmp_path / "solid.npz", tmp_path / "modal.sha256"
-    solid.write_text("solid")
-    code.write_text("sources")
-    files, hexahedra = (solid, code), {"element": "hex20"}
-    first = problem_digest(files, "code", points, 0.2, hexahedra)
-    assert first == problem_digest(files, "code", points.copy(), 0.2, hexahedra)
+def test_a_problem_is_all_that_scaling_leaves():
+    points, config = np.arange(6.0).reshape(2, 3), ModalConfig()
+    first = ("solid", "surface"), "code", points, 0.2, config
     others = [
-        problem_digest((solid,), "code", points, 0.2, hexahedra),
-        problem_digest(files, "code", points + 1e-9, 0.2, hexahedra),
-        problem_digest(files, "code", points, 0.21, hexahedra),
-        problem_digest(files, "code", points, 0.2, {"element": "tet10"}),
+        (("solid",), *first[1:]),
+        (first[0], "other code", *first[2:]),
+        (*first[:2], points + 1e-9, *first[3:]),
+        (*first[:3], 0.21, config),
+        (*first[:4], dataclasses.replace(config, surface_points=7)),
+        (*first[:4], dataclasses.replace(config, fine=dataclasses.replace(config.fine, max_error=0.5))),
     ]
-    code.write_text("other sources, of meshes, too")
-    others.append(problem_digest(files, "code", points, 0.2, hexahedra))
-    assert len({first, *others}) == 6
+    assert len({problem_digest(*problem) for problem in (first, *others)}) == 7
+    harmless = dataclasses.replace(config, max_modes=7, damping="loss_factor")
+    assert problem_digest(*first) == problem_digest(*first[:2], points.copy(), 0.2, harmless)

@@ -10,9 +10,9 @@ from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.shapes.atlas import Paint, pack_charts
 from objectfolder.shapes.extrusion import solid
 from objectfolder.shapes.finish import Finish, finish
-from objectfolder.shapes.parameters import Checks
+from objectfolder.shapes.parameters import Order
 from objectfolder.shapes.revolution import revolve
-from objectfolder.shapes.section import COARSE, resample_rows, split_at_lip
+from objectfolder.shapes.section import COARSE, half_outline, resample_rows, split_at_lip
 from objectfolder.shapes.solid import bake_mesh, group_coincident, weld_patches
 from objectfolder.shapes.texture import lattice, noise, over, rgb, smoothstep
 
@@ -28,15 +28,14 @@ class VesselFinish(Finish):
     inside: Paint
 
 
-def vessel_finish(
-    name: str, size: float, lip: float, foot: float, color: str | None, accent: str | None, seed: int
-) -> VesselFinish:
-    """Return the finish of a vessel; its name, colours and seed are those of ``finish``.
+def vessel_finish(order: Order, size: float, lip: float, foot: float) -> VesselFinish:
+    """Return the finish of a vessel.
 
     A glazed vessel is dipped: the accent covers the inside and runs over the lip, and the foot stays bare.
     Any other finish is the same on both sides. ``size`` is the vessel's longest side, ``lip`` the height of
     its lip, and ``foot`` that up to which the foot is bare, m.
     """
+    name, color, accent, seed = order.finish, order.color, order.accent, order.seed
     body = finish(name, size, color, accent if name != "glaze" else None, seed)
     if name != "glaze":
         return VesselFinish(body.paint, body.roughness, body.metallic, body.paint)
@@ -73,7 +72,7 @@ def vessel_finish(
 
 
 def lobe_warp(
-    check: Checks, lobes: int, depth: float, weight: Callable[[np.ndarray], np.ndarray], twist: float = 0.0
+    order: Order, lobes: int, depth: float, weight: Callable[[np.ndarray], np.ndarray], twist: float = 0.0
 ) -> Warp | None:
     """Return the warp of a round vessel into ``lobes`` lobes, or None without lobes.
 
@@ -82,8 +81,8 @@ def lobe_warp(
     """
     whole = isinstance(lobes, int) and not isinstance(lobes, bool)
     if not whole or (lobes and not 3 <= lobes <= 12):
-        check.refuse("lobes", lobes, "0 (round) or a whole number from 3 to 12")
-    check.between(0.0, 0.1, "a share of the radius", lobe_depth=depth)
+        order.refuse("lobes", lobes, "0 (round) or a whole number from 3 to 12")
+    order.between(0.0, 0.1, "a share of the radius", lobe_depth=depth)
     if not lobes or not depth:
         return None
 
@@ -96,13 +95,14 @@ def lobe_warp(
 
 
 def build_vessel(
-    profile: np.ndarray, look: VesselFinish, texture_size: int, warp: Warp | None
+    order: Order, section: manifold3d.CrossSection, size: float, lip: float, foot: float, warp: Warp | None
 ) -> TexturedMesh:
-    """Build the textured mesh of a vessel from a profile (N, 2) that starts and ends on the axis."""
-    outer, inner = split_at_lip(profile)
+    """Build the textured mesh of a vessel from its cross-section; other lengths as of `vessel_finish`."""
+    look = vessel_finish(order, size, lip, foot)
+    outer, inner = split_at_lip(half_outline(section, order.generator))
     parts = revolve(outer, 0, look.paint)
     parts += revolve(inner, len(parts), look.inside)
-    atlas = pack_charts([chart for _, chart in parts], texture_size)
+    atlas = pack_charts([chart for _, chart in parts], order.texture_size)
     patches = [patch for patch, _ in parts]
     if warp is not None:
         patches = [replace(patch, vertices=warp(patch.vertices)) for patch in patches]

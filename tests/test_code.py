@@ -1,10 +1,12 @@
-"""A public name of the package stands for one thing."""
+"""Rules that all code keeps."""
 
 import ast
 from collections import defaultdict
-from pathlib import Path
 
-PACKAGE = Path(__file__).parents[1] / "objectfolder"
+from own_workspace import ROOT
+
+FOLDERS = ("objectfolder", "stages", "perf", "fuzz", "docs", "tests")
+PACKAGE = ROOT / "objectfolder"
 ENTRY_POINT = "main"  # of a process: the command line, the supervisor, Blender's script
 
 
@@ -25,5 +27,20 @@ def public_names():
     return places
 
 
-def test_a_name_stands_for_one_thing():
+def test_a_public_name_of_the_package_stands_for_one_thing():
     assert not {name: places for name, places in public_names().items() if len(places) > 1}
+
+
+def calls_of_load():
+    """Calls of ``np.load`` and places, in all code."""
+    for path in sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")):
+        text = path.read_text()
+        for node in ast.walk(ast.parse(text)) if ".load(" in text else ():
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("np.load", "numpy.load"):
+                yield f"{path.relative_to(ROOT)}:{node.lineno}", [ast.unparse(word) for word in node.keywords]
+
+
+def test_no_code_unpickles_arrays_whatever_the_default_of_numpy_is():
+    found = list(calls_of_load())
+    assert len(found) > 20
+    assert [place for place, words in found if "allow_pickle=False" not in words] == []

@@ -1,19 +1,21 @@
-"""Reuse of an earlier solve for another stiffness, density, damping or size of the same solid."""
+"""Ground-truth modes of an object: solved, or those of an earlier solve for another material or size."""
 
-import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from objectfolder.base.io import file_digest
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material
+from objectfolder.mesh.topology import Mesh
 from objectfolder.sound.fem.certainty import solver_checks
-from objectfolder.sound.fem.modal import MIN_FREQUENCY, ModalData
+from objectfolder.sound.fem.elasticity import Solid
+from objectfolder.sound.fem.modal import MIN_FREQUENCY, ModalData, refined_analysis, solved_band
+from objectfolder.sound.fem.settings import FineGrids, ModalConfig
 from objectfolder.sound.fem.similarity import similarity
 
 
@@ -32,58 +34,58 @@ class Request:
         return cls(**{**values, "material": Material(**values["material"])})
 
 
+def compute_modes(
+    solid: Solid,
+    surface: Mesh,
+    points: np.ndarray,
+    request: Request,
+    fine: FineGrids,
+    problem: str,
+    earlier: dict[str, np.ndarray] | None,
+    name: str,
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Compute modes at points (P, 3), unit frame; the arrays of ``modes.npz`` about them, and ``modal.json``.
+
+    The solid is on the first grid; its surface is (V, 3), unit frame, and (F, 3). Modes of an ``earlier``
+    ``modes.npz`` are rescaled if they serve; ``problem`` is the present `problem_digest`.
+    """
+    data = None
+    if earlier is not None:
+        with suppress(ObjectFolderError):  # not a readable one
+            data = rescaled(earlier, problem, request)
+    reused = data is not None
+    if data is None:
+        data = refined_analysis(solid, surface, fine, points, **vars(request), name=name)
+    band = solved_band(data, request.material, request.max_frequency, request.max_modes)
+    record = {"problem": problem, "request": asdict(request), "report": data.report}
+    arrays = data.arrays() | {
+        "truncated": np.asarray(data.report["truncated"]),
+        "band_hz": np.asarray(band),
+        "solution": np.asarray(json.dumps(record, sort_keys=True)),
+    }
+    return arrays, data.report | {"reused": reused}
+
+
 def problem_digest(
-    files: Iterable[Path], code: str, points: np.ndarray, poisson_ratio: float, options: dict[str, Any]
+    files: Iterable[str], code: str, points: np.ndarray, poisson_ratio: float, config: ModalConfig
 ) -> str:
     """Return the digest of everything that modes depend on beyond scaling.
 
-    Parameters
-    ----------
-    files : iterable of Path
-        The solid, its surface; those that exist.
-    code : str
-        Digest of the code of the solve.
-    points : (P, 3) array
-        Points at which the mode shapes are evaluated.
-    poisson_ratio : float
-    options : dict
-        Options of the elements, as JSON values.
+    Those of the solid and its surface, and of the code of a solve, are given; shapes are at points (P, 3).
     """
-    read = [file_digest(path) for path in files if path.is_file()]
     place = hashlib.sha256(np.ascontiguousarray(points).tobytes()).hexdigest()
-    fields = [field.name for field in dataclasses.fields(Material)]
-    text = json.dumps([read, code, place, poisson_ratio, options, fields], sort_keys=True)
+    options = {"fine": asdict(config.fine), "surface_points": config.surface_points}
+    names = [field.name for field in fields(Material)]
+    text = json.dumps([list(files), code, place, poisson_ratio, options, names], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def solution_record(problem: str, request: Request, data: ModalData) -> str:
-    """Return the record of a solve that `rescaled` needs beside the arrays, as JSON."""
-    return json.dumps(
-        {"problem": problem, "request": dataclasses.asdict(request), "report": data.report}, sort_keys=True
-    )
-
-
 def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> ModalData | None:
-    """Rescale the modes of an earlier solve if they cover the request; exact up to rounding.
+    """Rescale the modes of an earlier solve (``modes.npz``) if they cover the request; exact up to rounding.
 
-    Parameters
-    ----------
-    solved : dict of arrays
-        ``modes.npz`` of the earlier solve, with its ``solution`` and ``band_hz``.
-    problem : str
-        Digest of the present problem; see `problem_digest`.
-    wanted : Request
-
-    Returns
-    -------
-    ModalData or None
-        None if a new solve is needed: for another solid or solver, or if the earlier solve dropped or did
-        not seek some of the modes. Also None for an identical request, so that rerunning the stage gives
-        the same bytes.
-
-    Notes
-    -----
-    Report entries named ``*_hz`` scale like frequencies.
+    Returns None if a new solve is needed: for another solid or solver, or if the earlier solve dropped or did
+    not seek some of the modes. Also for an identical request, so that rerunning the stage gives the same
+    bytes. Report entries named ``*_hz`` scale like frequencies.
     """
     record = json.loads(str(solved["solution"]))
     if record["problem"] != problem:  # compared first: another version's request may have other fields
