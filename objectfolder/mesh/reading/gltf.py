@@ -84,7 +84,7 @@ class _Reader:
         meshes: dict[Any, list[tuple[MeshPart, Influences | None]]] = {}
         elements = 0
         for one in placed:
-            key = one.mesh, one.weights
+            key = one.mesh, one.weights, one.joints is not None
             if key not in meshes:
                 meshes[key] = self._shapes(*key)
             elements += len(one.transforms) * sum(
@@ -110,8 +110,10 @@ class _Reader:
                 "its nodes repeat; simplify it"
             )
 
-    def _shapes(self, mesh: int, morphs: tuple[float, ...]) -> list[tuple[MeshPart, Influences | None]]:
-        """Return the primitives of a mesh, in its own frame, and the joints that move them."""
+    def _shapes(
+        self, mesh: int, morphs: tuple[float, ...], skinned: bool
+    ) -> list[tuple[MeshPart, Influences | None]]:
+        """Return the primitives of a mesh, in its own frame, and the joints that move them if it is skinned."""
         shapes: list[tuple[MeshPart, Influences | None]] = []
         for primitive in self.document["meshes"][mesh]["primitives"]:
             self.file.note_extensions(primitive, {DRACO})
@@ -120,7 +122,8 @@ class _Reader:
             elif "POSITION" not in primitive.get("attributes", {}):
                 self.left_out["faces without positions left out"] += 1
             else:
-                shapes.append((self._shape(primitive, morphs), self._influences(primitive)))
+                influences = self._influences(primitive) if skinned else None
+                shapes.append((self._shape(primitive, morphs), influences))
                 self._check_size(sum(len(shape.vertices) + shape.faces.size for shape, _ in shapes))
         return shapes
 

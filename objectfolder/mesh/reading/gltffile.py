@@ -142,8 +142,11 @@ def is_data(uri: str) -> bool:
 
 
 def file_name(path: Path, uri: str) -> str:
-    """Return the file name that a URI of a glTF file stands for; as written if only that file exists."""
-    name = unquote(uri)
+    """Return the file name that a URI of a glTF file stands for; as written if only that file exists.
+
+    Of an absolute address, it is the last name, for a file beside the mesh.
+    """
+    name = unquote(uri.rpartition("/")[2] if "://" in uri else uri)
     if name == uri or len(uri.encode(errors="replace")) > MAX_NAME:
         return name
     return uri if (path.parent / uri).is_file() and not (path.parent / name).is_file() else name

@@ -185,7 +185,8 @@ def bend(part: MeshPart, influences: Influences, joints: np.ndarray) -> MeshPart
     As in other readers, a vertex without weights follows its first joint.
     """
     weights = influences.weights.copy()
-    weights[~(weights.sum(1) > 0), :1] = 1
+    without = ~(weights.sum(1) > 0)
+    weights[without] = np.eye(weights.shape[1])[0]
     weights /= weights.sum(1, keepdims=True)
     matrix = np.zeros((len(weights), 3, 4))
     for index, weight in zip(influences.joints.T, weights.T):
