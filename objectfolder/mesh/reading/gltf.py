@@ -113,7 +113,7 @@ class _Reader:
     def _shapes(
         self, mesh: int, morphs: tuple[float, ...], skinned: bool
     ) -> list[tuple[MeshPart, Influences | None]]:
-        """Return the primitives of a mesh, in its own frame, and the joints that move them if it is skinned."""
+        """Return the primitives of a mesh, in its own frame, and if it is skinned the joints of each."""
         shapes: list[tuple[MeshPart, Influences | None]] = []
         for primitive in self.document["meshes"][mesh]["primitives"]:
             self.file.note_extensions(primitive, {DRACO})
