@@ -56,11 +56,16 @@ class GltfFile:
     def accessor(
         self, index: int, width: int | None, expected: int | None = None, fractions: bool = False
     ) -> np.ndarray:
-        """Values (count, width) of an accessor; scaled to [-1, 1] if normalized, or integer ``fractions``."""
+        """Values (count, width) of an accessor; scaled to [-1, 1] if normalized, or integer ``fractions``.
+
+        Without a width, that of colours: 3 or 4.
+        """
         accessor = self.document["accessors"][index]
         dtype, columns, count = DTYPES[accessor["componentType"]], WIDTHS[accessor["type"]], accessor["count"]
-        if width not in (None, columns):
-            raise ObjectFolderError(f"{self.path}: accessor {index} has {columns} columns, expected {width}")
+        if columns != width and (width is not None or columns not in (3, 4)):
+            raise ObjectFolderError(
+                f"{self.path}: accessor {index} has {columns} columns, expected {width or '3 or 4'}"
+            )
         if expected not in (None, count):
             raise ObjectFolderError(
                 f"{self.path}: accessor {index} has {shortened(count)} values for {expected} vertices; "

@@ -161,8 +161,9 @@ def _joints(file: GltfFile, index: int, worlds: dict[int, np.ndarray]) -> np.nda
 def _copies(file: GltfFile, node: dict[str, Any], world: np.ndarray) -> list[np.ndarray]:
     """Return the transforms (4, 4) of a node's mesh to the scene: its own, or those of its copies."""
     attributes = node.get("extensions", {}).get(INSTANCING, {}).get("attributes", {})
-    names = [name for name in ("TRANSLATION", "ROTATION", "SCALE") if name in attributes]
-    columns = [file.accessor(attributes[name], None) for name in names]
+    widths = {name: 4 if name == "ROTATION" else 3 for name in ("TRANSLATION", "ROTATION", "SCALE")}
+    names = [name for name in widths if name in attributes]
+    columns = [file.accessor(attributes[name], widths[name]) for name in names]
     keys = [name.lower() for name in names]
     copies = (_transform(dict(zip(keys, row))) for row in zip(*columns, strict=True))
     return [world @ copy for copy in copies] if names else [world]
