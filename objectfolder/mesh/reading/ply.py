@@ -147,10 +147,8 @@ def _split(data: bytes) -> tuple[list[str], bytes]:
     if utf16_order(data):
         data = decode_text(data).encode()
     first = re.search(rb"\r\n|\n|\r", data)
-    ends = b"|".join(
-        [re.escape(first[0]) if first else b"\n", rb"\r\n|\n|\r|\Z"]
-    )  # as the first line's, or any
-    end = re.search(rb"[\r\n][ \t]*end_header[ \t]*(?:" + ends + rb")", data)
+    usual = first[0] if first else b"\n"  # a line break, by which data may begin, too
+    end = re.search(rb"[\r\n][ \t]*end_header[ \t]*(?:" + usual + rb"|\r\n|\n|\r|\Z)", data)
     header = decode_text(data[: end.start()] if end else data[:MAX_HEADER])
     return re.split(r"[\r\n]+", header), data[end.end() :] if end else b""
 
