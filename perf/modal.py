@@ -28,7 +28,7 @@ from objectfolder.sound.fem.adaptive import refine_grid
 from objectfolder.sound.fem.eigen import solve_modes
 from objectfolder.sound.fem.elasticity import Solid
 from objectfolder.sound.fem.elements import solid_from_arrays
-from objectfolder.sound.fem.modal import MIN_FREQUENCY, refined_analysis
+from objectfolder.sound.fem.modal import MIN_FREQUENCY, Request, refined_analysis
 from objectfolder.sound.fem.settings import FineGrids
 from objectfolder.sound.synthesis import sinusoid_bank
 from objectfolder.workspace import params
@@ -61,16 +61,14 @@ def measure(workspace: str, key: str) -> dict:
     solid, solid_surface, entry, section = load(workspace, key)
     surface = read_surface(Build(key, workspace).surface)
     points = sample_surface(*surface, len(surface[0]) + section["surface_points"], np.random.default_rng(0))
+    limits = section["max_frequency"], section["max_modes"]
     data, seconds = timed(
         lambda: refined_analysis(
             solid,
             solid_surface,
             FineGrids(**section["fine"]),
             points,
-            material(entry["material"]),
-            float(entry["scale"]),
-            section["max_frequency"],
-            section["max_modes"],
+            Request(material(entry["material"]), float(entry["scale"]), *limits),
             key,
         )
     )

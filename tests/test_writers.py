@@ -92,7 +92,7 @@ EXCEPTIONS = {
     "objectfolder/vision/renderers/cycles.py:write_scene": "in the TemporaryDirectory of the renderer",
     "objectfolder/vision/renderers/blender_scene.py:main": "in the TemporaryDirectory of the renderer",
     # Names that were written before, or are new.
-    "objectfolder/benchmarks/datasets/grasp_data.py:_collect": "removes its batches; refuse_links",
+    "objectfolder/benchmarks/datasets/grasp_data.py:collect_grasps": "removes its batches; refuse_links",
     "objectfolder/benchmarks/tasks/running.py:write_results": "a rename, which replaces links; refuse_links",
     "objectfolder/cli/view.py:view": "a new folder of mkdtemp",
     "objectfolder/engine/dvc/lockfile.py:LockFiles._restore": "a rename, which replaces links",

@@ -2,7 +2,7 @@
 
 import difflib
 import shutil
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from objectfolder.base.errors import ObjectFolderError
@@ -96,6 +96,8 @@ def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
     try:
         # Lazy: an OBJ's textures are read from the copy of the material file, which comes first.
         for name in references(copy):
+            if ".." in name.parts:  # beside this copy, by chance
+                name = PurePosixPath(name.name)
             beside = mesh.parent / name
             elsewhere = [path for path in _files(tree) if path.name == name.name]
             found = [beside] if beside.is_file() else elsewhere
