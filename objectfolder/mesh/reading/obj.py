@@ -156,16 +156,17 @@ def _choose_colors(
 ) -> tuple[SurfaceMaterial, np.ndarray | None, list[str]]:
     """Choose between the vertex colours (V, 3) of a part, sRGB in [0, 1], and those of its material.
 
-    An image counts if the part has texture coordinates. Returns the material, linear colours or None, and
-    what is left out.
+    An image counts if the part has texture coordinates (``mapped``), or no other colour than white. Returns
+    the material, linear colours or None, and what is left out.
     """
     uncolored = np.isnan(colors)
     if uncolored.all():
         return surface, None, []
-    if surface.image is not None and mapped:
-        return surface, None, ["vertex colours beside a texture left out"]
     colors = srgb.decode(np.clip(colors, 0, 1))
-    if surface.color is not None and (uncolored | (colors == 1)).all():
+    white = (uncolored | (colors == 1)).all()  # as some programs write where a material has the colour
+    if surface.image is not None and (mapped or white):
+        return surface, None, ["vertex colours beside a texture left out"]
+    if surface.color is not None and white:
         return surface, None, ["white vertex colours beside Kd left out"]
     plain = PLAIN if surface.color is None else surface.color
     return replace(surface, image=None, color=None), np.where(uncolored, plain, colors), []

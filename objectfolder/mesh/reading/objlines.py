@@ -73,7 +73,7 @@ class ObjLines:
         """
         rows, data = self._numbers(kind)
         counts = self.words[rows] - 1
-        values = self._parse(rows, data, np.float64, NOT_NUMBERS)
+        values = self._parse(rows, data, int(counts.sum()), np.float64, NOT_NUMBERS)
         if len(counts) and (counts == counts[0]).all() and counts[0] >= width:
             return values.reshape(len(counts), -1)[:, :width], counts
         table, column = np.zeros((len(counts), width)), np.arange(width)
@@ -91,7 +91,7 @@ class ObjLines:
         space, slash = IS_SPACE[data], data == ord("/")
         word, number = starts(space), starts(space | slash)
         numbers = np.where(slash, np.uint8(ord(" ")), data)
-        values = self._parse(rows, numbers, np.int64, NOT_A_FACE)
+        values = self._parse(rows, numbers, len(number), np.int64, NOT_A_FACE)
         corner = np.searchsorted(word, number, "right") - 1
         slashes = np.cumsum(slash, dtype=np.int32)
         column = slashes[number] - slashes[word[corner]]
@@ -124,13 +124,15 @@ class ObjLines:
         start = self.start[rows] + len(KEYWORDS[kind])
         return rows, self.data[between(start, self.end[rows] + 1, len(self.data))]
 
-    def _parse(self, rows: np.ndarray, data: np.ndarray, dtype: type, problem: str) -> np.ndarray:
+    def _parse(self, rows: np.ndarray, data: np.ndarray, count: int, dtype: type, problem: str) -> np.ndarray:
         """Parse the numbers of some lines, given their bytes."""
         text = data.tobytes()
-        values = parse_numbers(text, dtype)
+        values = parse_numbers(text, count, dtype)
         if values is None:
             lines = zip(rows, text.splitlines())
-            row, line = next((row, line) for row, line in lines if parse_numbers(line, dtype) is None)
+            row, line = next(
+                (row, line) for row, line in lines if parse_numbers(line, len(line.split()), dtype) is None
+            )
             commas = problem == NOT_NUMBERS and has_decimal_commas(line)
             self.refuse(np.array([row]), f"has {DECIMAL_COMMAS}" if commas else problem)
         assert values is not None

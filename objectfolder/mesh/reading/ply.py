@@ -212,7 +212,7 @@ def _fill_from_text(path: Path, body: bytes, elements: Sequence[_Element]) -> No
     ends, words = count_words(np.frombuffer(body, np.uint8))
     total = sum(element.rows for element in elements)
     if len(ends) >= total > 0:
-        values = _parse(path, body[: ends[total - 1]])
+        values = _parse(path, body[: ends[total - 1]], int(words[:total].sum()))
         starts, row = NUMBER.itemsize * np.cumsum([0, *words[:total]]), 0
         with suppress(*WRONG):
             for element in elements:
@@ -223,14 +223,15 @@ def _fill_from_text(path: Path, body: bytes, elements: Sequence[_Element]) -> No
             else:
                 return
     after = re.search(rb"(?<!\S)(?!nan|inf)[a-z]", body, re.I)  # words that follow the data
-    values, place = _parse(path, body[: after.start()] if after else body), 0
+    body = body[: after.start()] if after else body
+    values, place = _parse(path, body, len(body.split())), 0
     for element in elements:
         place = _fill(element, values, place)
 
 
-def _parse(path: Path, text: bytes) -> np.ndarray:
+def _parse(path: Path, text: bytes, count: int) -> np.ndarray:
     """Parse numbers, as the bytes that store them."""
-    values = parse_numbers(text)
+    values = parse_numbers(text, count)
     if values is None:
         problem = DECIMAL_COMMAS if has_decimal_commas(text) else "words that are no numbers; export it again"
         raise ObjectFolderError(f"{path} cannot be read as a mesh: its data have {problem}")

@@ -101,8 +101,9 @@ def _read_text(path: Path, text: bytes) -> MeshContent:
     if not len(facet):
         facet = find_words(data, places, "outer")
     bounds = np.append(places, [len(data)] * 4)
-    values = parse_numbers(data[between(bounds[vertex + 1], bounds[vertex + 4], len(data))].tobytes())
-    if values is None or len(values) != 3 * len(vertex):
+    numbers = data[between(bounds[vertex + 1], bounds[vertex + 4], len(data))].tobytes()
+    values = parse_numbers(numbers, 3 * len(vertex))
+    if values is None:
         problem = "words that are no numbers, or too few; export it again"
         problem = DECIMAL_COMMAS if has_decimal_commas(text) else problem
         raise ObjectFolderError(f"{path} cannot be read as a mesh: its vertices have {problem}")

@@ -36,15 +36,16 @@ def utf16_order(data: bytes) -> str:
     return {(True, False): "utf-16-le", (False, True): "utf-16-be"}.get((even, odd), "")
 
 
-def parse_numbers(text: bytes, dtype: type = np.float64) -> np.ndarray | None:
-    """Parse numbers apart by white space, NaN in any spelling; None if there are other words."""
+def parse_numbers(text: bytes, count: int, dtype: type = np.float64) -> np.ndarray | None:
+    """Parse as many words as numbers, NaN in any spelling; None if some are none, or hold two: ``1.5-2``."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # of NumPy before 2.3, in place of the error
         try:
-            return np.fromstring(text, dtype, sep=" ")
+            values: np.ndarray = np.fromstring(text, dtype, sep=" ")
+            return values if len(values) == count else None
         except (ValueError, DeprecationWarning):
             replaced = NOT_A_NUMBER.sub(b"nan", text)
-            return None if replaced == text else parse_numbers(replaced, dtype)
+            return None if replaced == text else parse_numbers(replaced, count, dtype)
 
 
 def has_decimal_commas(text: bytes) -> bool:
