@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse.linalg as sla
 import torch
-from harness import exit_with_verdict, fresh, parsed, run_job, write_record
+from harness import add_objects, chosen_objects, exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -196,12 +196,9 @@ def show(rows: list[dict], peers: list[dict], console: Console) -> None:
 def main() -> None:
     run_job({"measure": measure, "compare": compare})
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
-    parser.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
-    parser.add_argument("--json", type=Path, help="file for the figures")
+    add_objects(parser)
     arguments = parsed(parser)
-    keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
-    console = Console(width=max(Console().width, 120))
+    console, keys = Console(width=max(Console().width, 120)), chosen_objects(arguments)
     rows = [{"object": key} | fresh(__file__, "measure", arguments.workspace, key) for key in keys]
     small = [
         row["object"]
@@ -214,9 +211,8 @@ def main() -> None:
     show(rows, peers, console)
     missed = misses(rows, peers)
     faster = ", ".join(f"{times:g} times ({name.replace('_', ' ')})" for name, times in MIN_FASTER.items())
-    write_record(
-        arguments.json, {"objects": rows, "peers": peers}, f"{MAX_SECONDS:g} s; faster by {faster}", missed
-    )
+    targets = f"{MAX_SECONDS:g} s; faster by {faster}"
+    write_record(arguments.json, {"objects": rows, "peers": peers}, targets, missed)
     exit_with_verdict(missed, console)
 
 

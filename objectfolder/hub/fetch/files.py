@@ -63,10 +63,7 @@ def _form(name: str) -> str:
 
 
 def find_mesh(tree: Path, source: MeshSource) -> Path:
-    """Return the mesh at the source's path, otherwise with the source's file name, otherwise the only mesh.
-
-    Raises ObjectFolderError if there is none, or more than one.
-    """
+    """Return the mesh at the source's path, or of its name, or the only one; ObjectFolderError otherwise."""
     files = [path for path in _files(tree) if path.suffix.lower() in FORMATS]
     found = (
         [path for path in files if path.relative_to(tree).match(source.mesh)]
