@@ -42,6 +42,7 @@ fuzz: .venv/.dev
 	$(BIN)/python fuzz/objectfile.py -max_total_time=600
 	$(BIN)/python fuzz/queryfiles.py -max_total_time=600
 	$(BIN)/python fuzz/released.py -max_total_time=600
+	$(BIN)/pytest -m slow tests/mesh/reading/test_random_files.py
 	$(BIN)/pytest --hypothesis-profile=fuzz tests/objectfile/test_hostile_files.py
 	$(BIN)/pytest --hypothesis-profile=fuzz -s tests/engine/test_random_sequences.py \
 	  tests/engine/test_every_parameter.py

@@ -48,3 +48,23 @@ def split(points: np.ndarray) -> np.ndarray:
         if len(ears) == corners - 2:  # otherwise the polygon crosses itself
             triangles[i] = ears
     return triangles
+
+
+def split_loops(points: np.ndarray, vertex: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split polygons of different sizes (P,), whose corners (C,) are some of the points (V, 3).
+
+    Returns triangles of corners (T, 3), and the polygon of each (T,), in order. Those of under three corners
+    have none; vertices that there are not are taken for others.
+    """
+    first = np.cumsum(sizes) - sizes
+    known = vertex.clip(0, len(points) - 1)
+    triangles, face = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
+    for size in np.unique(sizes[sizes > 2]):
+        chosen = np.flatnonzero(sizes == size)
+        polygons = first[chosen, None] + np.arange(size)
+        local = split(points[known[polygons]])
+        triangles.append(np.take_along_axis(polygons[:, None], local, 2).reshape(-1, 3))
+        face.append(np.repeat(chosen, size - 2))
+    owner = np.concatenate(face)
+    order = np.argsort(owner, kind="stable")
+    return np.concatenate(triangles)[order], owner[order]

@@ -44,11 +44,14 @@ def referenced_path(mesh: Path, name: str, beside: PurePosixPath = HERE, said_in
     return path
 
 
-def find_referenced(mesh: Path, name: str, beside: PurePosixPath = HERE, said_in: str = "") -> PurePosixPath:
+def find_referenced(
+    mesh: Path, name: str, beside: PurePosixPath = HERE, said_in: str = "", any_case: bool = False
+) -> PurePosixPath:
     """Return the path of a file that a mesh names, relative to the mesh's folder.
 
     If the file is not where the mesh says, it is looked up by its last name in `TEXTURE_FOLDERS`. The
-    composed and decomposed forms of Unicode are the same name. Arguments and errors are those of
+    composed and decomposed forms of Unicode are the same name, and with ``any_case`` upper and lower case,
+    if no name is as it is written. Other arguments and errors are those of
     `referenced_path`, whose path it returns if there is no such file.
     """
     last = PurePosixPath(PurePosixPath(name.replace("\\", "/")).name)
@@ -60,37 +63,32 @@ def find_referenced(mesh: Path, name: str, beside: PurePosixPath = HERE, said_in
     if last.name and _size(last.name) <= MAX_NAME:
         places += [folder / last for folder in TEXTURE_FOLDERS]
     for place in places:
-        if found := _on_disk(mesh.parent, place):
+        if found := _on_disk(mesh.parent, place, any_case):
             return found
     if error is not None:
         raise error
     return written
 
 
-def _on_disk(folder: Path, path: PurePosixPath) -> PurePosixPath | None:
-    """Return the path of an existing file in the form of Unicode that it has there, or None."""
+def _on_disk(folder: Path, path: PurePosixPath, any_case: bool) -> PurePosixPath | None:
+    """Return the path of an existing file with the names that it has there, or None."""
     if (folder / path).is_file():
         return path
-    if str(path).isascii():
+    if str(path).isascii() and not any_case:
         return None
     found = HERE
     for part in path.parts:
-        here, name = folder / found, unicodedata.normalize("NFC", part)
-        names = [other.name for other in here.iterdir()] if here.is_dir() else []
-        same = [other for other in names if unicodedata.normalize("NFC", other) == name]
+        here, name = folder / found, _fold(part, any_case)
+        names = sorted(other.name for other in here.iterdir()) if here.is_dir() else []
+        same = [other for other in names if _fold(other, any_case) == name]
         found /= part if part in (*names, "..") or not same else same[0]
     return found if (folder / found).is_file() else None
 
 
-def decode_text(data: bytes) -> str:
-    """Decode the text of a mesh file: UTF-8, or else Latin-1, in which any bytes are characters.
-
-    Names in an unknown encoding stay apart this way, and those in Latin-1 are right.
-    """
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
+def _fold(name: str, any_case: bool) -> str:
+    """Return what forms of a name have in common: of Unicode, and of case."""
+    name = unicodedata.normalize("NFC", name)
+    return name.casefold() if any_case else name
 
 
 def _size(name: str) -> int:

@@ -18,19 +18,21 @@ from objectfolder.mesh.reading.mtl import read_library, texture_path, textures
 from objectfolder.mesh.reading.obj import mtl_names, read_obj
 from objectfolder.mesh.reading.off import read_off
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart
-from objectfolder.mesh.reading.polygons import ply_textures, read_polygons
+from objectfolder.mesh.reading.ply import ply_textures, read_ply
+from objectfolder.mesh.reading.stl import read_stl
 from objectfolder.mesh.textured import TexturedMesh, z_up
 
 READERS: dict[str, Callable[[Path], MeshContent]] = {
     ".obj": read_obj,
     ".glb": read_gltf,
     ".gltf": read_gltf,
-    ".ply": read_polygons,
-    ".stl": read_polygons,
+    ".ply": read_ply,
+    ".stl": read_stl,
     ".off": read_off,
 }
 FORMATS = tuple(READERS)  #: suffixes of supported mesh files
 AS_STORED = 1 << 16  #: texture size of a mesh that `normalize` wrote: no texture is larger
+MAX_REPEATS = 1e9  # of a texture, from its origin to a corner; single precision holds no place beyond
 MAX_REACH = 1e30  # largest coordinate in any unit; keeps products finite
 # First bytes of files that carry a wrong suffix.
 BEGINNINGS = {
@@ -79,7 +81,10 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
     source = _read(path, reader)
     parts = [part for part in source.parts if len(part.faces)]
     if not parts:
-        raise ObjectFolderError(f"{path} holds no faces; expected a triangle mesh{_looks_like(path)}")
+        left_out = f" ({'; '.join(source.notes)})" if source.notes else ""
+        raise ObjectFolderError(
+            f"{path} holds no faces; expected a triangle mesh{left_out}{_looks_like(path)}"
+        )
     for part in parts:
         _check(path, part)
     used = np.concatenate([part.vertices[part.used] for part in parts])
@@ -110,7 +115,8 @@ def _read(path: Path, reader: Callable[[Path], MeshContent]) -> MeshContent:
     if path.stat().st_size == 0:
         raise ObjectFolderError(f"{path} cannot be read as a mesh: it is empty")
     try:
-        return reader(path)
+        with np.errstate(all="ignore"):  # values are checked later
+            return reader(path)
     except ObjectFolderError as error:
         hint = _looks_like(path)
         if not hint or hint in str(error):
@@ -146,7 +152,7 @@ def _check(path: Path, part: MeshPart) -> None:
 
 def _finite(part: MeshPart) -> MeshPart:
     """Replace values that are not finite by zeros, and clip vertex colours to [0, 1]."""
-    uv = None if part.uv is None else np.where(np.isfinite(part.uv), part.uv, 0)
+    uv = None if part.uv is None else np.where(np.abs(part.uv) < MAX_REPEATS, part.uv, 0)
     vertices = np.where(np.isfinite(part.vertices).all(1, keepdims=True), part.vertices, 0)
     colors = None if part.colors is None else np.nan_to_num(np.clip(part.colors, 0, 1))
     normals = None
@@ -197,7 +203,7 @@ def references(mesh: Path) -> Iterator[PurePosixPath]:
                     yield texture_path(mesh, library.parent, texture)
     elif suffix == ".ply":
         for name in ply_textures(mesh.read_bytes()):
-            yield find_referenced(mesh, name)
+            yield find_referenced(mesh, name, any_case=True)
     elif suffix in (".gltf", ".glb"):
         for uri in uris(mesh):
-            yield find_referenced(mesh, uri)
+            yield find_referenced(mesh, uri, any_case=True)

@@ -10,24 +10,25 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from PIL import Image
 
-from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.files import (
-    decode_text,
     find_referenced,
     read_image,
     read_referenced,
     referenced_path,
 )
 from objectfolder.mesh.reading.parts import SurfaceMaterial
+from objectfolder.mesh.reading.text import DECIMAL_COMMAS, decode_text, has_decimal_commas
 
-MAP = re.compile(r"map_\w+|bump|disp|decal|norm", re.I)
+MAP = re.compile(r"map_\w+|bump|disp|decal|norm|refl", re.I)
 LINE_END = re.compile(r"[\r\n]+")
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?(?=\s)"
-#: One option before a file name, with as many arguments as the standard gives it.
+MAX_WORDS = 8  # of unknown options before a file name
+#: One option before a file name, with as many arguments as the standard gives it, or fewer numbers.
 OPTION = re.compile(
-    rf"-(?:([ost])((?:\s++{NUMBER}){{1,3}})|(mm)\s++(\S+\s++\S+)"
-    r"|(blend[uv]|boost|bm|cc|clamp|imfchan|texres|type)\s++(\S+))\s++",
+    rf"-(?:([ost])((?:\s++{NUMBER}){{0,3}})|(mm)((?:\s++{NUMBER}){{1,2}})"
+    r"|(blend[uv]|boost|bm|cc|clamp|colorspace|imfchan|texres|type)\s++(\S+))\s++",
     re.I,
 )
 DROPPED_MAPS = {
@@ -37,9 +38,17 @@ DROPPED_MAPS = {
     "norm": "normal map",
     "disp": "displacement map",
     "map_ke": "emissive map",
+    "refl": "reflection map",
 }
 #: Statements with numbers that are dropped, unless they are 0.
-DROPPED_VALUES = {"ke": "emission", "tf": "transmission filter Tf", "ps": "sheen", "pc": "clearcoat"}
+DROPPED_VALUES = {
+    "ke": "emission",
+    "tf": "transmission filter Tf",
+    "ps": "sheen",
+    "pc": "clearcoat",
+    "aniso": "anisotropy",
+}
+NUMERIC = {"kd", "d", "tr", "pr", "pm"}  # statements that are read
 DROPPED_OPTIONS = ("t", "mm", "cc", "imfchan")  # of a texture: they change its colours or its place
 
 
@@ -95,10 +104,16 @@ class MaterialLibraries:
         lines = self.statements.get(name)
         if lines is None:
             return MtlMaterial()
+        for key in NUMERIC & lines.keys():
+            if has_decimal_commas(lines[key].encode()):
+                said = shortened(f"{key.capitalize()} {lines[key]}")
+                raise ObjectFolderError(f"{self.mesh}: {said!r} of material {name} has {DECIMAL_COMMAS}")
         options, file = _options(lines.get("map_kd", ""))
         dropped = _list_dropped(lines) | {
             f"option -{key} of map_Kd" for key in DROPPED_OPTIONS if key in options
         }
+        if not options.get("colorspace", "sRGB").lower().startswith("srgb"):
+            dropped |= {"option -colorspace of map_Kd"}
         roughness, metallic = _fraction(lines.get("pr", "")), _fraction(lines.get("pm", ""))
         if file:
             wrap = "clamp" if options.get("clamp", "").lower() == "on" else "repeat"
@@ -125,15 +140,21 @@ def read_library(mesh: Path, path: PurePosixPath) -> str:
 def texture_path(mesh: Path, beside: PurePosixPath, name: str) -> PurePosixPath:
     """Return the path of a texture relative to the mesh's folder: beside its library, or else the mesh.
 
-    The name counts as it is written, or as `strip_comment` if only that file exists. It is looked up as
-    `find_referenced` does. Raises `ObjectFolderError` if it lies elsewhere, or its name is too long.
+    The name counts as it is written, or else as `strip_comment`, without options that are not of the
+    standard, or in other case, if only that file exists. It is looked up as `find_referenced` does. Raises
+    `ObjectFolderError` if it lies elsewhere, or its name is too long.
     """
-    for folder in dict.fromkeys((beside, PurePosixPath())):
-        for written in dict.fromkeys((name, strip_comment(name))):
-            with suppress(ObjectFolderError, OSError):  # outside, or too long
-                path = find_referenced(mesh, written, folder, ".mtl")
-                if (mesh.parent / path).is_file():
-                    return path
+    spellings = [name]
+    if name.startswith("-"):
+        spellings += [rest for n in range(1, MAX_WORDS) for rest in name.split(maxsplit=n)[n:]]
+    spellings += map(strip_comment, tuple(spellings))
+    for any_case in (False, True):
+        for folder in dict.fromkeys((beside, PurePosixPath())):
+            for written in dict.fromkeys(spellings):
+                with suppress(ObjectFolderError, OSError):  # outside, or too long
+                    path = find_referenced(mesh, written, folder, ".mtl", any_case)
+                    if (mesh.parent / path).is_file():
+                        return path
     return referenced_path(mesh, name, beside, ".mtl")
 
 
@@ -174,7 +195,7 @@ def _numbers(text: str, default: float) -> np.ndarray:
 def _floats(text: str) -> np.ndarray:
     """Return the numbers of a statement, none if it has other words."""
     try:
-        values = np.array(text.split(), np.float64)
+        values = np.array(text.partition("#")[0].split(), np.float64)
     except ValueError:
         return np.zeros(0)
     return values if np.isfinite(values).all() else np.zeros(0)

@@ -11,7 +11,7 @@ from trimesh.visual.texture import unmerge_faces
 
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.mesh.polygon import split
+from objectfolder.mesh.polygon import split_loops
 from objectfolder.mesh.reading.mtl import MaterialLibraries, MtlMaterial, strip_comment
 from objectfolder.mesh.reading.objlines import COORDINATE, NORMAL, NOT_NUMBERS, VERTEX, ObjLines
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial, color_unit
@@ -35,7 +35,7 @@ def read_obj(path: Path) -> MeshContent:
     lines = ObjLines(path)
     libraries = MaterialLibraries(path, _library_names(lines))
     statements, names = _used_materials(lines, libraries.statements)
-    positions, colors = _vertices(lines)
+    positions, colors, notes = _vertices(lines)
     coordinates, normals = lines.table(COORDINATE, 2)[0], lines.table(NORMAL, 3)[0]
     rows, sizes, corners = lines.corners()
     beyond = corners[:, 0] > len(positions)
@@ -45,16 +45,16 @@ def read_obj(path: Path) -> MeshContent:
     held = (corners > 0) & (corners <= [len(positions), len(coordinates), len(normals)])
     held = np.logical_and.reduceat(held, np.cumsum(sizes) - sizes)
     corners -= 1
-    triangles, face = _triangles(corners[:, 0], sizes, positions)
+    triangles, face = split_loops(positions, corners[:, 0], sizes)
     used = np.zeros(len(positions), bool)
     used[corners[triangles, 0]] = True
     colors /= color_unit(np.fmax.reduce(colors[used], None, initial=0))
+    _polypaint(lines, colors)
     names = ["", *names]  # of faces before any usemtl
     distinct = list(dict.fromkeys(names))
     numbers = {name: number for number, name in enumerate(distinct)}
     material = np.array([numbers[name] for name in names])[np.searchsorted(statements, rows)]
     parts: list[MeshPart] = []
-    notes: list[str] = []
     materials: dict[str, MtlMaterial] = {}
     for group in _groups(material[face], held[face]):
         one = face[group[0]]
@@ -64,7 +64,9 @@ def read_obj(path: Path) -> MeshContent:
         columns = np.flatnonzero(held[one])
         faces, indices = _join_corners(corners[triangles[group]][..., columns])
         index = dict(zip(columns.tolist(), indices))
-        surface, part_colors, left_out = _choose_colors(colors[index[VERTEX]], materials[name].surface)
+        surface, part_colors, left_out = _choose_colors(
+            colors[index[VERTEX]], materials[name].surface, COORDINATE in index
+        )
         uv = coordinates[index[COORDINATE]] if COORDINATE in index else None
         uv = None if uv is None else materials[name].image_coordinates(uv)
         part_normals = normals[index[NORMAL]] if NORMAL in index else None
@@ -77,6 +79,8 @@ def read_obj(path: Path) -> MeshContent:
         notes.append(f"material {', '.join(missing[:5])} is not defined: its {look}")
     if libraries.statements and not any(names):
         notes.append("materials left out: no face says which it has (usemtl)")
+    if curved := lines.statements("surf")[0]:
+        notes.append(f"curved surfaces left out ({len(curved)})")
     dropped = Counter(what for found in materials.values() for what in found.dropped)
     notes += [f"{what} left out ({count})" for what, count in sorted(dropped.items())]
     return MeshContent(parts, list(dict.fromkeys(notes)))
@@ -90,7 +94,7 @@ def mtl_names(path: Path) -> list[str]:
 def _library_names(lines: ObjLines) -> list[str]:
     names: dict[str, None] = {}
     for text in filter(None, lines.statements("mtllib")[1]):
-        several = re.split(r"(?<=\.mtl)\s+", text, flags=re.I)
+        several = re.split(r"(?<=\.mtl)\s+", text.strip('"'), flags=re.I)
         names |= dict.fromkeys([name for name in several if name.lower().endswith(".mtl")] or [text])
     return list(names)
 
@@ -109,45 +113,63 @@ def _used_materials(lines: ObjLines, materials: Collection[str]) -> tuple[list[i
     return rows, [known.get(name, known.get(strip_comment(name), name)) for name in names]
 
 
-def _vertices(lines: ObjLines) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions (V, 3), and colours (V, 3) as they are written, NaN where a vertex has none."""
-    table, counts = lines.table(VERTEX, 6)
+def _vertices(lines: ObjLines) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Return positions (V, 3), colours (V, 3) as they are written, NaN where a vertex has none, and notes."""
+    held = lines.words[lines.kind == VERTEX] - 1
+    table, counts = lines.table(VERTEX, int(np.clip(held.max(initial=3), 3, 8)))
     lines.refuse(np.flatnonzero(lines.kind == VERTEX)[counts < 3], NOT_NUMBERS)
-    return table[:, :3], np.where(counts[:, None] >= 6, table[:, 3:], np.nan)
+    table = np.pad(table, ((0, 0), (0, 8 - table.shape[1]))) if table.shape[1] > 3 else table
+    colors = np.full((len(table), 3), np.nan)
+    if table.shape[1] == 3:
+        return table, colors, []
+    # Four numbers are x, y, z and a weight; seven have either this or an alpha.
+    seven = table[counts == 7]
+    weighted = (counts == 4) | (counts > 7)
+    if (seven[:, 3] == 1).all() and not np.isin(seven[:, 6], (1, 255)).all():
+        weighted |= counts == 7
+    for first, rows in ((3, ~weighted & (counts > 5)), (4, weighted & (counts > 6))):
+        colors[rows] = table[rows, first : first + 3]
+    alpha = np.concatenate([table[~weighted & (counts > 6), 6], table[counts > 7, 7]])
+    notes = ["alpha of vertex colours left out"] if not np.isin(alpha, (1, 255)).all() else []
+    notes += ["weights of vertices left out"] if (table[weighted, 3] != 1).any() else []
+    return table[:, :3], colors, notes
+
+
+def _polypaint(lines: ObjLines, colors: np.ndarray) -> None:
+    """Set the colours (V, 3) of vertices, in [0, 1], that ZBrush writes as comments ``#MRGB MMRRGGBB...``.
+
+    They follow their vertices, in blocks.
+    """
+    rows, texts = lines.statements("#MRGB")
+    blocks: dict[int, list[str]] = {}  # by the number of vertices before them
+    before = np.cumsum(lines.kind == VERTEX)
+    for row, text in zip(rows, texts):
+        blocks.setdefault(int(before[row]), []).extend(re.findall("[0-9a-fA-F]{8}", text))
+    for vertex, block in blocks.items():
+        own = np.frombuffer(bytes.fromhex("".join(block)), np.uint8).reshape(-1, 4)[: len(colors), 1:]
+        first = max(vertex - len(own), 0)
+        colors[first : first + len(own)] = own / 255
 
 
 def _choose_colors(
-    colors: np.ndarray, surface: SurfaceMaterial
+    colors: np.ndarray, surface: SurfaceMaterial, mapped: bool
 ) -> tuple[SurfaceMaterial, np.ndarray | None, list[str]]:
     """Choose between the vertex colours (V, 3) of a part, sRGB in [0, 1], and those of its material.
 
-    Returns the material, linear colours or None, and what is left out.
+    An image counts if the part has texture coordinates (``mapped``), or no other colour than white. Returns
+    the material, linear colours or None, and what is left out.
     """
     uncolored = np.isnan(colors)
     if uncolored.all():
         return surface, None, []
-    if surface.image is not None:
-        return surface, None, ["vertex colours beside a texture left out"]
     colors = srgb.decode(np.clip(colors, 0, 1))
-    if surface.color is not None and (uncolored | (colors == 1)).all():
+    white = (uncolored | (colors == 1)).all()  # as some programs write where a material has the colour
+    if surface.image is not None and (mapped or white):
+        return surface, None, ["vertex colours beside a texture left out"]
+    if surface.color is not None and white:
         return surface, None, ["white vertex colours beside Kd left out"]
     plain = PLAIN if surface.color is None else surface.color
-    return replace(surface, color=None), np.where(uncolored, plain, colors), []
-
-
-def _triangles(vertex: np.ndarray, sizes: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split faces, given the vertices (C,) of their corners; the triangles' corners (T, 3) and faces (T,)."""
-    first = np.cumsum(sizes) - sizes
-    triangles, face = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
-    for size in np.unique(sizes):
-        chosen = np.flatnonzero(sizes == size)
-        polygons = first[chosen, None] + np.arange(size)
-        local = split(positions[vertex[polygons]])
-        triangles.append(np.take_along_axis(polygons[:, None], local, 2).reshape(-1, 3))
-        face.append(np.repeat(chosen, size - 2))
-    owner = np.concatenate(face)
-    order = np.argsort(owner, kind="stable")
-    return np.concatenate(triangles)[order], owner[order]
+    return replace(surface, image=None, color=None), np.where(uncolored, plain, colors), []
 
 
 def _groups(material: np.ndarray, held: np.ndarray) -> list[np.ndarray]:

@@ -1,20 +1,27 @@
 """Lines of a Wavefront ``.obj``, by their keywords."""
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.mesh.reading.files import decode_text
+from objectfolder.mesh.reading.text import (
+    DECIMAL_COMMAS,
+    IS_SPACE,
+    between,
+    decode_text,
+    find_words,
+    has_decimal_commas,
+    parse_numbers,
+    starts,
+)
 
 #: Keywords of lines of numbers; the corners of a face have the numbers of lines of the first three.
 KEYWORDS = ("v", "vt", "vn", "f")
 VERTEX, COORDINATE, NORMAL, FACE, OTHER = range(5)  #: kinds of lines
 NOT_NUMBERS = "has words that are no numbers, or too few; export the mesh again"
 NOT_A_FACE = "is not a face, expected corners such as 1, 1/2, 1//3 or 1/2/3; export the mesh again"
-IS_SPACE = np.isin(np.arange(256), list(b" \t\n\v\f\r"))
 
 
 class ObjLines:
@@ -25,31 +32,30 @@ class ObjLines:
 
     def __init__(self, path: Path):
         text = decode_text(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", "")
+        text = text.replace("\0", " ").replace("\x1a", " ")  # at the end of some files
         self.path = path
-        self.raw = text.encode() + b"\n\n\n"  # from the start of any word, there are three bytes
+        self.raw = text.encode() + b"\n" * 9  # as long as any keyword, from the start of any word
         self._split(np.frombuffer(self.raw, np.uint8))
         sign = np.flatnonzero(self.data == ord("#"))
+        sign = sign[self.data[sign - 1] != ord(".")]  # 1.#IND is no number, and no comment
         line, first = np.unique(np.searchsorted(self.end, sign), return_index=True)
         numeric = self.kind[line] != OTHER  # names may hold a #
         if numeric.any():
-            comment = _between(sign[first[numeric]], self.end[line[numeric]], len(self.data))
+            comment = between(sign[first[numeric]], self.end[line[numeric]], len(self.data))
             self._split(np.where(comment, np.uint8(ord(" ")), self.data))
 
     def _split(self, data: np.ndarray) -> None:
         end = np.flatnonzero(data == ord("\n"))
-        words = _starts(IS_SPACE[data])
+        words = starts(IS_SPACE[data])
         count = np.diff(np.searchsorted(words, end), prepend=0)
         filled = count > 0
         self.data = data
         self.end = end[filled]  #: (L,) place of the newline
         self.words = count[filled]  #: (L,) with the keyword
         self.start = words[np.cumsum(self.words) - self.words]  #: (L,) place of the keyword
-        letters = data[self.start[:, None] + np.arange(3)]
         self.kind = np.full(len(self.end), OTHER)  #: (L,)
         for kind, keyword in enumerate(KEYWORDS):
-            size = len(keyword)
-            same = (letters[:, :size] == list(keyword.encode())).all(1)
-            self.kind[same & IS_SPACE[letters[:, size]]] = kind
+            self.kind[find_words(data, self.start, keyword)] = kind
 
     def line(self, row: int | np.integer[Any]) -> str:
         """Return the text of a line."""
@@ -57,13 +63,8 @@ class ObjLines:
 
     def statements(self, keyword: str) -> tuple[list[int], list[str]]:
         """Return the lines with another keyword, and what follows it, which may be empty."""
-        rows, texts = [], []
-        for row in np.flatnonzero((self.kind == OTHER) & (self.data[self.start] == ord(keyword[0]))):
-            first, *rest = self.line(row).split(None, 1)
-            if first == keyword:
-                rows.append(int(row))
-                texts.append("".join(rest))
-        return rows, texts
+        rows: list[int] = find_words(self.data, self.start, keyword).tolist()
+        return rows, [self.line(row)[len(keyword) :].strip() for row in rows]
 
     def table(self, kind: int, width: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the first numbers of the lines of a kind, (N, width), and how many each has, (N,).
@@ -72,7 +73,7 @@ class ObjLines:
         """
         rows, data = self._numbers(kind)
         counts = self.words[rows] - 1
-        values = self._parse(rows, data, np.float64, NOT_NUMBERS)
+        values = self._parse(rows, data, int(counts.sum()), np.float64, NOT_NUMBERS)
         if len(counts) and (counts == counts[0]).all() and counts[0] >= width:
             return values.reshape(len(counts), -1)[:, :width], counts
         table, column = np.zeros((len(counts), width)), np.arange(width)
@@ -88,9 +89,9 @@ class ObjLines:
         rows, data = self._numbers(FACE, 3)
         sizes = self.words[rows] - 1
         space, slash = IS_SPACE[data], data == ord("/")
-        word, number = _starts(space), _starts(space | slash)
+        word, number = starts(space), starts(space | slash)
         numbers = np.where(slash, np.uint8(ord(" ")), data)
-        values = self._parse(rows, numbers, np.int64, NOT_A_FACE)
+        values = self._parse(rows, numbers, len(number), np.int64, NOT_A_FACE)
         corner = np.searchsorted(word, number, "right") - 1
         slashes = np.cumsum(slash, dtype=np.int32)
         column = slashes[number] - slashes[word[corner]]
@@ -121,37 +122,18 @@ class ObjLines:
         """Return the lines of a kind with that many words after the keyword, and the bytes of these words."""
         rows = np.flatnonzero((self.kind == kind) & (self.words > least))
         start = self.start[rows] + len(KEYWORDS[kind])
-        return rows, self.data[_between(start, self.end[rows] + 1, len(self.data))]
+        return rows, self.data[between(start, self.end[rows] + 1, len(self.data))]
 
-    def _parse(self, rows: np.ndarray, data: np.ndarray, dtype: type, problem: str) -> np.ndarray:
+    def _parse(self, rows: np.ndarray, data: np.ndarray, count: int, dtype: type, problem: str) -> np.ndarray:
         """Parse the numbers of some lines, given their bytes."""
         text = data.tobytes()
-        values = _to_numbers(text, dtype)
+        values = parse_numbers(text, count, dtype)
         if values is None:
             lines = zip(rows, text.splitlines())
-            self.refuse(np.array([row for row, line in lines if _to_numbers(line, dtype) is None]), problem)
+            row, line = next(
+                (row, line) for row, line in lines if parse_numbers(line, len(line.split()), dtype) is None
+            )
+            commas = problem == NOT_NUMBERS and has_decimal_commas(line)
+            self.refuse(np.array([row]), f"has {DECIMAL_COMMAS}" if commas else problem)
         assert values is not None
         return values
-
-
-def _to_numbers(text: bytes, dtype: type) -> np.ndarray | None:
-    """Parse numbers apart by white space; None if there are other words."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # of NumPy before 2.3, in place of the error
-        try:
-            return np.fromstring(text, dtype, sep=" ")
-        except (ValueError, DeprecationWarning):
-            return None
-
-
-def _starts(apart: np.ndarray) -> np.ndarray:
-    """Return the places that are not apart, and follow one that is, or nothing."""
-    return np.flatnonzero(np.diff(apart.view(np.int8), prepend=np.int8(1)) < 0)
-
-
-def _between(start: np.ndarray, stop: np.ndarray, size: int) -> np.ndarray:
-    """Mark the places from each start to before its stop; (size,) bool."""
-    step = np.zeros(size + 1, np.int8)
-    step[start] += 1
-    step[stop] -= 1
-    return np.cumsum(step[:-1], dtype=np.int8).view(bool)

@@ -7,13 +7,20 @@ import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh import srgb
-from objectfolder.mesh.polygon import split
+from objectfolder.mesh.polygon import split_loops
 from objectfolder.mesh.reading.parts import (
     MeshContent,
     MeshPart,
     SurfaceMaterial,
     color_unit,
     split_by_face_color,
+)
+from objectfolder.mesh.reading.text import (
+    DECIMAL_COMMAS,
+    count_words,
+    decode_text,
+    has_decimal_commas,
+    parse_numbers,
 )
 from objectfolder.mesh.textured import PLAIN
 
@@ -29,39 +36,37 @@ def read_off(path: Path) -> MeshContent:
     ObjectFolderError
         If it is not such a file, or breaks off.
     """
-    text = path.read_bytes().decode("utf-8-sig", errors="replace")
-    lines = [line for line in (line.partition("#")[0].strip() for line in text.splitlines()) if line]
-    header = HEADER.fullmatch(lines[0]) if lines else None
-    if header is None or "BINARY" in header["rest"]:
-        raise ObjectFolderError(
-            f"{path} cannot be read as a mesh: its first line is {shortened(lines[0] if lines else '')!r}, "
-            "expected OFF, COFF or NOFF and text; export it again"
-        )
-    rows = [line.split() for line in [header["rest"], *lines[1:]] if line.strip()]
-    counts = rows[0][:2] if rows else []
-    if len(counts) < 2 or not all(re.fullmatch(r"[0-9]{1,9}", count) for count in counts):
-        raise ObjectFolderError(
-            f"{path} cannot be read as a mesh: no numbers of vertices and faces follow its first line; "
-            "export it again"
-        )
-    vertex_count, face_count = map(int, counts)
-    vertex_rows, face_rows = rows[1 : 1 + vertex_count], rows[1 + vertex_count :][:face_count]
-    if len(face_rows) < face_count or not face_count:
-        raise ObjectFolderError(
-            f"{path} cannot be read as a mesh: it has {len(rows) - 1} lines of vertices and faces, expected "
-            f"{vertex_count} and {face_count}: cut off?"
-        )
+    header, (text, held), (face_text, face_held) = _lines(path)
     columns = 3 * (1 + bool(header["normals"]) + bool(header["colors"]))
-    values = _numbers(path, [row[:columns] for row in vertex_rows], columns, "vertices")
-    vertices = values[:, :3]
-    normals = values[:, 3:6] if header["normals"] else None
-    colors = values[:, columns - 3 :] if header["colors"] else None
-    faces, face_colors = _faces(path, vertices, face_rows)
-    notes = []
-    if face_colors is not None and colors is not None:
+    values = _parse(path, text, held, "vertices")
+    table = _take(path, values, np.cumsum(held) - held, np.full(len(held), columns), held, "vertices")
+    table = table.reshape(-1, columns)
+    vertices = table[:, :3]
+    normals = table[:, 3:6] if header["normals"] else None
+    colors = table[:, columns - 3 :] if header["colors"] else None
+    alpha = np.zeros(0)
+    if colors is not None:  # two further numbers are texture coordinates
+        alpha = values[(np.cumsum(held) - held + columns)[np.isin(held - columns, (1, 3))]]
+    values, held = _parse(path, face_text, face_held, "faces"), face_held
+    start = np.cumsum(held) - held
+    sizes = _whole(path, values[start])
+    corners = _whole(path, _take(path, values, start + 1, sizes, held - 1, "faces"))
+    triangles, owner = split_loops(vertices, corners, sizes)
+    order = np.argsort(sizes[owner], kind="stable")  # as in built objects
+    faces, owner = corners[triangles[order]], owner[order]
+    more = held - 1 - sizes  # numbers after the corners
+    colored = more >= 3
+    face_colors = np.full((len(held), 3), np.nan)
+    face_colors[colored] = values[(start + 1 + sizes)[colored, None] + np.arange(3)]
+    face_colors = face_colors[owner]
+    alpha = np.append(alpha, values[(start + held - 1)[more == 4]])
+    notes = [] if np.isin(alpha, (1, 255)).all() else ["alpha of colours left out"]
+    if (more == 1).any():
+        notes.append("numbers of colours in a colour map left out")
+    uncolored = np.isnan(face_colors).any(1)
+    if colors is not None and not uncolored.all():
         notes.append("colours of faces beside those of vertices left out")
-    elif face_colors is not None:
-        uncolored = np.isnan(face_colors).any(1)
+    elif not uncolored.all() and 0 <= faces.min() <= faces.max() < len(vertices):
         brightest = face_colors[~uncolored].max()
         face_colors[uncolored] = srgb.encode(np.float64(PLAIN)) * color_unit(brightest)
         colors, vertex, faces = split_by_face_color(face_colors, faces)
@@ -72,36 +77,63 @@ def read_off(path: Path) -> MeshContent:
     return MeshContent([MeshPart(vertices, faces, SurfaceMaterial(), None, linear, normals)], notes)
 
 
-def _faces(path: Path, vertices: np.ndarray, rows: list[list[str]]) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return triangles (F, 3), by number of corners, and colours (F, 3), NaN where a face has none.
-
-    The colours are None if no face has one.
-    """
-    groups: dict[str, list[list[str]]] = {}
-    for row in rows:
-        groups.setdefault(row[0], []).append(row)
-    triangles, colors = [np.zeros((0, 3), np.int64)], [np.zeros((0, 3))]
-    for corners, group in sorted(groups.items(), key=lambda item: (len(item[0]), item[0])):
-        count = int(_numbers(path, [[corners]], 1, "faces", np.int64)[0, 0])
-        if count < 3:
-            continue  # a point or a line
-        polygons = _numbers(path, [row[1 : 1 + count] for row in group], count, "faces", np.int64)
-        # Indices out of range are refused later, by name.
-        local = split(vertices[np.clip(polygons, 0, len(vertices) - 1)])
-        triangles.append(np.take_along_axis(polygons[:, None], local, 2).reshape(-1, 3))
-        given = [row[1 + count : 4 + count] for row in group]
-        filled = [color if len(color) == 3 else ["nan"] * 3 for color in given]
-        colors.append(np.repeat(_numbers(path, filled, 3, "faces"), count - 2, 0))
-    face_colors = np.concatenate(colors)
-    return np.concatenate(triangles), None if np.isnan(face_colors).any(1).all() else face_colors
-
-
-def _numbers(
-    path: Path, rows: list[list[str]], width: int, what: str, dtype: type = np.float64
-) -> np.ndarray:
-    try:
-        return np.array(rows, dtype).reshape(len(rows), width)
-    except (ValueError, OverflowError) as error:
+def _lines(path: Path) -> tuple[re.Match[str], tuple[bytes, np.ndarray], tuple[bytes, np.ndarray]]:
+    """Return the header, and the lines of vertices and of faces, each with their numbers of words."""
+    text = decode_text(path.read_bytes()).rstrip("\0\x1a").replace("\r", "\n")
+    first, _, rest = re.sub("#[^\n]*", "", text).lstrip().partition("\n")
+    header = HEADER.fullmatch(first.strip())
+    if header is None or "BINARY" in header["rest"]:
         raise ObjectFolderError(
-            f"{path}: some of its {what} have words that are no numbers, or too few; export it again"
-        ) from error
+            f"{path} cannot be read as a mesh: its first line is {shortened(first.strip())!r}, "
+            "expected OFF, COFF or NOFF and text; export it again"
+        )
+    body = f"{header['rest']}\n{rest}\n".encode()
+    ends, words = count_words(np.frombuffer(body, np.uint8))
+    counts = body[: ends[0]].split()[:2] if len(ends) else []
+    if len(counts) < 2 or not all(re.fullmatch(rb"[0-9]{1,9}", count) for count in counts):
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: no numbers of vertices and faces follow its first line; "
+            "export it again"
+        )
+    vertex_count, face_count = map(int, counts)
+    last = vertex_count + face_count
+    if len(ends) <= last or not face_count:
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: it has {len(ends) - 1} lines of vertices and faces, expected "
+            f"{vertex_count} and {face_count}: cut off?"
+        )
+    return (
+        header,
+        (body[ends[0] : ends[vertex_count]], words[1 : vertex_count + 1]),
+        (body[ends[vertex_count] : ends[last]], words[vertex_count + 1 : last + 1]),
+    )
+
+
+def _parse(path: Path, text: bytes, held: np.ndarray, what: str) -> np.ndarray:
+    values = parse_numbers(text, int(held.sum()))
+    if values is None:
+        raise _wrong(path, what, text)
+    return values
+
+
+def _take(
+    path: Path, values: np.ndarray, start: np.ndarray, sizes: np.ndarray, held: np.ndarray, what: str
+) -> np.ndarray:
+    """Return as many values of each line as sizes (L,) say, one after the other; lines have ``held`` (L,)."""
+    if (sizes < 0).any() or (sizes > held).any():
+        raise _wrong(path, what)
+    inner = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return values[np.repeat(start, sizes) + inner]
+
+
+def _whole(path: Path, values: np.ndarray) -> np.ndarray:
+    if not (np.abs(values) < 2**53).all() or (values % 1).any():
+        raise _wrong(path, "faces")
+    return values.astype(np.int64)
+
+
+def _wrong(path: Path, what: str, text: bytes = b"") -> ObjectFolderError:
+    problem = "words that are no numbers, or too few; export it again"
+    return ObjectFolderError(
+        f"{path}: some of its {what} have {DECIMAL_COMMAS if has_decimal_commas(text) else problem}"
+    )

@@ -54,4 +54,4 @@ def split_by_face_color(colors: np.ndarray, faces: np.ndarray) -> tuple[np.ndarr
 
 def color_unit(brightest: float) -> int:
     """Return what stands for full brightness in a format that leaves open whether it is 1 or 255."""
-    return 255 if brightest > 1 else 1
+    return 255 if brightest >= 2 else 1  # fractions may be a little above 1

@@ -281,6 +281,17 @@ def test_white_vertices_do_not_bleach_a_material(tmp_path):
     assert notes(mesh) == ["white vertex colours beside Kd left out"]
 
 
+@pytest.mark.parametrize(("color", "shown"), [("1 1 1", (50, 60, 230)), ("0 1 0", (0, 255, 0))])
+def test_colours_of_faces_without_coordinates_count_if_they_are_not_white(tmp_path, color, shown):
+    """The material of an earlier object has a texture, and holds on."""
+    Image.new("RGB", (4, 4), (50, 60, 230)).save(tmp_path / "t.png")
+    other = "".join(f"v {x} {y} 2 {color}\n" for x, y in ((0, 0), (1, 0), (0, 1)))
+    faces = "usemtl skin\nf 1/1 2/2 3/3\n" + other + "f 5 6 7\n"
+    mesh = written(tmp_path, QUAD + CORNERS + faces, "newmtl skin\nmap_Kd t.png\n")
+    upper = (mesh.vertices[mesh.faces][..., 2] == 2).all(1)
+    np.testing.assert_allclose(colors_at(mesh)[upper], [shown], atol=2)
+
+
 def test_materials_that_no_face_has_are_noted(tmp_path):
     mesh = written(tmp_path, QUAD + "f 1 2 3\n", "newmtl red\nKd 1 0 0\n")
     assert notes(mesh) == ["materials left out: no face says which it has (usemtl)"]

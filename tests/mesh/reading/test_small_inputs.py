@@ -19,13 +19,16 @@ from objectfolder.mesh.reading import gltf
 from objectfolder.mesh.reading.load import load_mesh, references
 from objectfolder.mesh.reading.mtl import textures
 from objectfolder.mesh.reading.obj import MAX_MATERIALS, mtl_names
-from objectfolder.mesh.reading.polygons import MAX_SOLIDS
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\n"
 FACES = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 TEXTURED = (
     "mtllib m.mtl\nusemtl skin\n" + TETRAHEDRON + "vt 0 0\nvt 1 0\nvt 0 1\n"
     "f 1/1 3/3 2/2\nf 1/1 2/2 4/3\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n"
+)
+SOLID = (
+    "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+    "EndSolid a\n"
 )
 PLY = (
     "ply\nformat ascii 1.0\n{}\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
@@ -79,9 +82,19 @@ def read_obj_text(folder):
     return read
 
 
+def read_stl_text(folder):
+    def read(text):
+        (folder / "m.stl").write_text(text)
+        load_mesh(folder / "m.stl")
+
+    return read
+
+
 @pytest.mark.parametrize(
     ("reader", "make"),
     [
+        (read_stl_text, lambda n: SOLID * (1 + n // 100)),
+        (read_stl_text, lambda n: "solid " + "solid " * (n // 6) + SOLID),
         (read_names, lambda n: "mtllib a" + " " * n + "b"),
         (read_names, lambda n: "mtllib " + "a " * (n // 2)),
         (lambda folder: textures, lambda n: "\n" * n),
@@ -105,10 +118,6 @@ def test_a_file_of_too_many_pieces_is_refused(tmp_path):
     path = tmp_path / "m.obj"
     path.write_text(TETRAHEDRON + "".join(f"usemtl a{i}\nf 1 2 3\n" for i in range(MAX_MATERIALS + 1)))
     with pytest.raises(ObjectFolderError, match=r"m\.obj uses 4097 materials, expected at most 4096; join"):
-        load_mesh(path)
-    path = tmp_path / "m.stl"
-    path.write_text("solid a\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nEndSolid a\n" * (MAX_SOLIDS + 1))
-    with pytest.raises(ObjectFolderError, match=r"m\.stl holds 4097 solids, expected at most 4096; join"):
         load_mesh(path)
 
 
@@ -262,8 +271,8 @@ def test_a_mesh_that_nodes_repeat_is_read_once(tmp_path, monkeypatch):
     for x in range(50):
         scene.node(mesh, translation=[x, 0, 0])
     read = []
-    real = gltf._File._accessor
-    monkeypatch.setattr(gltf._File, "_accessor", lambda self, *a: read.append(a) or real(self, *a))
+    real = gltf.GltfFile.accessor
+    monkeypatch.setattr(gltf.GltfFile, "accessor", lambda self, *a: read.append(a) or real(self, *a))
     loaded = load_mesh(scene.write(tmp_path / "m.gltf"))
     assert len(read) == 2  # positions and indices
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
@@ -297,6 +306,18 @@ def whole_document(folder):
     scene.quads(0, material, [square(0.5, 0.5, 0.5)], COLOR_0=np.full((1, 4, 3), 0.5))
     scene.node(0, rotation=[0, 0, 0, 1], scale=[1, 1, 1], translation=[0, 1, 0], children=[])
     scene.document |= {"extensionsRequired": ["KHR_texture_transform"]}
+    scene.document["meshes"][0] |= {"weights": [0.5], "extras": {"visible": True}}
+    primitive = scene.document["meshes"][0]["primitives"][0]
+    primitive["targets"] = [{"POSITION": primitive["attributes"]["POSITION"]}]
+    primitive["attributes"] |= {
+        "JOINTS_0": scene.accessor(np.zeros((4, 4)), "u1"),
+        "WEIGHTS_0": scene.accessor(np.ones((4, 4))),
+    }
+    matrices = scene.accessor(np.eye(4).reshape(1, 16))
+    scene.document["skins"] = [{"joints": [1], "inverseBindMatrices": matrices}]
+    copies = {"attributes": {"TRANSLATION": scene.accessor(np.eye(3))}}
+    hidden = {"KHR_node_visibility": {"visible": True}, "MSFT_lod": {"ids": []}}
+    scene.node(0, skin=0, extensions={"EXT_mesh_gpu_instancing": copies, **hidden}, camera=0)
     scene.document["images"].append({"uri": "other.png", "name": "other"})
     return json.loads(scene.write(folder / "m.gltf").read_text())
 
