@@ -213,11 +213,11 @@ def play(monkeypatch):
     asked, shown = [], []
 
     def by(last):
-        def run_episodes(env, policy, seeds):
+        def ended(env, policy, seeds):
             asked.append((policy, seeds))
             return task.EpisodeScores(*[np.array(last)] * 2, *[np.zeros(len(last))] * 2)
 
-        monkeypatch.setattr(task, "run_episodes", task.run_episodes)
+        monkeypatch.setattr(task, "run_episodes", ended)
         return asked, shown
 
     def frames(env, policy, seeds):
