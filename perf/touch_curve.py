@@ -28,6 +28,7 @@ from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.models.classifier import Classifier
 from objectfolder.benchmarks.models.inputs import encoder_inputs, shift_each
 from objectfolder.benchmarks.models.settings import InputSizes
+from objectfolder.benchmarks.models.training import Objective
 from objectfolder.benchmarks.run import BenchmarkOptions, LoadedFile, collect_samples, load_object_files
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognize import TASK, RecognizeConfig
@@ -101,7 +102,7 @@ class Learnt:
         for some in np.split(order[: steps * batch], steps):
             plain = torch.from_numpy(self._inputs[rows[some]]).float()
             yield (
-                shift_each(self.job.ground.subtracted(plain), self.job.shift, rng),
+                shift_each(self.job.ground.subtracted(plain), self.job.encode.shift, rng),
                 torch.from_numpy(labels[some]),
             )
 
@@ -132,11 +133,13 @@ def trained(
 
     curve = replace(job, params=replace(job.params, patience=rounds), report=say).train(
         f"{each} touches, {thousands},000 steps",
-        net,
-        lambda number: learnt.batches(each, ROUND, job.params.batch, (*purpose, str(number))),
-        batch_loss,
-        lambda: float(right(job.split.val).mean()),
-        "accuracy",
+        Objective(
+            net,
+            lambda number: learnt.batches(each, ROUND, job.params.batch, (*purpose, str(number))),
+            batch_loss,
+            lambda: float(right(job.split.val).mean()),
+            "accuracy",
+        ),
         job.progress / f"{each}_{thousands}.pt",
         rounds,
         cycle=rounds * ROUND,

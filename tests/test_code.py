@@ -7,13 +7,15 @@ from own_workspace import ROOT
 
 FOLDERS = ("objectfolder", "stages", "perf", "fuzz", "docs", "tests")
 PACKAGE = ROOT / "objectfolder"
+TRAINING = "train"
 ENTRY_POINT = "main"  # of a process: the command line, the supervisor, Blender's script
 
 
 def public_names():
     """Modules that define each public class or function at their top level, by name.
 
-    Functions of ``cli`` are left out: a command is named as the function that it calls.
+    Functions of ``cli`` are left out: a command is named as the function that it calls. So are the trainings
+    of nets, which the stages find by their name.
     """
     places = defaultdict(set)
     for path in PACKAGE.rglob("*.py"):
@@ -22,7 +24,7 @@ def public_names():
             function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
             if not (function or isinstance(node, ast.ClassDef)) or node.name.startswith("_"):
                 continue
-            if not function or (parts[0] != "cli" and node.name != ENTRY_POINT):
+            if not function or (parts[0] != "cli" and node.name not in (ENTRY_POINT, TRAINING)):
                 places[node.name].add(".".join(parts).removesuffix(".__init__"))
     return places
 

@@ -16,10 +16,10 @@ from objectfolder.sound.fem.elasticity import Solid
 from objectfolder.sound.fem.modal import (
     ModalData,
     Request,
+    gather_modes,
     is_heard,
     refined_analysis,
     solved_band,
-    stored_modes,
 )
 from objectfolder.sound.fem.settings import FineGrids, ModalConfig
 from objectfolder.sound.fem.similarity import similarity
@@ -109,4 +109,4 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
         "residual_max": float(solved["residuals"][kept].max(initial=0.0)),
     }
     shapes = solved["shapes"][:, :, kept] * shape_factor
-    return stored_modes(eigenvalues[kept], shapes, solved["residuals"][kept], wanted, report)
+    return gather_modes(eigenvalues[kept], shapes, solved["residuals"][kept], wanted, report)

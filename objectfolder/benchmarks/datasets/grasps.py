@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.benchmarks.datasets.samples import Samples, array_path, map_array, read_record
+from objectfolder.benchmarks.datasets.samples import Samples, array_path, map_array, read_sample_record
 from objectfolder.benchmarks.datasets.splits import label_order
 
 FORMAT = "objectfolder grasps 1"  #: of the sampling procedure and the files; others are refused
@@ -66,7 +66,7 @@ class Grasps(Samples):
 
 
 def _record(key: str, path: Path) -> dict[str, Any]:
-    record = read_record(key, path, "grasps", "format", FORMAT, AGAIN)
+    record = read_sample_record(key, path, "grasps", "format", FORMAT, AGAIN)
     lacking = [
         name
         for name, kind in (("count", int), ("digest", str))

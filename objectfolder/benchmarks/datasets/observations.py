@@ -14,7 +14,13 @@ import numpy as np
 from objectfolder.base.arrays import read_npz
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import read_json
-from objectfolder.benchmarks.datasets.samples import Samples, array_path, gather_rows, map_array, read_record
+from objectfolder.benchmarks.datasets.samples import (
+    Samples,
+    array_path,
+    gather_rows,
+    map_array,
+    read_sample_record,
+)
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.workspace.layout import MODALITIES
 
@@ -67,7 +73,7 @@ class Observations(Samples):
             raise ObjectFolderError("no objects given, expected observation folders of at least two objects")
         self._folders = {key: Path(folders[key]) for key in label_order(folders)}
         records = {
-            key: read_record(key, folder / RECORD, "observations", "version", VERSION, _AGAIN)
+            key: read_sample_record(key, folder / RECORD, "observations", "version", VERSION, _AGAIN)
             for key, folder in self._folders.items()
         }
         super().__init__(

@@ -111,7 +111,9 @@ def map_array(key: str, path: Path, remedy: str) -> np.ndarray:
         raise ObjectFolderError(f"{key}: {path} is damaged ({error}); {remedy}") from error
 
 
-def read_record(key: str, path: Path, what: str, field: str, known: int | str, remedy: str) -> dict[str, Any]:
+def read_sample_record(
+    key: str, path: Path, what: str, field: str, known: int | str, remedy: str
+) -> dict[str, Any]:
     """Read the record that marks an object's folder of samples, such as ``what``, as complete.
 
     Raises ObjectFolderError if it is missing, its ``field`` is not the known format, or it is of another key.

@@ -89,7 +89,7 @@ def _modes_at(
         "frequency_uncertainty": max(errors, default=0.0) if errors is not None else None,
         "highest_resolved_hz": resolved_frequency(cells, material, scale, wall),
     }
-    return stored_modes(eigenvalues, shapes, modes.residuals[rings], request, report)
+    return gather_modes(eigenvalues, shapes, modes.residuals[rings], request, report)
 
 
 def is_heard(eigenvalues: np.ndarray, material: Material) -> np.ndarray:
@@ -98,7 +98,7 @@ def is_heard(eigenvalues: np.ndarray, material: Material) -> np.ndarray:
     return ~damped & (eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
 
 
-def stored_modes(
+def gather_modes(
     eigenvalues: np.ndarray,
     shapes: np.ndarray,
     residuals: np.ndarray,
