@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from harness import exit_with_verdict, fresh, parsed, run_job, write_record
+from harness import add_objects, chosen_objects, exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -143,12 +143,9 @@ def show(rows: list[dict], console: Console) -> None:
 def main() -> None:
     run_job({"measure": measure})
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
-    parser.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
-    parser.add_argument("--json", type=Path, help="file for the figures")
+    add_objects(parser)
     arguments = parsed(parser)
-    keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
-    console = Console(width=max(Console().width, 130))
+    console, keys = Console(width=max(Console().width, 130)), chosen_objects(arguments)
     rows = [{"object": key} | fresh(__file__, "measure", arguments.workspace, key) for key in keys]
     show(rows, console)
     missed = [f"{row['object']}: {text}" for row in rows for text in misses(row)]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import write_text
@@ -22,18 +23,9 @@ ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in LIBRARIES}
 
 
 def fresh(script: str, job: str, *arguments: object) -> dict:
-    """Run a job of a script in a new single-threaded process.
-
-    Returns
-    -------
-    What the job returns, or the reason under ``failed``.
-    """
-    done = subprocess.run(
-        [sys.executable, script, "--job", job, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **ONE_THREAD},
-    )
+    """Run a job of a script in a new single-threaded process; return its result, or why under ``failed``."""
+    command = [sys.executable, script, "--job", job, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | ONE_THREAD)
     if done.returncode:
         return {"failed": (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]}
     return json.loads(done.stdout.splitlines()[-1])
@@ -63,20 +55,56 @@ def parsed(parser: argparse.ArgumentParser) -> argparse.Namespace:
     return parser.parse_args()
 
 
+def add_objects(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of a script that measures objects of a workspace; see `chosen_objects`."""
+    parser.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
+    parser.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+
+
+def chosen_objects(arguments: argparse.Namespace) -> list[str]:
+    """Return the objects of `add_objects`."""
+    from objectfolder.workspace import params  # not for jobs
+
+    return arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
+
+
+def print_rows(rows: list[dict], title: str, form: dict[str, tuple[str, str]], console: Console) -> None:
+    """Print a table of the rows that did not fail.
+
+    ``form``: from the name of a figure to its title and its format; a row without it has a dash.
+    """
+    table = Table(title=title)
+    for head, _ in form.values():
+        table.add_column(head, justify="left" if head in ("object", "net") else "right", no_wrap=True)
+    for row in (row for row in rows if "failed" not in row):
+        table.add_row(*(format(row[name], how) if name in row else "-" for name, (_, how) in form.items()))
+    console.print(table)
+
+
+def failures(rows: list[dict]) -> list[str]:
+    """Say which rows failed."""
+    return [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
+
+
+def beyond(rows: list[dict], limits: Mapping[str, float], unit: str, least: bool = False) -> list[str]:
+    """Say which figures exceed their limits, or with ``least`` do not reach them."""
+    sign = -1 if least else 1
+    return [
+        f"{row['object']}, {name}: {row[name]:.4g} {unit}, target {limit:g} {unit}"
+        for row in rows
+        for name, limit in limits.items()
+        if sign * (row.get(name, limit) - limit) > 0
+    ]
+
+
 def write_record(
     path: Path | None, record: Mapping[str, Any] | list, targets: str = "", missed: Sequence[str] = ()
 ) -> None:
     """Write figures for docs/results.md, with the run that measured them, if a path is given.
 
-    Parameters
-    ----------
-    path : Path, optional
-    record : mapping or list
-        Rows of a list get the name ``rows``.
-    targets : str
-        In words; empty if there are none.
-    missed : sequence of str
-        What missed its target, and by how much.
+    Rows of a list get the name ``rows``. ``targets``: in words, if there are any; ``missed``: what missed its
+    target, and by how much.
     """
     if path:
         rows = record if isinstance(record, Mapping) else {"rows": record}
@@ -101,15 +129,7 @@ def this_run() -> dict[str, str]:
         return found.stdout.strip() if found.returncode == 0 else ""
 
     words = [str(Path(sys.argv[0]).resolve()), *sys.argv[1:]]
-    places = (Path(word) for word in words)
-    shown = [
-        word
-        if not place.is_absolute()
-        else str(place.relative_to(ROOT))
-        if place.is_relative_to(ROOT)
-        else place.name
-        for word, place in zip(words, places, strict=True)
-    ]
+    shown = [_shown(word, Path(word)) for word in words]
     changed = "+" if git("status", "--porcelain", "--untracked-files=no") else ""
     return {
         "command": shlex.join(["python", *shown]),
@@ -117,6 +137,12 @@ def this_run() -> dict[str, str]:
         "machine": machine("cpu"),
         "date": datetime.now(UTC).date().isoformat(),
     }
+
+
+def _shown(word: str, place: Path) -> str:
+    if not place.is_absolute():
+        return word
+    return str(place.relative_to(ROOT)) if place.is_relative_to(ROOT) else place.name
 
 
 def encoded(value: Any, indent: str = "") -> str:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse.linalg as sla
 import torch
-from harness import exit_with_verdict, fresh, parsed, run_job, write_record
+from harness import add_objects, chosen_objects, exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -28,7 +28,7 @@ from objectfolder.sound.fem.adaptive import refine_grid
 from objectfolder.sound.fem.eigen import solve_modes
 from objectfolder.sound.fem.elasticity import Solid
 from objectfolder.sound.fem.elements import solid_from_arrays
-from objectfolder.sound.fem.modal import MIN_FREQUENCY, refined_analysis
+from objectfolder.sound.fem.modal import MIN_FREQUENCY, Request, refined_analysis
 from objectfolder.sound.fem.settings import FineGrids
 from objectfolder.sound.synthesis import sinusoid_bank
 from objectfolder.workspace import params
@@ -61,16 +61,14 @@ def measure(workspace: str, key: str) -> dict:
     solid, solid_surface, entry, section = load(workspace, key)
     surface = read_surface(Build(key, workspace).surface)
     points = sample_surface(*surface, len(surface[0]) + section["surface_points"], np.random.default_rng(0))
+    limits = section["max_frequency"], section["max_modes"]
     data, seconds = timed(
         lambda: refined_analysis(
             solid,
             solid_surface,
             FineGrids(**section["fine"]),
             points,
-            material(entry["material"]),
-            float(entry["scale"]),
-            section["max_frequency"],
-            section["max_modes"],
+            Request(material(entry["material"]), float(entry["scale"]), *limits),
             key,
         )
     )
@@ -198,12 +196,9 @@ def show(rows: list[dict], peers: list[dict], console: Console) -> None:
 def main() -> None:
     run_job({"measure": measure, "compare": compare})
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
-    parser.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
-    parser.add_argument("--json", type=Path, help="file for the figures")
+    add_objects(parser)
     arguments = parsed(parser)
-    keys = arguments.keys or list(params.read(arguments.workspace / "params.yaml")["objects"])
-    console = Console(width=max(Console().width, 120))
+    console, keys = Console(width=max(Console().width, 120)), chosen_objects(arguments)
     rows = [{"object": key} | fresh(__file__, "measure", arguments.workspace, key) for key in keys]
     small = [
         row["object"]
@@ -216,9 +211,8 @@ def main() -> None:
     show(rows, peers, console)
     missed = misses(rows, peers)
     faster = ", ".join(f"{times:g} times ({name.replace('_', ' ')})" for name, times in MIN_FASTER.items())
-    write_record(
-        arguments.json, {"objects": rows, "peers": peers}, f"{MAX_SECONDS:g} s; faster by {faster}", missed
-    )
+    targets = f"{MAX_SECONDS:g} s; faster by {faster}"
+    write_record(arguments.json, {"objects": rows, "peers": peers}, targets, missed)
     exit_with_verdict(missed, console)
 
 

@@ -30,7 +30,7 @@ from objectfolder.sound.fem.blocks import merge_full_blocks
 from objectfolder.sound.fem.cutcell import cut_cells
 from objectfolder.sound.fem.eigen import Modes, solve_modes
 from objectfolder.sound.fem.elements import discretize
-from objectfolder.sound.fem.modal import refined_analysis
+from objectfolder.sound.fem.modal import Request, refined_analysis
 from objectfolder.sound.fem.settings import FineGrids
 from objectfolder.workspace import params
 
@@ -219,7 +219,9 @@ def real(path: Path) -> list[Row]:
     start = time.process_time()
     points = np.concatenate([solid[0], sample_surface(*solid, 8000, np.random.default_rng(0))])
     limits = values["modal"]["max_frequency"], 1000
-    report = refined_analysis(divided, solid, fine, points, material(stuff), scale, *limits, key).report
+    report = refined_analysis(
+        divided, solid, fine, points, Request(material(stuff), scale, *limits), key
+    ).report
     spent = time.process_time() - start
     cells = round(REFINED * report["resolution"])
     finer = merge_full_blocks(cut_cells(*solid, cells, 6, key))

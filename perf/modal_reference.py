@@ -38,7 +38,7 @@ from objectfolder.mesh.topology import Mesh, signed_volume
 from objectfolder.shapes import generate
 from objectfolder.sound.fem.eigen import FreeVibration
 from objectfolder.sound.fem.elements import discretize
-from objectfolder.sound.fem.modal import refined_analysis
+from objectfolder.sound.fem.modal import Request, refined_analysis
 from objectfolder.sound.fem.settings import ModalConfig
 from objectfolder.sound.fem.tetrahedra import Tetrahedra, quadratic
 from objectfolder.workspace import params
@@ -264,9 +264,8 @@ def compare(name: str, cache: str) -> dict:
     start = time.process_time()
     solid = discretize(*surface, **section, name=name)
     limits = config.max_frequency, MODES + SPARES  # neither grid nor estimate depends on how many are kept
-    data = refined_analysis(
-        solid, surface, config.fine, kept["points"], material(stuff), scale, *limits, name
-    )
+    request = Request(material(stuff), scale, *limits)
+    data = refined_analysis(solid, surface, config.fine, kept["points"], request, name)
     seconds = time.process_time() - start
     count = min(MODES, len(data.eigenvalues))
     own, truth = np.sqrt(data.eigenvalues) / (2 * np.pi), kept["hz"]

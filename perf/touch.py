@@ -19,12 +19,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import harness
 import igl
 import numpy as np
 import torch
-from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
-from rich.table import Table
 
 from objectfolder import ObjectFile
 from objectfolder.base.arrays import write_npz, write_png
@@ -446,12 +445,7 @@ IMAGES = {
 
 
 def show(rows: list[dict], title: str, form: dict[str, tuple[str, str]], console: Console) -> None:
-    table = Table(title=title)
-    for head, _ in form.values():
-        table.add_column(head, justify="left" if head == "object" else "right", no_wrap=True)
-    for row in (row for row in rows if "failed" not in row):
-        table.add_row(*(format(row[name], how) if name in row else "-" for name, (_, how) in form.items()))
-    console.print(table)
+    harness.print_rows(rows, title, form, console)
     for reason in {row["reference_missing"] for row in rows if "reference_missing" in row}:
         console.print(f"left out: {reason}", markup=False, soft_wrap=True)
 
@@ -468,35 +462,17 @@ def described_targets(command: str) -> str:
 
 def misses(command: str, rows: list[dict]) -> list[str]:
     """Targets that are missed; what has no reference misses none."""
-    missed = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
-    for row in rows:
-        if command in LIMITS:
-            missed += [
-                f"{row['object']}, {name}: {row[name]:.1f} dB, target {limit:g} dB"
-                for name, limit in LIMITS[command].items()
-                if row.get(name, limit) < limit
-            ]
-            continue
-        missed += [
-            f"{row['object']}, {name}: {row[name]:.1f} ms, target {limit:g} ms"
-            for name, limit in MAX_MS.items()
-            if row.get(name, 0) > limit
-        ]
-        missed += [
-            f"{row['object']}: {row[name]:.0f} {unit}, target {limit:g} {unit}"
-            for name, limit, unit in (("dataset_s", MAX_DATASET_S, "s"), ("peak_mb", MAX_MB, "MB"))
-            if row.get(name, 0) > limit
-        ]
-        missed += [
-            f"{row['object']}, {name}: {row[name]:.1f}, target {MIN_FASTER:g}"
-            for name in ("rigid_faster", "tacto_faster")
-            if row.get(name, np.inf) < MIN_FASTER
-        ]
-    return missed
+    if command in LIMITS:
+        return harness.failures(rows) + harness.beyond(rows, LIMITS[command], "dB", least=True)
+    missed = harness.failures(rows) + harness.beyond(rows, MAX_MS, "ms")
+    missed += harness.beyond(rows, {"dataset_s": MAX_DATASET_S}, "s")
+    missed += harness.beyond(rows, {"peak_mb": MAX_MB}, "MB")
+    faster = dict.fromkeys(("rigid_faster", "tacto_faster"), MIN_FASTER)
+    return missed + harness.beyond(rows, faster, "times", least=True)
 
 
 def main() -> None:
-    run_job(JOBS)
+    harness.run_job(JOBS)
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     described = {
@@ -509,47 +485,39 @@ def main() -> None:
     }
     for name, text in described.items():
         command = commands.add_parser(name, help=text)
-        command.add_argument("keys", nargs="*", help="objects (default: all)")
-        command.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
+        harness.add_objects(command)
         command.add_argument("--objects", type=Path, help="meshes in metres instead: DIR/KEY/mesh.*")
         contacts = 3000 if name == "dataset" else 40
         command.add_argument("--contacts", type=int, default=contacts, help="of each object")
-        command.add_argument("--json", type=Path, help="file for the figures")
         command.add_argument("--pictures", type=Path, default=PICTURES, help="folder for side-by-sides")
-        command.add_argument(
-            "--resolution", type=int, nargs="+", default=[192], help="of the stored grids (net)"
-        )
+        grids = "of the stored grids (net)"
+        command.add_argument("--resolution", type=int, nargs="+", default=[192], help=grids)
         command.add_argument("--steps", type=int, default=1000, help="of training (image)")
-    arguments = parsed(parser)
+    arguments = harness.parsed(parser)
     console = Console(width=max(Console().width, 160))
     rows = []
     for key, (source, scale) in sources(arguments).items():
         more = {
-            "speed": [[]],
-            "query": [[]],
-            "dataset": [[]],
             "accuracy": [[arguments.pictures / f"tacto_{key}.png"]],
             "net": [[resolution] for resolution in arguments.resolution],
             "image": [[arguments.steps]],
         }
-        for extra in more[arguments.command]:
-            row = fresh(__file__, arguments.command, source, scale, arguments.contacts, *extra)
+        for extra in more.get(arguments.command, [[]]):
+            row = harness.fresh(__file__, arguments.command, source, scale, arguments.contacts, *extra)
             rows.append({"object": key, **row})
     titles = {
         "speed": ("CPU ms per image, one thread; the reference is TACTO's renderer on OpenGL", SPEED),
         "query": ("CPU ms per touch of an Object File, one thread", QUERY),
         "dataset": ("Contacts with the soft gel, one thread", DATASET),
-        "accuracy": (
-            "PSNR in dB against TACTO's renderer on OpenGL, all pixels and those in contact",
-            ACCURACY,
-        ),
+        "accuracy": ("PSNR in dB against TACTO's renderer on OpenGL, all pixels and in contact", ACCURACY),
         "net": ("TouchNet geometric, held-out contacts, PSNR in dB; unobstructed but for `all`", NET),
         "image": ("TouchNet image, PSNR in dB beside the mean image's", IMAGES),
     }
     show(rows, *titles[arguments.command], console)
     missed = misses(arguments.command, rows)
-    write_record(arguments.json, {arguments.command: rows}, described_targets(arguments.command), missed)
-    exit_with_verdict(missed, console)
+    targets = described_targets(arguments.command)
+    harness.write_record(arguments.json, {arguments.command: rows}, targets, missed)
+    harness.exit_with_verdict(missed, console)
 
 
 if __name__ == "__main__":

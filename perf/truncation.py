@@ -20,7 +20,7 @@ from objectfolder.base.io import read_json
 from objectfolder.base.materials import LAWS, material
 from objectfolder.sound.evaluation import lost_energy
 from objectfolder.sound.fem.elements import solid_from_arrays
-from objectfolder.sound.fem.modal import modal_analysis
+from objectfolder.sound.fem.modal import Request, modal_analysis
 from objectfolder.sound.gains_net import energy_weights
 from objectfolder.workspace.layout import Build
 
@@ -43,7 +43,7 @@ def main() -> None:
     limit, start = report["max_frequency_hz"], time.process_time()
     solid = solid_from_arrays(read_npz(build.solid, "kind"))
     stuff = material(report["material"])
-    found = modal_analysis(solid, points, stuff, report["scale_m"], limit, 1 << 20, given.object)
+    found = modal_analysis(solid, points, Request(stuff, report["scale_m"], limit, 1 << 20), given.object)
     seconds, count = time.process_time() - start, len(found.eigenvalues)
     squared, w = np.square(found.shapes, dtype=np.float64).mean((0, 1)), np.sqrt(found.eigenvalues)
     table = Table("damping", "kept", "up to Hz", "energy lost", "estimated", title=given.object)

@@ -14,9 +14,9 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
+import harness
 import numpy as np
 import torch
-from harness import exit_with_verdict, fresh, parsed, run_job, write_record
 from rich.console import Console
 from rich.table import Table
 
@@ -235,7 +235,7 @@ def renderers(workspace: Path, key: str, count: int) -> list[dict]:
     with tempfile.TemporaryDirectory() as folder:
         for name in RENDERERS:
             out = Path(folder) / f"{name}.npz"
-            row = fresh(__file__, "draw", workspace, key, name, count, out)
+            row = harness.fresh(__file__, "draw", workspace, key, name, count, out)
             if out.exists():
                 drawn[name] = read_npz(out, "rgba")["rgba"]
             rows.append({"object": key, "renderer": name, **row})
@@ -276,22 +276,6 @@ def show_renderers(rows: list[dict], console: Console) -> None:
         console.print(f"left out: {name}: {reason}", markup=False, soft_wrap=True)
 
 
-def show_rows(rows: list[dict], title: str, form: dict[str, tuple[str, str]], console: Console) -> None:
-    """Print a table.
-
-    Parameters
-    ----------
-    form : dict
-        From the name of a figure to its title and its format; a row without it has a dash.
-    """
-    table = Table(title=title)
-    for head, _ in form.values():
-        table.add_column(head, justify="left" if head in ("object", "net") else "right", no_wrap=True)
-    for row in (row for row in rows if "failed" not in row):
-        table.add_row(*(format(row[name], how) if name in row else "-" for name, (_, how) in form.items()))
-    console.print(table)
-
-
 TRAINING = {
     "object": ("object", ""),
     "train_views": ("images", ""),
@@ -321,47 +305,24 @@ QUERY = {
 }
 
 
-def show_training(rows: list[dict], console: Console) -> None:
-    show_rows(rows, "Training of the surface net, and its PSNR", TRAINING, console)
-
-
 def show_query(rows: list[dict], console: Console) -> None:
-    show_rows(rows, "CPU ms per view of 256 x 256", QUERY, console)
+    harness.print_rows(rows, "CPU ms per view of 256 x 256", QUERY, console)
     for row in (row for row in rows if "rays" in row):
-        note = (
-            f"osf: the paper's size, untrained; {row['rays_timed']} of {row['rays']} rays timed, extrapolated"
-        )
-        console.print(note, markup=False, soft_wrap=True)
+        timed = f"{row['rays_timed']} of {row['rays']} rays timed, extrapolated"
+        console.print(f"osf: the paper's size, untrained; {timed}", markup=False, soft_wrap=True)
 
 
 def misses_training(rows: list[dict]) -> list[str]:
     """Targets that are missed; an object that fails misses."""
-    limits = {"seconds": (MAX_TRAINING_SECONDS, "s"), "peak_mb": (MAX_TRAINING_MB, "MB")}
-    return beyond(rows, limits) + [
-        f"{row['object']}, {name}: {row[name]:.1f} dB, target {limit:g} dB"
-        for row in rows
-        for name, limit in MIN_DB.items()
-        if row.get(name, limit) < limit
-    ]
+    missed = harness.failures(rows) + harness.beyond(rows, {"seconds": MAX_TRAINING_SECONDS}, "s")
+    missed += harness.beyond(rows, {"peak_mb": MAX_TRAINING_MB}, "MB")
+    return missed + harness.beyond(rows, MIN_DB, "dB", least=True)
 
 
 def misses_query(rows: list[dict]) -> list[str]:
     """Targets that are missed; the net of the paper's size has none."""
-    return beyond(
-        [row for row in rows if row.get("net") != "osf"],
-        {name: (limit, "ms") for name, limit in MAX_QUERY_MS.items()},
-    )
-
-
-def beyond(rows: list[dict], limits: dict[str, tuple[float, str]]) -> list[str]:
-    """Say which rows failed and which figures exceed their limits."""
-    missed = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
-    return missed + [
-        f"{row['object']}, {name}: {row[name]:.4g} {unit}, target {limit:g} {unit}"
-        for row in rows
-        for name, (limit, unit) in limits.items()
-        if row.get(name, 0) > limit
-    ]
+    rows = [row for row in rows if row.get("net") != "osf"]
+    return harness.failures(rows) + harness.beyond(rows, MAX_QUERY_MS, "ms")
 
 
 def misses_renderers(rows: list[dict]) -> list[str]:
@@ -381,7 +342,7 @@ def misses_renderers(rows: list[dict]) -> list[str]:
 
 
 def main() -> None:
-    run_job(JOBS)
+    harness.run_job(JOBS)
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     for name, text in (
@@ -390,30 +351,28 @@ def main() -> None:
         ("query", "time views of Object Files"),
     ):
         command = commands.add_parser(name, help=text)
-        command.add_argument("keys", nargs="*", help="objects (default: all of params.yaml)")
-        command.add_argument("--workspace", type=Path, default=ROOT, help="holds params.yaml and build/")
-        command.add_argument("--json", type=Path, help="file for the figures")
+        harness.add_objects(command)
         if name != "training":
             command.add_argument("--views", type=int, default=12, help="drawn by each")
-    arguments = parsed(parser)
-    workspace, command = arguments.workspace, arguments.command
-    keys = arguments.keys or list(params.read(workspace / "params.yaml")["objects"])
+    arguments = harness.parsed(parser)
+    workspace, command, keys = arguments.workspace, arguments.command, harness.chosen_objects(arguments)
     console = Console(width=max(Console().width, 180))
     if command == "renderers":
         rows = [row for key in keys for row in renderers(workspace, key, arguments.views)]
         missed = misses_renderers(rows)
         show_renderers(rows, console)
     elif command == "training":
-        rows = [{"object": key} | fresh(__file__, "train", workspace, key) for key in keys]
+        rows = [{"object": key} | harness.fresh(__file__, "train", workspace, key) for key in keys]
         missed = misses_training(rows)
-        show_training(rows, console)
+        harness.print_rows(rows, "Training of the surface net, and its PSNR", TRAINING, console)
     else:
-        rows = [{"object": key} | fresh(__file__, "query", workspace, key, arguments.views) for key in keys]
-        rows.append({"object": "any", "net": "osf"} | fresh(__file__, "query_osf"))
+        asked = [(key, harness.fresh(__file__, "query", workspace, key, arguments.views)) for key in keys]
+        rows = [{"object": key} | row for key, row in asked]
+        rows.append({"object": "any", "net": "osf"} | harness.fresh(__file__, "query_osf"))
         missed = misses_query(rows)
         show_query(rows, console)
-    write_record(arguments.json, {command: rows}, TARGETS[command], missed)
-    exit_with_verdict(missed, console)
+    harness.write_record(arguments.json, {command: rows}, TARGETS[command], missed)
+    harness.exit_with_verdict(missed, console)
 
 
 if __name__ == "__main__":

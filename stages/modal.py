@@ -12,9 +12,9 @@ from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import split_rows
 from objectfolder.sound.fem.certainty import solver_warning, uncertainty_warning
 from objectfolder.sound.fem.elements import solid_from_arrays
-from objectfolder.sound.fem.modal import refined_analysis, shape_points
+from objectfolder.sound.fem.modal import Request, refined_analysis, shape_points
 from objectfolder.sound.fem.settings import ModalConfig
-from objectfolder.sound.truth import Request, compute_modes, problem_digest
+from objectfolder.sound.truth import compute_modes, problem_digest
 from objectfolder.workspace.code_digests import code_digest
 from objectfolder.workspace.layout import Build
 from objectfolder.workspace.params import stage_params

@@ -90,11 +90,8 @@ def read_npz(path: str | Path, *required: str) -> dict[str, np.ndarray]:
             arrays = unique_names([(name, archive[name]) for name in archive.files])
     except Exception as error:
         raise ObjectFolderError(f"{path} is damaged ({error}); delete it and rebuild") from error
-    missing = set(required) - set(arrays)
-    if missing:
-        raise ObjectFolderError(
-            f"{path} lacks {', '.join(sorted(missing))} (it holds {', '.join(sorted(arrays))}); rebuild it"
-        )
+    if missing := ", ".join(sorted(set(required) - set(arrays))):
+        raise ObjectFolderError(f"{path} lacks {missing} (it holds {', '.join(sorted(arrays))}); rebuild it")
     return arrays
 
 
@@ -111,9 +108,8 @@ class StoredTensors(Mapping[str, np.ndarray]):
         stored = self._stored[name]
         dtype = DTYPES.get(stored["dtype"])
         if dtype is None:
-            raise ObjectFolderError(
-                f"{self._path}: tensor {name} holds {stored['dtype']}, expected one of {', '.join(DTYPES)}"
-            )
+            held = f"tensor {name} holds {stored['dtype']}"
+            raise ObjectFolderError(f"{self._path}: {held}, expected one of {', '.join(DTYPES)}")
         return np.ndarray(stored["shape"], dtype, buffer=stored["data"]).copy()
 
     def __iter__(self) -> Iterator[str]:
@@ -150,9 +146,8 @@ def open_safetensors(path: str | Path) -> tuple[StoredTensors, Any]:
         return StoredTensors(path, stored), {} if header is None else parse_json(header)
     except Exception as error:
         reason = str(error).removeprefix("Error while deserializing: ") + content_hint(path)
-        raise ObjectFolderError(
-            f"{path} is neither an Object File nor another readable safetensors file: {reason}"
-        ) from error
+        other = "neither an Object File nor another readable safetensors file"
+        raise ObjectFolderError(f"{path} is {other}: {reason}") from error
 
 
 def read_safetensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

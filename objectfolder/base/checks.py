@@ -109,9 +109,8 @@ def is_web_address(text: str) -> bool:
 def one_line(name: str, value: str, most: int = 200) -> str:
     """Return a line that people will read; ObjectFolderError if blank, longer, or with control characters."""
     if not value.strip() or len(value) > most or visible(value) != value:
-        raise ObjectFolderError(
-            f"{name} {quoted(value)}, expected a line of 1 to {most} characters without control characters"
-        )
+        expected = f"a line of 1 to {most} characters without control characters"
+        raise ObjectFolderError(f"{name} {quoted(value)}, expected {expected}")
     return value
 
 

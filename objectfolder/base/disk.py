@@ -100,10 +100,7 @@ def new_folder(what: str, out: Path, needed: int, hint: str) -> Iterator[Path]:
 
 
 def refuse_links(folder: Path, below: Path) -> None:
-    """Check that no folder that the project makes, from ``folder`` up to one ``below``, is a link.
-
-    Raises ObjectFolderError if one is: what is written there would go elsewhere.
-    """
+    """Raise ObjectFolderError if a folder, from ``folder`` up to one ``below``, is a link."""
     for path in (folder, *folder.parents):
         if path == below:
             return

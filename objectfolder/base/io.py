@@ -107,9 +107,8 @@ def _claim(path: Path) -> tuple[Path, int]:
         raise ObjectFolderError(f"cannot write {str(path)!r}: it is a folder, expected a file's name")
     try:
         if path.exists() and not path.is_file():
-            raise ObjectFolderError(
-                f"cannot write {path}: it is a folder or a device, expected a file's name"
-            )
+            other = "it is a folder or a device, expected a file's name"
+            raise ObjectFolderError(f"cannot write {path}: {other}")
         try:
             return claim_file(path)
         except FileNotFoundError:
@@ -119,9 +118,8 @@ def _claim(path: Path) -> tuple[Path, int]:
         folder = shortened(path.parent, 300)
         writable = f"make the directory {folder} writable"
         advice = f"make space on the disk of {folder}" if is_shortage(error) else writable
-        raise ObjectFolderError(
-            f"cannot write {shortened(path, 300)}: {error.strerror}; {advice}, or choose another name"
-        ) from error
+        problem = f"cannot write {shortened(path, 300)}: {error.strerror}"
+        raise ObjectFolderError(f"{problem}; {advice}, or choose another name") from error
 
 
 def write_json(path: str | Path, value: Any) -> None:

@@ -17,10 +17,7 @@ _cleared: set[str] = set()  # folders whose abandoned files this process has rem
 
 @contextmanager
 def exclusive(folder: Path, on_wait: Callable[[], None] | None = None) -> Iterator[None]:
-    """Make a folder, and keep other processes out of this block for the same folder: they wait.
-
-    ``on_wait`` is called if this process has to.
-    """
+    """Make a folder, and let one process at a time into this block; who has to wait calls ``on_wait``."""
     while True:
         folder.mkdir(parents=True, exist_ok=True)
         with suppress(FileNotFoundError):  # another process removed it meanwhile

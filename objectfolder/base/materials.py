@@ -66,9 +66,8 @@ class Material:
         }
         for name, (holds, expected) in physical.items():
             if not holds:
-                raise ObjectFolderError(
-                    f"material {self.name!r}: {name} is {getattr(self, name)!r}, expected {expected}"
-                )
+                wrong = f"{name} is {getattr(self, name)!r}"
+                raise ObjectFolderError(f"material {self.name!r}: {wrong}, expected {expected}")
 
     def properties(self) -> dict[str, Any]:
         """Return everything but the name, as Object Files store it."""
@@ -84,9 +83,8 @@ class Material:
     def require_damping(self) -> None:
         """Raise ObjectFolderError if nothing damps the material."""
         if not (self.loss_factor or self.alpha or self.beta):
-            raise ObjectFolderError(
-                f"material {self.name!r}: an undamped object rings for ever; give alpha, beta or loss_factor"
-            )
+            advice = "an undamped object rings for ever; give alpha, beta or loss_factor"
+            raise ObjectFolderError(f"material {self.name!r}: {advice}")
 
     def damping(self, eigenvalues: Any) -> Any:
         """Return decay rates, 1/s, of modes with eigenvalues in rad^2/s^2; arrays or tensors.
@@ -132,10 +130,9 @@ def material(name: str | Path, law: str = "rayleigh") -> Material:
     if is_yaml_name(name):
         return read_material(Path(name), law)
     if not (isinstance(name, str) and name.lower() in material_names()):
-        raise ObjectFolderError(
-            f"unknown material {quoted(name)}: expected one of {', '.join(material_names())}, or a "
-            "file such as materials/NAME.yaml (docs/conventions.md)"
-        )
+        known = ", ".join(material_names())
+        other = "or a file such as materials/NAME.yaml (docs/conventions.md)"
+        raise ObjectFolderError(f"unknown material {quoted(name)}: expected one of {known}, {other}")
     return _of_package(name.lower(), law)
 
 

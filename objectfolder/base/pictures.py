@@ -32,9 +32,8 @@ def decoded(source: Path | BinaryIO, where: str, mode: str = "RGB", upright: boo
         size = f"more than {2 * (Image.MAX_IMAGE_PIXELS or 0)}"
     except Exception as error:  # decoders raise anything
         reason = "unknown format" if isinstance(error, UnidentifiedImageError) else shortened(error, 200)
-        raise ObjectFolderError(
-            f"{where} cannot be read as an image ({reason}); expected {', '.join(PICTURE_FORMATS)}"
-        ) from error
+        problem, known = f"{where} cannot be read as an image ({reason})", ", ".join(PICTURE_FORMATS)
+        raise ObjectFolderError(f"{problem}; expected {known}") from error
     raise ObjectFolderError(f"{where} has {size} pixels, expected at most {MAX_SIDE} x {MAX_SIDE}; resize it")
 
 

@@ -22,10 +22,7 @@ def is_yaml_name(value: object) -> bool:
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Read a YAML file; otherwise as `check_yaml`.
-
-    Also raises ObjectFolderError if a value does not have its type, or a key is there twice.
-    """
+    """Read a YAML file as `check_yaml` does; a value of a wrong type or a key twice is an error too."""
     from ruamel.yaml import YAML
 
     text = check_yaml(path)
@@ -36,10 +33,7 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def yaml_text(values: Mapping[str, Any], *in_quotes: str) -> str:
-    """Return a mapping as YAML; see `inline_lists`.
-
-    ``*in_quotes``: names of texts that are written in quotes whether they need them or not.
-    """
+    """Return a mapping as YAML; texts of the names ``in_quotes`` are in quotes. See `inline_lists`."""
     from ruamel.yaml import YAML
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 

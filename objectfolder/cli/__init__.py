@@ -93,24 +93,9 @@ def _options(
 
 
 for command in (
-    creation.init,
-    workspace.build,
-    upkeep.status,
-    upkeep.verify,
-    upkeep.prune,
-    creation.upgrade,
-    objects.add,
-    objects.fetch,
-    workspace.preset,
-    workspace.inspect,
-    objectfile.info,
-    view.view,
-    report.report,
-    release.release,
-    video.video,
-    simulate.simulate,
-    reconstruct.reconstruct,
-    doctor.doctor,
+    *(creation.init, workspace.build, upkeep.status, upkeep.verify, upkeep.prune, creation.upgrade),
+    *(objects.add, objects.fetch, workspace.preset, workspace.inspect, objectfile.info, view.view),
+    *(report.report, release.release, video.video, simulate.simulate, reconstruct.reconstruct, doctor.doctor),
 ):
     app.command()(command)
 app.command("import")(released.import_released)

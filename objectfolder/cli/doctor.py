@@ -4,7 +4,6 @@ import ctypes
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
 
@@ -148,17 +147,7 @@ def ffmpeg() -> Part:
     return Part("ffmpeg", found, bool(found), "objectfolder video, simulate", "apt-get install ffmpeg")
 
 
-CHECKS: tuple[Callable[[], Part], ...] = (
-    embree,
-    pardiso,
-    cholmod,
-    llvm,
-    opengl,
-    cuda,
-    blender,
-    chromium,
-    ffmpeg,
-)
+CHECKS = (embree, pardiso, cholmod, llvm, opengl, cuda, blender, chromium, ffmpeg)
 
 
 def extra(name: str) -> Part:

@@ -10,7 +10,7 @@ import typer
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.installation import install_command
 from objectfolder.cli.console import console, print_line, track_progress
-from objectfolder.cli.files import SAMPLE, folder_to_write, object_files
+from objectfolder.cli.files import FilesArgument, folder_to_write
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.export import Report
@@ -33,12 +33,6 @@ OutArgument = Annotated[
 ]
 FoldersArgument = Annotated[
     list[Path], typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below.")
-]
-FilesArgument = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="FILE...", help=f"Object Files (ObjectFile.safetensors), or {SAMPLE}.", callback=object_files
-    ),
 ]
 HullsOption = Annotated[int, typer.Option(min=1, help="Maximum number of convex hulls per object.")]
 SplitOption = Annotated[

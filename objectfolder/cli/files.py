@@ -3,6 +3,9 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.base.io import check_output
@@ -11,6 +14,13 @@ from objectfolder.objectfile.samples import available_samples, file_or_sample
 #: Names of the samples, for the help of commands.
 SAMPLE = f"a sample: {', '.join(available_samples())}"
 PAGES = (".html", ".htm")  #: suffixes
+#: Stages that a command on a workspace is for.
+Targets = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[TARGET]...", help="`modal@mug`, a stage (`train_audio`) or an object (`mug`); default: all."
+    ),
+]
 
 
 def object_file(given: Path) -> Path:
@@ -114,3 +124,10 @@ def empty_folder(given: Path) -> Path:
             f"{folder} is not empty: it holds {', '.join(held[:4])}{more}; choose another name, or delete it"
         )
     return folder
+
+
+#: Object Files that a command is for.
+FilesArgument = Annotated[
+    list[Path], typer.Argument(metavar="FILE...", help=f"Object Files, or {SAMPLE}.", callback=object_files)
+]
+OpenOption = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")]

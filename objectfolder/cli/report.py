@@ -7,7 +7,7 @@ import typer
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_line, show_page
-from objectfolder.cli.files import SAMPLE, object_files, page_to_write, site_to_write
+from objectfolder.cli.files import SAMPLE, OpenOption, object_files, page_to_write, site_to_write
 
 
 def report(
@@ -26,7 +26,7 @@ def report(
     single_file: Annotated[
         bool, typer.Option("--single-file", help="Write one page that holds everything, to be mailed.")
     ] = False,
-    open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    open_page: OpenOption = True,
 ) -> None:
     """Report on objects in a browser: truth beside answer, scores, checks, and the live viewer.
 

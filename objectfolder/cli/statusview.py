@@ -106,14 +106,8 @@ def as_json(found: Iterable[StageStatus]) -> list[dict[str, object]]:
     """Return the status as values for JSON."""
     return [
         {
-            "address": one.address,
-            "stage": one.stage,
-            "object": one.key,
-            "state": one.state,
-            "next": one.outlook,
-            "reasons": one.reasons,
-            "waits_for": one.waits_for,
-            "log": one.log,
+            **{"address": one.address, "stage": one.stage, "object": one.key, "state": one.state},
+            **{"next": one.outlook, "reasons": one.reasons, "waits_for": one.waits_for, "log": one.log},
         }
         for one in found
     ]

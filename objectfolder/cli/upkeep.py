@@ -10,13 +10,7 @@ from rich.text import Text
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_wide, track_progress
-
-Targets = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="[TARGET]...", help="`modal@mug`, a stage (`train_audio`) or an object (`mug`); default: all."
-    ),
-]
+from objectfolder.cli.files import Targets
 
 
 def status(

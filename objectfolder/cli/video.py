@@ -6,14 +6,11 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.encoding import encoder, write_video
-from objectfolder.cli.files import SAMPLE, object_files
+from objectfolder.cli.files import FilesArgument
 
 
 def video(
-    files: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILE...", help=f"Object Files, or {SAMPLE}.", callback=object_files),
-    ],
+    files: FilesArgument,
     out: Annotated[Path, typer.Option(help="Video to write, .mp4.")] = Path("objects.mp4"),
     seconds: Annotated[float, typer.Option(help="Seconds of each object's turn.")] = 8.0,
     size: Annotated[int, typer.Option(min=16, help="Width and height, pixels; even.")] = 384,

@@ -8,19 +8,16 @@ import typer
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli.console import print_line, show_page
-from objectfolder.cli.files import SAMPLE, object_files, page_to_write
+from objectfolder.cli.files import FilesArgument, OpenOption, page_to_write
 
 
 def view(
-    files: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILE...", help=f"Object Files, or {SAMPLE}.", callback=object_files),
-    ],
+    files: FilesArgument,
     out: Annotated[
         Path | None,
         typer.Option(help="Page to write, such as mug.html, to keep or to mail. Default: a temporary file."),
     ] = None,
-    open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    open_page: OpenOption = True,
 ) -> None:
     """See, strike and touch objects in a browser.
 

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_line
+from objectfolder.cli.files import Targets
 
 MAX_SCORES = 40  # objects whose scores a build prints
 
@@ -23,13 +24,7 @@ class Engine(StrEnum):
 
 
 def build(
-    targets: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[TARGET]...",
-            help="`modal@mug`, a stage (`train_audio`) or an object (`mug`); default: all.",
-        ),
-    ] = None,
+    targets: Targets = None,
     jobs: Annotated[
         int | None,
         typer.Option(

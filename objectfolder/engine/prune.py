@@ -86,7 +86,8 @@ def _survey(repository: OpenRepository) -> Waste:
 
     runs: list[Path] = []
     dead_outs = [(_key(address), entry) for address, entry in dead.items()]
-    kept = {*hashes_in([*alive.values(), *_other_records(repository)])}
+    others = (path for path in dvc_files(repository) if path != repository.root / LOCK and path.exists())
+    kept = {*hashes_in([*alive.values(), *map(read_entry, others)])}
     for path in saved_runs(repository.repo) if keys else ():
         entry = read_entry(path)
         owner = _owner(entry, keys)
@@ -154,11 +155,6 @@ def _left(root: Path, key: str, files: tuple[Path, ...]) -> Iterator[str]:
     if others:
         names = ", ".join(os.path.relpath(path, root) for path in others[:3])
         yield f"{names}{' ...' if len(others) > 3 else ''}: not written by the pipeline"
-
-
-def _other_records(repository: OpenRepository) -> list[Any]:
-    lock = repository.root / LOCK
-    return [read_entry(path) for path in dvc_files(repository) if path != lock and path.exists()]
 
 
 def _owner(entry: Any, keys: set[str]) -> str:

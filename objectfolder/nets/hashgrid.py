@@ -28,13 +28,8 @@ class HashGrid(nn.Module):
 
     def __init__(self, levels: int, features: int, table_bits: int, coarsest: int, finest: int):
         super().__init__()
-        self.config = {
-            "levels": levels,
-            "features": features,
-            "table_bits": table_bits,
-            "coarsest": coarsest,
-            "finest": finest,
-        }
+        self.config = {"levels": levels, "features": features, "table_bits": table_bits}
+        self.config |= {"coarsest": coarsest, "finest": finest}
         growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
         self.resolutions = [math.floor(coarsest * growth**level + 1e-9) for level in range(levels)]
         capacity = 2**table_bits

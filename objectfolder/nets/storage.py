@@ -48,8 +48,9 @@ def _described(description: str) -> dict[str, str]:
     return {"description": description} if description else {}
 
 
+OCTAVES = whole(0, 24, "of the positional encoding")
 #: Fields of the paper's nets.
-WIDTH, DEPTH, OCTAVES = whole(1, 1024), whole(1, 32), whole(0, 24, "of the positional encoding")
+PAPERS = {"width": whole(1, 1024), "depth": whole(1, 32), "point_octaves": OCTAVES}
 
 
 def fill(net: _Net, state: dict[str, torch.Tensor]) -> _Net:

@@ -20,19 +20,8 @@ _Made = TypeVar("_Made", bound=AnswerModule)
 class Answers:
     """How an object looks, sounds and feels, as torch modules whose answers carry gradients.
 
-    They compute on the CPU; their weights are copies, and need no gradients. A module is made when it is
-    first asked for.
-
-    Parameters
-    ----------
-    parts : StoredParts
-    dtype : torch.dtype, optional
-        float32, or float64 for checks of gradients.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the type is another.
+    They compute on the CPU, in float32, or float64 for checks of gradients; their weights are copies, and
+    need no gradients. A module is made when it is first asked for.
     """
 
     def __init__(self, parts: StoredParts, dtype: torch.dtype | None = None):

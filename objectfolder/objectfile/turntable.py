@@ -34,10 +34,7 @@ _BYTES_PER_CONTACT = 2**16  # of its tactile image
 class Turntable:
     """One turn of an object, with a light that swings, strikes and touches.
 
-    Raises
-    ------
-    ObjectFolderError
-        If a number is not positive, not finite or not whole, or the picture is too small.
+    Raises ObjectFolderError if a number is not positive, finite or whole, or the picture is too small.
     """
 
     seconds: float = 8.0  #: of the turn

@@ -9,6 +9,7 @@ import torch
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material
+from objectfolder.mesh.normals import area_vectors
 from objectfolder.objectfile.parts import TAPS, StoredParts
 from objectfolder.sound.click import AIR_DENSITY, SOUND_SPEED, Recoil
 from objectfolder.sound.contact import effective_modulus
@@ -25,16 +26,7 @@ log = logging.getLogger(__name__)
 class Voice:
     """Modes of an object of some material and size, and the recoil of the object as three more.
 
-    Parameters
-    ----------
-    parts : StoredParts
-        Of an Object File.
-    sample_rate : float
-        Hz. Modes at or above half of it are left out.
-    material : str or Material, optional
-        Default: the object's own.
-    scale : float, optional
-        Longest side, m; default: the object's own.
+    Parameters and errors are those of `objectfolder.objectfile.file.ObjectFile.voice`.
 
     Attributes
     ----------
@@ -49,11 +41,6 @@ class Voice:
         m
     mass : float
         kg
-
-    Raises
-    ------
-    ObjectFolderError
-        If the file knows no modes or not what they are of, or none of them is below half the sample rate.
     """
 
     def __init__(
@@ -86,9 +73,7 @@ class Voice:
         if self._radiation is None:
             surface = self._surface.read()
             corners = surface.vertices[surface.faces] * self.scale
-            volume = (
-                np.linalg.det(corners).sum() / 6
-            )  # of the tetrahedra that the triangles make with the origin
+            volume = np.linalg.det(corners).sum() / 6  # of tetrahedra from the triangles to the origin
             self.recoil = Recoil.of(corners.reshape(-1, 3), self.material.density * volume)
             self.radius = float(np.linalg.norm(corners, axis=2).max())
         else:
@@ -96,11 +81,10 @@ class Voice:
             self.radius = self._radiation.field.radius * self._resized
             ratio = modal.imag / SOUND_SPEED * self._resized / self._own
             if len(ratio) and abs(ratio - 1).max() > _ALIKE:
+                own = "it radiates as was solved for its own material"
+                times = float(np.median(ratio))
                 log.info(
-                    "%s: of %s it radiates as was solved for its own material, at %.2f times the frequency",
-                    self.key,
-                    self.material.name,
-                    float(np.median(ratio)),
+                    "%s: of %s %s, at %.2f times the frequency", self.key, self.material.name, own, times
                 )
         self.mass = self.recoil.mass
         self._recoil_rate = SOUND_SPEED / self.recoil.radii
@@ -171,11 +155,8 @@ class Voice:
         """
         if not self._area:
             surface = self._surface.read()
-            edges = surface.vertices[surface.faces] * self.scale
-            self._area = float(
-                np.linalg.norm(np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]), axis=1).sum()
-                / 2
-            )
+            doubled = area_vectors(surface.vertices * self.scale, surface.faces)
+            self._area = float(np.linalg.norm(doubled, axis=1).sum() / 2)
             moved = self._tapped[..., : self.modes]
             self._moving = np.sqrt(np.square(moved).mean(0).sum(0) / 3)
         return AIR_DENSITY * SOUND_SPEED * np.sqrt(self._area / (4 * np.pi)) * self._moving

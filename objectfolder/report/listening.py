@@ -80,10 +80,8 @@ def study_page(ours: Path, other: Path, pairs: int = PAIRS, seed: int = 0) -> st
     first, second = (_sound_files(folder) for folder in (ours, other))
     names = sorted(first.keys() & second.keys())
     if len(names) < pairs:
-        raise ObjectFolderError(
-            f"{ours} and {other} have {len(names)} sounds of the same name, expected {pairs}; "
-            "add some, or ask for fewer with --pairs"
-        )
+        few = f"{ours} and {other} have {len(names)} sounds of the same name, expected {pairs}"
+        raise ObjectFolderError(f"{few}; add some, or ask for fewer with --pairs")
     chosen = _drawn(names, pairs, seed)
     sounds = [tuple(_levelled(files[name]) for files in (first, second)) for name in chosen]
     peak = max(np.abs(sound).max() for pair in sounds for sound, _ in pair)
@@ -138,10 +136,9 @@ def preferences(paths: list[Path], page: Path | None = None) -> Scores:
             answer, key = {name: row[name] for name in COLUMNS}, (listener, pair)
             place = places.setdefault(key, path)
             if rows.setdefault(key, answer) != answer:
-                raise ObjectFolderError(
-                    f"{place} and {path}: listener {shortened(listener)} answers pair {shortened(pair)} in "
-                    "two ways; leave one file out, or rename a listener"
-                )
+                twice = f"listener {shortened(listener)} answers pair {shortened(pair)} in two ways"
+                advice = "leave one file out, or rename a listener"
+                raise ObjectFolderError(f"{place} and {path}: {twice}; {advice}")
     if not rows:
         raise ObjectFolderError(f"{', '.join(map(str, paths))}: no answers")
     counts: dict[str, list[bool]] = defaultdict(list)
@@ -159,10 +156,9 @@ def _answers(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
             reader = csv.DictReader(file)
             head = reader.fieldnames or ()
             if wrong := [name for name in COLUMNS if head.count(name) != 1]:
-                raise ObjectFolderError(
-                    f"{path}: line 1 is {quoted(list(head))}, expected one column {wrong[0]!r}: answers of a "
-                    f"study have the columns {', '.join(COLUMNS)}"
-                )
+                columns = f"answers of a study have the columns {', '.join(COLUMNS)}"
+                found = f"{path}: line 1 is {quoted(list(head))}, expected one column {wrong[0]!r}"
+                raise ObjectFolderError(f"{found}: {columns}")
             for row in reader:
                 if row.get(None) or None in row.values():
                     problem = f"does not have {len(head)} cells, as the first line"

@@ -6,7 +6,7 @@ import manifold3d
 import numpy as np
 
 from objectfolder.mesh.textured import TexturedMesh
-from objectfolder.shapes.extrusion import extrude_y, inset, prism, rectangle, round_corners
+from objectfolder.shapes.extrusion import deepest_inset, extrude_y, inset, prism, rectangle, round_corners
 from objectfolder.shapes.fittings import (
     DARK,
     METAL,
@@ -56,7 +56,9 @@ def _toaster(kit: Kit, plump: float) -> None:
     half, shift = 0.25 * plump, -0.035  # half the width; the body's centre along x
     x, z = [-1, 1, 1, 0.66, -0.66, -1], [0.05, 0.05, 0.44, 0.60, 0.60, 0.44]
     outline = round_corners(np.stack([x, z], 1) * [half, 1], 0.10)
-    body = _face_x(extrude_y([outline], 0.90, SPACING, 0.075, 4)).translate((shift, 0, 0))
+    deepest = deepest_inset(outline)  # some widths leave short sides in the corners
+    bevel = 0.075 if deepest > 0.075 else 0.95 * deepest
+    body = _face_x(extrude_y([outline], 0.90, SPACING, bevel, 4)).translate((shift, 0, 0))
     hollow = _face_x(extrude_y([inset(outline, 0.04)], 0.78, 2 * SPACING)).translate((shift - 0.02, 0, 0))
     base = prism([rectangle(0.93, 2.1 * half, 0.11)], 0.055, SPACING, 0.015).translate((shift, 0, 0.03))
     foot, corners = rounded_disc(0.05, 0.06, 0.008, 28), product((-1, 1), repeat=2)

@@ -48,6 +48,15 @@ def area(outline: np.ndarray) -> float:
     return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
 
 
+def deepest_inset(outline: np.ndarray) -> float:
+    """Return the distance, m, at which `inset` would let the first side of an outline (N, 2) vanish."""
+    side = np.roll(outline, -1, axis=0) - outline
+    heading = np.arctan2(side[:, 1], side[:, 0])
+    turn = np.tan((heading - np.roll(heading, 1) + np.pi) % (2 * np.pi) / 2 - np.pi / 2)
+    shrinks = turn + np.roll(turn, -1)
+    return float(np.min(np.linalg.norm(side, axis=1)[shrinks > 0] / shrinks[shrinks > 0]))
+
+
 def inset(outline: np.ndarray, distance: float) -> np.ndarray:
     """Offset the sides of an outline (N, 2) by ``distance``, m, into the solid, with mitred corners.
 

@@ -71,12 +71,14 @@ def generator(
     looks = {"finish": finish, "color": color, "accent": accent, "seed": 0} if finish else {}
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
     shared = {**looks, "texture_size": 1024}
-    last = [inspect.Parameter(name, kind, default=value) for name, value in shared.items()]
+    types = Order.__annotations__
+    last = [inspect.Parameter(name, kind, default=shared[name], annotation=types[name]) for name in shared]
 
     def decorate(build: Callable[..., TexturedMesh]) -> Callable[..., TexturedMesh]:
         own = [*inspect.signature(build).parameters.values()][1:]
         sizes = [dimension.name for dimension in own if dimension.annotation == Size]
-        signature = inspect.Signature([*own, *last], return_annotation=TexturedMesh)
+        told = [one.replace(annotation=float) if one.name in sizes else one for one in own]
+        signature = inspect.Signature([*told, *last], return_annotation=TexturedMesh)
 
         @wraps(build)
         def made(*args: Any, **given: Any) -> TexturedMesh:
@@ -87,7 +89,7 @@ def generator(
             order.positive(**{name: values[name] for name in sizes})
             return build(order, **values)
 
-        made.__signature__ = signature  # type: ignore[attr-defined]
+        made.__signature__, made.__annotations__ = signature, {}  # type: ignore[attr-defined]
         return made
 
     return decorate

@@ -93,10 +93,8 @@ def contact_time(striker: Striker, material: Material, mass: float) -> float:
     the fifth root of the radius, and the lighter of two bodies dominates their reduced mass.
     """
     shared = striker.mass if mass == math.inf else striker.mass * mass / (striker.mass + mass)
-    modulus = effective_modulus(
-        (striker.youngs_modulus, striker.poisson_ratio), (material.youngs_modulus, material.poisson_ratio)
-    )
-    return hertz_time(modulus, striker.radius, shared, striker.speed)
+    own, other = ((each.youngs_modulus, each.poisson_ratio) for each in (striker, material))
+    return hertz_time(effective_modulus(own, other), striker.radius, shared, striker.speed)
 
 
 def effective_modulus(one: tuple[float, float], other: tuple[float, float]) -> float:

@@ -62,11 +62,8 @@ def evaluate_sound(file: SoundQueries, truth: SoundTruth) -> dict[str, Any]:
     """
     modes = truth.modes
     gained = score_gains(file, modes, np.flatnonzero(modes["split"] == 2)) if file.has_modes else {}
-    return (
-        gained
-        | score_spectrograms(file, modes, truth.strikes, truth.rng)
-        | count_lost_modes(modes, truth.report)
-    )
+    heard = score_spectrograms(file, modes, truth.strikes, truth.rng)
+    return gained | heard | count_lost_modes(modes, truth.report)
 
 
 def score_gains(file: SoundQueries, modes: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:
@@ -84,17 +81,17 @@ def score_gains(file: SoundQueries, modes: dict[str, np.ndarray], rows: np.ndarr
         )
     if len(damping) == 0:
         return {}
-    predicted = file.mode_shapes(modes["points"][rows] * file.scale).astype(np.float64)
-    true_shapes = modes["shapes"][rows].astype(np.float64)
-    scores = gain_errors(predicted, true_shapes, energy_weights(damped, damping), 1 / damped)
+    true_shapes, weights = modes["shapes"][rows].astype(np.float64), energy_weights(damped, damping)
+
+    def errors_of(shapes: np.ndarray) -> dict[str, float]:
+        return gain_errors(shapes.astype(np.float64), true_shapes, weights, 1 / damped)
+
+    scores = errors_of(file.mode_shapes(modes["points"][rows] * file.scale))
     training = np.flatnonzero(modes["split"] == 0)
     near = training[cKDTree(modes["points"][training]).query(modes["points"][rows])[1]]
-    nearest = gain_errors(
-        modes["shapes"][near].astype(np.float64), true_shapes, energy_weights(damped, damping), 1 / damped
-    )
     stored = file.tuning()
     return scores | {
-        "baseline_nearest": nearest["gain_error"],
+        "baseline_nearest": errors_of(modes["shapes"][near])["gain_error"],
         "worst_mode_hz": float(damped[int(scores.pop("worst_mode"))] / (2 * np.pi)),
         "frequency_error": float(np.abs(stored.damped_frequency.numpy() / damped - 1).max()),
         "decay_time_error": float(np.abs(damping / stored.damping.numpy() - 1).max()),

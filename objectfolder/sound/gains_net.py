@@ -136,21 +136,12 @@ def energy_weights(damped_frequency: np.ndarray, damping: np.ndarray) -> np.ndar
     return 1 / (4 * damping * (damped_frequency**2 + damping**2))
 
 
-KINDS = {
-    "gains": NetKind(
-        GainsNet,
-        "modes",
-        {
-            "resolution": whole(1, 128, "cells of the grid a side"),
-            "channels": whole(1, 256),
-            "width": whole(1, 4096),
-            "features": whole(1, 4096),
-            "frequency": {
-                "type": "number",
-                "exclusiveMinimum": 0,
-                "maximum": 10000.0,
-                "description": "of the sines",
-            },
-        },
-    )
+_SINES = {"type": "number", "exclusiveMinimum": 0, "maximum": 10000.0, "description": "of the sines"}
+_FIELDS = {
+    "resolution": whole(1, 128, "cells of the grid a side"),
+    "channels": whole(1, 256),
+    "width": whole(1, 4096),
+    "features": whole(1, 4096),
+    "frequency": _SINES,
 }
+KINDS = {"gains": NetKind(GainsNet, "modes", _FIELDS)}

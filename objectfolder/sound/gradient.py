@@ -123,9 +123,8 @@ class Sound(AnswerModule):
         -------
         (N, samples) tensor, absolute amplitude
         """
-        places, pushes = broadcast_rows(
-            "points", finite_rows("points", points, 3), "forces", finite_rows("forces", forces, 3)
-        )
+        places, pushes = finite_rows("points", points, 3), finite_rows("forces", forces, 3)
+        places, pushes = broadcast_rows("points", places, "forces", pushes)
         played = sample_rate, duration, response, contact_time, material, scale, striker
         settings = SoundSettings(*played).checked(len(places))
         stuff = material if isinstance(material, Material) else settings.material

@@ -72,12 +72,8 @@ class ReleasedGains:
 
     def to_tensors(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return tensors and configuration for storing."""
-        tensors = {
-            "frequencies": self._frequencies.cpu().numpy(),
-            "dampings": self._dampings.cpu().numpy(),
-            "low": self._low.cpu().numpy(),
-            "high": self._high.cpu().numpy(),
-        }
+        names = "frequencies", "dampings", "low", "high"
+        tensors = {name: getattr(self, f"_{name}").cpu().numpy() for name in names}
         for axis, branch in zip(AXES, self.branches):
             tensors |= stored_tensors(branch, f"{axis}.")
         return tensors, dict(self.config)

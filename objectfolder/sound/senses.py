@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Callable, Iterator
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -30,16 +29,6 @@ _BANKS = 4  # sounds whose mode responses are kept
 log = logging.getLogger(__name__)
 
 
-class ModalNet(Protocol):
-    """Net from a point to mode shapes."""
-
-    damped_frequency: torch.Tensor
-    damping: torch.Tensor
-
-    def shapes(self, points: torch.Tensor) -> torch.Tensor:
-        """Mode shapes (N, 3, M), kg^-1/2, at (N, 3) points of the unit frame."""
-
-
 def sound_sense(stored: StoredNet) -> SoundSense:
     """Load an audio net."""
     return SENSES[stored.answers](stored)
@@ -49,8 +38,6 @@ class ModalSense(SoundSense):
     """Sounds synthesised from modes."""
 
     has_modes = True
-
-    net: ModalNet
 
     def __init__(self, stored: StoredNet):
         super().__init__(stored)
@@ -280,22 +267,11 @@ def _report_inaudible(heard: int, modes: int, nyquist: float, outcome: str = "si
         log.info("%d of %d modes lie above the Nyquist frequency", modes - heard, modes)
 
 
-class SpectralNet(Protocol):
-    """Net from a point to spectrograms."""
-
-    damped_frequency: torch.Tensor
-
-    def spectrograms(self, points: torch.Tensor) -> torch.Tensor:
-        """Complex spectrograms (N, 3, 257, 201) of unit impulses at (N, 3) points of the unit frame."""
-
-
 class SpectrogramSense(SoundSense):
     """Sounds inverted from spectrograms of unit impulses: two seconds of displacement at 16 kHz.
 
     The impulses are ideal, so no contact time is known.
     """
-
-    net: SpectralNet
 
     @override
     def impact(
@@ -342,8 +318,7 @@ def finite_sounds(sounds: np.ndarray, impulses: np.ndarray) -> np.ndarray:
     return sounds
 
 
-#: By what a net answers.
-SENSES: dict[str, type[ModalSense | SpectrogramSense]] = {
-    "modes": ModalSense,
-    "spectrograms": SpectrogramSense,
-}
+#: By what a net answers at (N, 3) points of the unit frame. Modes: by ``shapes``, (N, 3, M) kg^-1/2, of
+#: ``damped_frequency`` and ``damping``, (M,). Spectrograms: by ``spectrograms`` of unit impulses, (N, 3, 257,
+#: 201) complex, of modes with some ``damped_frequency``.
+SENSES: dict[str, type[SoundSense]] = {"modes": ModalSense, "spectrograms": SpectrogramSense}

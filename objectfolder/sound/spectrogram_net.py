@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from objectfolder.nets.positional import PointwiseNetwork
-from objectfolder.nets.storage import DEPTH, OCTAVES, UNFILLED, WIDTH, NetKind, fill, halve_weights
+from objectfolder.nets.storage import OCTAVES, PAPERS, UNFILLED, NetKind, fill, halve_weights
 from objectfolder.sound.spectrogram import SHAPE
 
 
@@ -37,12 +37,8 @@ class SpectrogramNet(nn.Module):
         bin_octaves: int,
     ):
         super().__init__()
-        self.config = {
-            "width": width,
-            "depth": depth,
-            "point_octaves": point_octaves,
-            "bin_octaves": bin_octaves,
-        }
+        self.config = {"width": width, "depth": depth}
+        self.config |= {"point_octaves": point_octaves, "bin_octaves": bin_octaves}
         self.register_buffer("damped_frequency", damped_frequency.double())
         self.register_buffer("range", value_range.double())
         branches = [PointwiseNetwork(width, depth, point_octaves, bin_octaves, outputs=2) for _ in range(3)]
@@ -100,5 +96,4 @@ def _coordinates(device: torch.device) -> torch.Tensor:
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).flatten(0, 1)
 
 
-_FIELDS = {"width": WIDTH, "depth": DEPTH, "point_octaves": OCTAVES, "bin_octaves": OCTAVES}
-KINDS = {"spectrogram": NetKind(SpectrogramNet, "spectrograms", _FIELDS)}
+KINDS = {"spectrogram": NetKind(SpectrogramNet, "spectrograms", PAPERS | {"bin_octaves": OCTAVES})}

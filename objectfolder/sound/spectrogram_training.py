@@ -75,11 +75,8 @@ def train_spectrogram(
     cumulative = chance.cumsum(0)
     held_out = draw(torch.from_numpy(samples.val), VAL_SAMPLES)
     part = choose_part_size(_PART, config.batch, device)
-    curve = fit_papers_net(
-        net,
-        lambda: sum_in_parts(loss, part, *draw(rows, config.batch)),
-        lambda: loss(*held_out).item(),
-        config,
-        session,
-    )
-    return net, curve
+
+    def batch_loss() -> torch.Tensor:
+        return sum_in_parts(loss, part, *draw(rows, config.batch))
+
+    return net, fit_papers_net(net, batch_loss, lambda: loss(*held_out).item(), config, session)

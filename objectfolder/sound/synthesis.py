@@ -100,11 +100,8 @@ def responses(
     bank = torch.empty(len(s), len(samples), dtype=torch.float32, device=s.device)
     if len(contact):
         bank[:, : len(contact)] = half_sine_response(s, contact, contact_time, order, turn).float()
-    state = (
-        pulse_phasor(s, torch.ones(1, dtype=torch.float64, device=s.device), contact_time)
-        if contact_time
-        else torch.ones_like(s)
-    )
+    one = torch.ones(1, dtype=torch.float64, device=s.device)
+    state = pulse_phasor(s, one, contact_time) if contact_time else torch.ones_like(s)
     # After contact, a mode rings freely as exp(s t), whose derivatives are s exp(s t) and s^2 exp(s t).
     free = bank[:, len(contact) :]
     if free.numel():

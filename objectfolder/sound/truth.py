@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -12,26 +12,17 @@ import numpy as np
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material
 from objectfolder.mesh.topology import Mesh
-from objectfolder.sound.fem.certainty import solver_checks
 from objectfolder.sound.fem.elasticity import Solid
-from objectfolder.sound.fem.modal import MIN_FREQUENCY, ModalData, refined_analysis, solved_band
+from objectfolder.sound.fem.modal import (
+    ModalData,
+    Request,
+    is_heard,
+    refined_analysis,
+    solved_band,
+    stored_modes,
+)
 from objectfolder.sound.fem.settings import FineGrids, ModalConfig
 from objectfolder.sound.fem.similarity import similarity
-
-
-@dataclass(frozen=True)
-class Request:
-    """Request for a modal analysis of a given solid."""
-
-    material: Material
-    scale: float  #: longest side, metres
-    max_frequency: float  #: Hz
-    max_modes: int
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> "Request":
-        """Inverse of `dataclasses.asdict`."""
-        return cls(**{**values, "material": Material(**values["material"])})
 
 
 def compute_modes(
@@ -55,12 +46,11 @@ def compute_modes(
             data = rescaled(earlier, problem, request)
     reused = data is not None
     if data is None:
-        data = refined_analysis(solid, surface, fine, points, **vars(request), name=name)
-    band = solved_band(data, request.material, request.max_frequency, request.max_modes)
+        data = refined_analysis(solid, surface, fine, points, request, name)
     record = {"problem": problem, "request": asdict(request), "report": data.report}
     arrays = data.arrays() | {
         "truncated": np.asarray(data.report["truncated"]),
-        "band_hz": np.asarray(band),
+        "band_hz": np.asarray(solved_band(data, request)),
         "solution": np.asarray(json.dumps(record, sort_keys=True)),
     }
     return arrays, data.report | {"reused": reused}
@@ -102,39 +92,21 @@ def rescaled(solved: dict[str, np.ndarray], problem: str, wanted: Request) -> Mo
     complete = (2 * np.pi * high) ** 2 * factor >= limit * (1 - 1e-9)
     if low > 0 or not (complete or below.sum() >= wanted.max_modes):
         return None
-    damping = wanted.material.damping(eigenvalues)
-    rings = (eigenvalues > damping**2) & (eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
     kept = np.flatnonzero(below)[: wanted.max_modes]
-    kept = kept[rings[kept]]
-    natural = np.sqrt(eigenvalues[kept]) / (2 * np.pi)
+    kept = kept[is_heard(eigenvalues[kept], wanted.material)]
     count = int(below.sum())
     estimates = (record["report"]["discretisation_error"] or [])[: min(count, wanted.max_modes)]
-    report = (
-        {
-            name: (np.array(value) * factor**0.5).tolist() if name.endswith("_hz") else value
-            for name, value in record["report"].items()
-        }
-        | {
-            "material": wanted.material.name,
-            "material_properties": wanted.material.properties(),
-            "scale_m": wanted.scale,
-            "mass_kg": record["report"]["mass_kg"] / shape_factor**2,
-            "modes": len(kept),
-            "modes_below_8_kHz": int((natural < 8000).sum()),
-            "count_below_max_frequency": count if complete else None,  # above the earlier limit, unknown
-            "truncated": count > wanted.max_modes or not complete,
-            "max_frequency_hz": wanted.max_frequency,
-            "discretisation_error": estimates or None,
-            "frequency_uncertainty": max(estimates, default=None),
-            "lowest_hz": natural[:8].round(2).tolist(),
-            "residual_max": float(solved["residuals"][kept].max(initial=0.0)),
-        }
-    )
-    return ModalData(
-        eigenvalues=eigenvalues[kept],
-        damping=damping[kept],
-        damped_frequency=np.sqrt(eigenvalues[kept] - damping[kept] ** 2),
-        shapes=(solved["shapes"][:, :, kept] * shape_factor).astype(np.float32),
-        residuals=solved["residuals"][kept],
-        report=report | solver_checks(report),
-    )
+    report = {
+        name: (np.array(value) * factor**0.5).tolist() if name.endswith("_hz") else value
+        for name, value in record["report"].items()
+    }
+    report |= {
+        "mass_kg": report["mass_kg"] / shape_factor**2,
+        "count_below_max_frequency": count if complete else None,  # above the earlier limit, unknown
+        "truncated": count > wanted.max_modes or not complete,
+        "discretisation_error": estimates or None,
+        "frequency_uncertainty": max(estimates, default=None),
+        "residual_max": float(solved["residuals"][kept].max(initial=0.0)),
+    }
+    shapes = solved["shapes"][:, :, kept] * shape_factor
+    return stored_modes(eigenvalues[kept], shapes, solved["residuals"][kept], wanted, report)

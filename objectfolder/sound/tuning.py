@@ -79,15 +79,9 @@ def retune(
     kept = torch.nonzero((eigenvalues > c * c) & (eigenvalues > low) & (eigenvalues < high))[:, 0]
     complete = (band_hz[0] * factor**0.5, band_hz[1] * factor**0.5)
     bounds = _poisson_bounds(old.poisson_ratio, new.poisson_ratio)
-    return Tuning(
-        kept,
-        (eigenvalues - c * c)[kept].sqrt(),
-        c[kept],
-        shape_factor,
-        complete,
-        bounds,
-        tuple(_notes(complete, old, new, bounds)),
-    )
+    notes = tuple(_notes(complete, old, new, bounds))
+    w = (eigenvalues - c * c)[kept].sqrt()
+    return Tuning(kept, w, c[kept], shape_factor, complete, bounds, notes)
 
 
 def _poisson_bounds(old: float, new: float) -> tuple[float, float]:

@@ -37,20 +37,11 @@ def common_schema() -> dict[str, Any]:
 
 
 def checked_header(header: Any, path: object) -> dict[str, Any]:
-    """Validate a header.
+    """Return a copy of a header, converted to JSON types.
 
-    Returns dict: Copy of the header, converted to JSON types.
-
-    Raises ObjectFolderError if it is not the header of an Object File, is of another major version, or
-    violates the schema. Stages that write headers import no nets, so those are checked by
+    Raises ObjectFolderError, which names the path, if it is not the header of an Object File, is of another
+    major version, or violates the schema. Stages that write headers import no nets, so those are checked by
     `objectfolder.stored.kinds.checked_nets`.
-
-    Parameters
-    ----------
-    header : anything
-        Header as decoded from JSON, or to be encoded.
-    path : path
-        Path of the file, for error messages.
     """
     try:
         header = json.loads(json.dumps(header, allow_nan=False))

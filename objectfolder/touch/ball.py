@@ -42,11 +42,8 @@ class BallModel:
 
     def lit(self, logarithms: np.ndarray) -> SensorProfile:
         """Return the profile with the lights of each colour scaled by exp of the (C,) logarithms."""
-        factor = dict(zip(self.colors, np.exp(logarithms)))
-        lights = [
-            replace(light, intensity=float(light.intensity * factor[light.color]))
-            for light in self.profile.lights
-        ]
+        factor, given = dict(zip(self.colors, np.exp(logarithms))), self.profile.lights
+        lights = [replace(light, intensity=float(light.intensity * factor[light.color])) for light in given]
         return replace(self.profile, lights=tuple(lights), background_image="", background_sha256="")
 
     def depth_of(self, row: float, column: float, pixels: float) -> float:
@@ -73,21 +70,16 @@ class BallModel:
         row, column, depth = pose
         profile = self.profile
         vertical, horizontal = profile.half_extent
-        slope = np.array(
-            [
-                1,
-                (1 - (column + 0.5) * 2 / profile.width) * horizontal,
-                (1 - (row + 0.5) * 2 / profile.height) * vertical,
-            ]
-        )
+        along_y = (1 - (column + 0.5) * 2 / profile.width) * horizontal
+        along_z = (1 - (row + 0.5) * 2 / profile.height) * vertical
+        slope = np.array([1, along_y, along_z])
         # Point of the undeformed gel below the ball's centre, and its normal, away from the camera.
         at = slope * gel_depth(profile, slope)
         dome = profile.gel_dome_radius
         leaning = profile.gel_curvature * dome / np.sqrt(dome**2 - at[1] ** 2 - at[2] ** 2)
         normal = np.array([1, leaning * at[1], leaning * at[2]])
-        centre = at + normal / np.linalg.norm(normal) * (
-            self.radius - np.clip(depth, 0, profile.max_indentation)
-        )
+        away = self.radius - np.clip(depth, 0, profile.max_indentation)
+        centre = at + normal / np.linalg.norm(normal) * away
         along, square = self._rays @ centre, (self._rays**2).sum(axis=2)
         root = along**2 - square * (centre @ centre - self.radius**2)
         ball = np.where(root >= 0, (along - np.sqrt(np.maximum(root, 0))) / square, np.inf)

@@ -14,25 +14,10 @@ from objectfolder.base.arrays import write_png
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.io import file_digest, write_json, write_text
 from objectfolder.base.metrics import psnr
+from objectfolder.touch import imprint, lightfit
 from objectfolder.touch.ball import BallModel
-from objectfolder.touch.imprint import (
-    Imprint,
-    check_background_seen,
-    check_circles,
-    estimate_untouched,
-    find_imprint,
-    find_overflow,
-)
-from objectfolder.touch.lightfit import (
-    Photograph,
-    circle_mask,
-    fit_lights,
-    fit_pose,
-    fit_residual,
-    limit_radiance,
-    squared_error,
-    starting_lights,
-)
+from objectfolder.touch.imprint import Imprint, check_circles, find_imprint
+from objectfolder.touch.lightfit import Photograph
 from objectfolder.touch.profiles import SensorProfile
 
 # Steps of finite differences: logarithm of an intensity, row and column in pixels, part of the depth.
@@ -106,8 +91,7 @@ def fit_sensor(
         If a picture shows no imprint of a ball, a circle is not in its picture, or the pictures do not
         determine the background.
     """
-    names = names or [f"picture {i}" for i in range(1, len(pictures) + 1)]
-    _check_radius(radius)
+    names = _checked_names(names, len(pictures), radius)
     needed = 1 if untouched is not None else 3 if circles is None else 2
     if len(pictures) < needed:
         raise ObjectFolderError(
@@ -116,13 +100,11 @@ def fit_sensor(
         )
     observed = np.asarray(pictures, np.float32)
     if circles is None:
-        circles = [
-            find_imprint(picture - background, name)
-            for picture, background, name in zip(observed, estimate_untouched(observed, untouched), names)
-        ]
+        changes = observed - imprint.estimate_untouched(observed, untouched)
+        circles = [find_imprint(change, name) for change, name in zip(changes, names)]
     check_circles(circles, observed.shape[1:3], names)
     if untouched is None:
-        check_background_seen(circles, observed.shape[1:3], names)
+        imprint.check_background_seen(circles, observed.shape[1:3], names)
     model = BallModel(profile, radius)
     start = [np.zeros(len(model.colors))]
     for row, column, pixels in circles:
@@ -162,15 +144,17 @@ def fit_sensor_lights(
         If a picture shows no imprint of a ball, a circle is not in its picture or too small, or the ball's
         radius is not positive.
     """
-    names = names or [f"picture {i}" for i in range(1, len(pictures) + 1)]
-    _check_radius(radius)
+    names = _checked_names(names, len(pictures), radius)
     if count < 1:
         raise ObjectFolderError(f"{count} lights to fit, expected at least 1")
     observed, rest = np.asarray(pictures, np.float32), np.asarray(untouched, np.float32)
     if circles is None:
         circles = [find_imprint(picture - rest, name) for picture, name in zip(observed, names)]
     check_circles(circles, rest.shape, names)
-    discs = [circle_mask(circle, rest.shape) & ~find_overflow(of) for of, circle in zip(observed, circles)]
+    discs = [
+        lightfit.circle_mask(circle, rest.shape) & ~imprint.find_overflow(of)
+        for of, circle in zip(observed, circles)
+    ]
     for disc, name in zip(discs, names):
         if disc.sum() < _MIN_PIXELS:
             raise ObjectFolderError(
@@ -182,28 +166,29 @@ def fit_sensor_lights(
         Photograph(picture, disc, np.array([*circle[:2], model.depth_of(*circle)]))
         for picture, disc, circle in zip(observed, discs, circles)
     ]
-    fitted = starting_lights(profile, count)
+    fitted = lightfit.starting_lights(profile, count)
     for _ in range(_ALTERNATIONS):
-        fitted = fit_lights(model, rest, photographs, fitted)
-        photographs = [fit_pose(model, fitted, rest, photograph) for photograph in photographs]
-    fitted = limit_radiance(fitted, photographs, model)
+        fitted = lightfit.fit_lights(model, rest, photographs, fitted)
+        photographs = [lightfit.fit_pose(model, fitted, rest, photograph) for photograph in photographs]
+    fitted = lightfit.limit_radiance(fitted, photographs, model)
     if residual:
-        fitted = fit_residual(model, fitted, rest, photographs)
-    before, after = (
-        float(psnr(squared_error(of, radius, rest, photographs), 255)) for of in (profile, fitted)
-    )
+        fitted = lightfit.fit_residual(model, fitted, rest, photographs)
+    errors = (lightfit.squared_error(of, radius, rest, photographs) for of in (profile, fitted))
+    before, after = (float(psnr(error, 255)) for error in errors)
     imprints = [Imprint(*map(float, photograph.pose)) for photograph in photographs]
     background = np.asarray(untouched, np.uint8)
     fitted = replace(fitted, background_image="", background_sha256="")
     return SensorFit(fitted, background, imprints, [], before, after)
 
 
-def _check_radius(radius: float) -> None:
+def _checked_names(names: Sequence[str] | None, count: int, radius: float) -> Sequence[str]:
+    """Return names of so many pictures, if the radius is one of a ball."""
     if not (np.isfinite(radius) and 0 < radius <= MAX_BALL_RADIUS):
         hint = f"; did you mean {radius / 1000:g}, in metres?" if MAX_BALL_RADIUS < radius < 1000 else ""
         raise ObjectFolderError(
             f"the ball's radius is {radius:g} m, expected a positive length up to {MAX_BALL_RADIUS:g} m{hint}"
         )
+    return names or [f"picture {i}" for i in range(1, count + 1)]
 
 
 def _solve(
@@ -239,15 +224,11 @@ def _solve(
         return np.stack(columns, axis=1)
 
     for factor in _REFINEMENTS[model.profile.gel]:
-        found = least_squares(
-            lambda x: residuals(changes(x)),
-            start,
+        slopes, limits = (
             partial(jacobian, steps=factor * steps),
-            x_scale=steps,
-            max_nfev=_MAX_ROUNDS,
-            xtol=1e-4,
-            ftol=1e-6,
+            {"max_nfev": _MAX_ROUNDS, "xtol": 1e-4, "ftol": 1e-6},
         )
+        found = least_squares(lambda x: residuals(changes(x)), start, slopes, x_scale=steps, **limits)
         start = found.x
     free = found.fun.size - found.x.size
     if untouched is None:  # the background is unknown, too
@@ -261,18 +242,15 @@ def _solve(
         )
     deviation = np.sqrt(variance * np.diag(np.linalg.pinv(information)))
     factors = np.exp(found.x[:count])
-    lights = [
-        LightFit(color, float(factor), float(factor * d))
-        for color, factor, d in zip(model.colors, factors, deviation)
-    ]
+    fits = zip(model.colors, factors, deviation)
+    lights = [LightFit(color, float(factor), float(factor * d)) for color, factor, d in fits]
     background = untouched
     if background is None:
         mean = (observed - changes(found.x)).mean(axis=0)
         background = mean.round().clip(0, 255).astype(np.uint8)
     as_given = np.concatenate([np.zeros(count), found.x[count:]])
-    before, after = (
-        float(psnr(float(np.mean(residuals(changes(x)) ** 2)), 255)) for x in (as_given, found.x)
-    )
+    errors = (float(np.mean(residuals(changes(x)) ** 2)) for x in (as_given, found.x))
+    before, after = (float(psnr(error, 255)) for error in errors)
     imprints = [Imprint(*map(float, pose)) for pose in found.x[count:].reshape(-1, 3)]
     return SensorFit(model.lit(found.x[:count]), background, imprints, lights, before, after)
 
@@ -287,26 +265,14 @@ def save_fit(fit: SensorFit, path: str | Path, name: str, source: str) -> list[P
     path = Path(path)
     picture, report = (path.with_name(f"{path.stem}_{end}") for end in ("background.png", "report.json"))
     write_png(picture, fit.background)
-    profile = replace(
-        fit.profile,
-        name=name,
-        source=source,
-        background_image=picture.name,
-        background_sha256=file_digest(picture),
-    )
+    profile = replace(fit.profile, name=name, source=source)
+    profile = replace(profile, background_image=picture.name, background_sha256=file_digest(picture))
     yaml = YAML()
     yaml.default_flow_style = None
     values = json.loads(json.dumps(profile.to_dict()))  # lists for tuples, which YAML does not have
     stream = StringIO()
     yaml.dump(values, stream)
     write_text(path, stream.getvalue())
-    write_json(
-        report,
-        {
-            "lights": [asdict(light) for light in fit.lights],
-            "imprints": [asdict(imprint) for imprint in fit.imprints],
-            "psnr_before": fit.psnr_before,
-            "psnr_after": fit.psnr_after,
-        },
-    )
+    found = {name: [asdict(one) for one in getattr(fit, name)] for name in ("lights", "imprints")}
+    write_json(report, found | {"psnr_before": fit.psnr_before, "psnr_after": fit.psnr_after})
     return [path, picture, report]

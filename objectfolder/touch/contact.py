@@ -97,10 +97,9 @@ def sensor_frames(normals: Array, angles: Array) -> Array:
     """
     library = array_library(normals)
     as_array = torch.as_tensor if library is torch else np.asarray
+    given = normals, angles, UP, np.array([0.0, 1.0, 0.0])
     n: Array
-    n, angles, up, side = (
-        as_array(v, dtype=library.float64) for v in (normals, angles, UP, np.array([0.0, 1.0, 0.0]))
-    )
+    n, angles, up, side = (as_array(v, dtype=library.float64) for v in given)
     n = n.reshape(-1, 3)
     angles = library.broadcast_to(angles, (len(n),))
     z = up - (n * up).sum(axis=1, keepdims=True) * n
@@ -120,9 +119,8 @@ def lean_normals(normals: Array, angles: Array, tilt: Array, azimuth: Array) -> 
     direction `azimuth` (N,) from image up towards image right; radians, arrays or tensors.
     """
     library, frames = array_library(normals), sensor_frames(normals, angles)
-    direction = (
-        library.cos(azimuth)[:, None] * frames[:, :, 2] - library.sin(azimuth)[:, None] * frames[:, :, 1]
-    )
+    up, right = library.cos(azimuth)[:, None], library.sin(azimuth)[:, None]
+    direction = up * frames[:, :, 2] - right * frames[:, :, 1]
     return library.cos(tilt)[:, None] * normals + library.sin(tilt)[:, None] * direction
 
 
@@ -171,10 +169,8 @@ def heightmaps(
     height = np.empty((len(points), profile.height, profile.width), np.float32)
     obstructed, retreat = np.empty(len(points)), np.zeros(len(points))
     for i, (frame, camera) in enumerate(zip(frames, cameras)):  # one image at a time bounds the memory
-        directions = rays @ frame.T.astype(np.float32)
-        distance, blocked, overlap = _first_surface(
-            caster, camera, directions, base, limit, bool(enclosed[i])
-        )
+        directions, inside = rays @ frame.T.astype(np.float32), bool(enclosed[i])
+        distance, blocked, overlap = _first_surface(caster, camera, directions, base, limit, inside)
         obstructed[i] = blocked / len(rays)
         if 0 < overlap < profile.camera_to_gel:
             retreat[i] = overlap

@@ -98,11 +98,8 @@ class GeometricTouch:
 
     def _new_other(self, profile: SensorProfile) -> "GeometricTouch":
         background = self.background.cpu().numpy() if profile == self.profile else None
-        return GeometricTouch(
-            *(self.surface, self.scale, profile, self.depth_offset),
-            background=background,
-            device=self._optics.device,
-        )
+        fitted, device = (self.depth_offset, "gel", background), self._optics.device
+        return GeometricTouch(self.surface, self.scale, profile, *fitted, device)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Compute contact normals at (N, 3) points of the object frame; (N, 3)."""
@@ -145,12 +142,8 @@ class GeometricTouch:
         if self.profile.background_image:
             tensors["background"] = self._optics.background.cpu().numpy()
             sensor |= {"background_image": "", "background_sha256": ""}
-        return tensors, {
-            "sensor": sensor,
-            "depth_offset": self.depth_offset,
-            "renderer": self.renderer,
-            "smoothing": self.smoothing,
-        }
+        fitted = {name: getattr(self, name) for name in ("depth_offset", "renderer", "smoothing")}
+        return tensors, {"sensor": sensor} | fitted
 
     @classmethod
     def from_tensors(
@@ -163,11 +156,9 @@ class GeometricTouch:
     ) -> "GeometricTouch":
         """Invert `to_tensors`."""
         profile = SensorProfile.from_dict(config["sensor"], stored=True)
-        background = tensors.get("background")
-        if background is not None and background.shape != (profile.height, profile.width, 3):
-            raise ValueError(
-                f"background of shape {background.shape}, expected {(profile.height, profile.width, 3)}"
-            )
+        background, shape = tensors.get("background"), (profile.height, profile.width, 3)
+        if background is not None and background.shape != shape:
+            raise ValueError(f"background of shape {background.shape}, expected {shape}")
         offset = float(config["depth_offset"])
         net = cls(surface, scale, profile, offset, config["renderer"], background, device)
         net.smooth(int(config["smoothing"]))

@@ -14,13 +14,7 @@ from objectfolder.stored.gradient_module import AnswerModule, first_order, follo
 from objectfolder.stored.surface import TOLERANCE
 from objectfolder.touch.active_set import ACCURACY, settle, supporting_pressure
 from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
-from objectfolder.touch.contact import (
-    NORMAL_RADIUS,
-    contact_normals,
-    heightmaps,
-    lean_normals,
-    sensor_frames,
-)
+from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, heightmaps, lean_normals, sensor_frames
 from objectfolder.touch.gel import GAP, deform, layer_of, respond
 from objectfolder.touch.geometric_net import GeometricTouch
 from objectfolder.touch.optics import Optics
@@ -55,16 +49,8 @@ class Touch(AnswerModule):
     gel, the rim of a rigid imprint, how far an obstructed sensor stops short, and points that are projected
     to another wall.
 
-    Parameters
-    ----------
-    sense : GeometricSense
-    dtype : torch.dtype
-        Of the answers; in double precision, a soft gel is solved to rounding.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the net is of another kind than ``geometric``, or its renderer another than ``gel``.
+    In double precision, a soft gel is solved to rounding. Raises ObjectFolderError if the net is of another
+    kind than ``geometric``, or its renderer another than ``gel``.
     """
 
     def __init__(self, sense: Any, dtype: torch.dtype):
@@ -84,24 +70,14 @@ class Touch(AnswerModule):
         tolerance: float = TOLERANCE,
         sensor: str | Path | SensorProfile | None = None,
     ) -> Felt:
-        """Press the sensor on the object; parameters and errors as of `ObjectFile.press`.
-
-        Parameters
-        ----------
-        points : (N, 3) tensor, object frame, metres
-        depth, angle, tilt, azimuth : float or (N,) tensor
-        tolerance : float
-        sensor : str, Path or SensorProfile, optional
-        """
+        """Press the sensor; parameters, which may be tensors, and errors are those of `ObjectFile.press`."""
         contacts = ContactPoses.checked(points, depth, angle, tilt, azimuth, tolerance)
         net = self._sense.net if sensor is None else self._sense.net.with_sensor(load_profile(sensor))
         snapped = self._sense.snap(contacts, net)
         count, scale = len(snapped), net.scale
         given = torch.as_tensor(points).double().expand(snapped.shape) / scale
-        turned, leaning, towards, pressed = (
-            first_order(torch.as_tensor(v, dtype=torch.float64)).expand(count)
-            for v in (angle, tilt, azimuth, depth)
-        )
+        pose = (first_order(torch.as_tensor(v, dtype=torch.float64)) for v in (angle, tilt, azimuth, depth))
+        turned, leaning, towards, pressed = (v.expand(count) for v in pose)
         places = follow_surface(given, snapped / scale, net.surface)
         outward = contact_normals(net.surface.grid.smooth_distance, places, NORMAL_RADIUS)
         axis = lean_normals(outward, turned, leaning, towards)
@@ -139,12 +115,11 @@ def seated_heights(
     cameras = points + axes * (profile.camera_to_gel - depths + torch.from_numpy(retreat))[:, None]
     found = []
     for flat, camera, frame in zip(torch.from_numpy(height).flatten(1).double(), cameras, frames):
-        inside = ((flat > -GAP * profile.elastomer_thickness) & (flat < profile.max_indentation)).nonzero()[
-            :, 0
-        ]
+        known = (flat > -GAP * profile.elastomer_thickness) & (flat < profile.max_indentation)
+        inside = known.nonzero()[:, 0]
         ways = rays[inside] @ frame.T
-        planes = hit_planes(surface, net.scale, camera.detach(), ways.detach(), (gel - flat)[inside])
-        corner, normal, met = planes
+        given = camera.detach(), ways.detach(), (gel - flat)[inside]
+        corner, normal, met = hit_planes(surface, net.scale, *given)
         # Of the point camera + t ways on the plane; its gradient is that of the implicit function.
         t = ((corner - camera) * normal).sum(1) / torch.where(met, (ways * normal).sum(1), 1)
         seen = torch.where(met, gel[inside] - t, flat[inside])
@@ -192,10 +167,9 @@ class SoftGel(torch.autograd.Function):
         displacement, pressure = deform(values, profile)
         if height.dtype == torch.float64:
             displacement, pressure = displacement.astype(np.float64), pressure.astype(np.float64)
+            gel = profile.pixel_pitch, layer_of(profile)
             for i in np.flatnonzero(pressure.any((1, 2))):
-                displacement[i], pressure[i] = settle(
-                    values[i], pressure[i], profile.pixel_pitch, layer_of(profile)
-                )
+                displacement[i], pressure[i] = settle(values[i], pressure[i], *gel)
         ctx.profile = profile
         # Pixels that were laid onto the object without a pressure belong to it, too.
         ctx.touching = (displacement == values) & pressure.any((1, 2), keepdims=True)

@@ -11,17 +11,7 @@ import torch
 from torch import nn
 
 from objectfolder.nets.positional import PointwiseNetwork
-from objectfolder.nets.storage import (
-    DEPTH,
-    OCTAVES,
-    UNFILLED,
-    WIDTH,
-    NetKind,
-    fill,
-    halve_weights,
-    real,
-    whole,
-)
+from objectfolder.nets.storage import OCTAVES, PAPERS, UNFILLED, NetKind, fill, halve_weights, real, whole
 
 
 class ImageTouch(nn.Module):
@@ -95,25 +85,19 @@ def _places(image_size: tuple[int, int], device: torch.device) -> torch.Tensor:
     return torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1).flatten(0, 1)
 
 
-KINDS = {
-    "image": NetKind(
-        ImageTouch,
-        "images",
-        {
-            "sensor": {"type": "string"},
-            "image_size": {
-                "type": "array",
-                "items": whole(1, 2048),
-                "minItems": 2,
-                "maxItems": 2,
-                "description": "rows, columns",
-            },
-            "press_depth": real(0, 1, "metres"),
-            "angle": {"type": "number", "description": "radians"},
-            "width": WIDTH,
-            "depth": DEPTH,
-            "point_octaves": OCTAVES,
-            "pixel_octaves": OCTAVES,
-        },
-    )
+_SIZE = {
+    "type": "array",
+    "items": whole(1, 2048),
+    "minItems": 2,
+    "maxItems": 2,
+    "description": "rows, columns",
 }
+_FIELDS = {
+    "sensor": {"type": "string"},
+    "image_size": _SIZE,
+    "press_depth": real(0, 1, "metres"),
+    "angle": {"type": "number", "description": "radians"},
+    **PAPERS,
+    "pixel_octaves": OCTAVES,
+}
+KINDS = {"image": NetKind(ImageTouch, "images", _FIELDS)}

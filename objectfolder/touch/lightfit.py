@@ -108,10 +108,8 @@ def fit_lights(
     """
     surface = _Surface(model, untouched, photographs)
     count = len(start.lights)
-    place = (
-        (0.0, -_MAX_OFFSET, -_MAX_OFFSET),
-        (model.profile.camera_to_gel - _GEL_CLEARANCE, _MAX_OFFSET, _MAX_OFFSET),
-    )
+    deepest = model.profile.camera_to_gel - _GEL_CLEARANCE
+    place = (0.0, -_MAX_OFFSET, -_MAX_OFFSET), (deepest, _MAX_OFFSET, _MAX_OFFSET)
     bounds = [
         np.concatenate([np.tile(np.r_[at, [strength] * 3], count), coating])
         for at, strength, coating in zip(place, _INTENSITY, zip(_AMBIENT, _GAMMA, _ROUGHNESS))
@@ -125,9 +123,8 @@ def fit_lights(
         return _light_jacobian(surface, start, x)
 
     first = np.clip(_parameters(start), bounds[0] + 1e-9, bounds[1] - 1e-9)
-    found = least_squares(
-        residuals, first, jacobian, bounds=bounds, x_scale=scale, max_nfev=_LIGHT_ROUNDS, ftol=1e-4
-    )
+    options = {"bounds": bounds, "x_scale": scale, "max_nfev": _LIGHT_ROUNDS, "ftol": 1e-4}
+    found = least_squares(residuals, first, jacobian, **options)
     return _with_lights(start, found.x)
 
 
@@ -162,11 +159,8 @@ def limit_radiance(profile: SensorProfile, photographs: list[Photograph], model:
     Optics cut radiance off at 1, the fit does not. Here no pixel of the gel, at rest or under the ball, is
     brighter than ``_MAX_RADIANCE``.
     """
-    gels = torch.cat(
-        [torch.zeros_like(model.displacement(photographs[0].pose))]
-        + [model.displacement(photograph.pose) for photograph in photographs]
-    )
-    points, normals, _ = model.optics.surface(gels)
+    pressed = [model.displacement(photograph.pose) for photograph in photographs]
+    points, normals, _ = model.optics.surface(torch.cat([torch.zeros_like(pressed[0]), *pressed]))
     factor = _MAX_RADIANCE / float(radiance(points, normals, profile).max())
     lights = tuple(replace(light, intensity=light.intensity * factor) for light in profile.lights)
     gain = profile.gain * factor ** (-1 / profile.gamma)
@@ -209,24 +203,10 @@ def starting_lights(profile: SensorProfile, count: int) -> SensorProfile:
     """
     azimuth = 2 * np.pi * (np.arange(count) + 0.4) / count
     depth = profile.camera_to_gel - min(_START_HEIGHT, profile.camera_to_gel / 2)
-    lights = tuple(
-        Light(
-            (depth, _START_OFFSET * float(np.cos(a)), _START_OFFSET * float(np.sin(a))),
-            (1.0, 1.0, 1.0),
-            _START_INTENSITY,
-        )
-        for a in azimuth
-    )
-    return replace(
-        profile,
-        lights=lights,
-        ambient=_START_AMBIENT,
-        gamma=_START_GAMMA,
-        roughness=_START_ROUGHNESS,
-        gain=1.0,
-        residual=(),
-        image_smoothing=0.0,
-    )
+    places = [(depth, _START_OFFSET * float(np.cos(a)), _START_OFFSET * float(np.sin(a))) for a in azimuth]
+    lights = tuple(Light(place, (1.0, 1.0, 1.0), _START_INTENSITY) for place in places)
+    plain = replace(profile, lights=lights, gain=1.0, residual=(), image_smoothing=0.0)
+    return replace(plain, ambient=_START_AMBIENT, gamma=_START_GAMMA, roughness=_START_ROUGHNESS)
 
 
 def _vector(values: np.ndarray) -> Vector:
@@ -240,10 +220,8 @@ def _display(light: np.ndarray, gamma: float) -> np.ndarray:
 
 def _parameters(profile: SensorProfile) -> np.ndarray:
     """Return places and logarithmic colours of the lights, then ambient, gamma and roughness."""
-    lights = [
-        np.r_[light.position, np.log(np.maximum(np.array(light.color) * light.intensity, 1e-12))]
-        for light in profile.lights
-    ]
+    colors = [np.maximum(np.array(light.color) * light.intensity, 1e-12) for light in profile.lights]
+    lights = [np.r_[light.position, np.log(color)] for light, color in zip(profile.lights, colors)]
     coating = [np.log(max(profile.ambient, 1e-12)), np.log(profile.gamma), profile.roughness]
     return np.concatenate([*lights, coating])
 

@@ -48,17 +48,15 @@ def marker_flow(
     displacement (N, H, W), which enlarges its distance from the axis; metres. Places (M, 2) are columns and
     rows on the untouched gel.
     """
-    at = places.T[::-1]
+    at, map_coordinates = places.T[::-1], scipy.ndimage.map_coordinates
     focal = profile.camera_to_gel / profile.pixel_pitch  # pixels per unit slope of a ray
-    depth = scipy.ndimage.map_coordinates(gel_depth(profile), at, order=1, mode="nearest")
+    depth = map_coordinates(gel_depth(profile), at, order=1, mode="nearest")
     centre = np.array([(profile.width - 1) / 2, (profile.height - 1) / 2])
     from_axis = places - centre
     flow = np.empty((len(sideways), len(places), 2), np.float32)
     for out, shift, towards in zip(flow, sideways, displacement):
-        right, up, nearer = (
-            scipy.ndimage.map_coordinates(image, at, order=1, mode="nearest")
-            for image in (shift[..., 0], shift[..., 1], towards)
-        )
+        images = shift[..., 0], shift[..., 1], towards
+        right, up, nearer = (map_coordinates(image, at, order=1, mode="nearest") for image in images)
         moved = from_axis * depth[:, None] + focal * np.stack([right, -up], axis=1)
         out[:] = moved / (depth - nearer)[:, None] - from_axis
     return flow
@@ -83,15 +81,11 @@ def draw_markers(
         rows = nearest[:, 1, None, None] + offsets[:, None]
         distance = np.hypot(columns - moved[:, 0, None, None], rows - moved[:, 1, None, None])
         cover = np.zeros((height + 2 * reach, width + 2 * reach))
-        inside = (np.abs(columns - width / 2) < width / 2 + reach) & (
-            np.abs(rows - height / 2) < height / 2 + reach
-        )
         rows, columns = np.broadcast_arrays(rows, columns)
-        np.maximum.at(
-            cover,
-            (rows[inside] + reach - 1, columns[inside] + reach - 1),
-            np.clip(radius + 0.5 - distance, 0, 1)[inside],
-        )
+        across, down = abs(columns - width / 2), abs(rows - height / 2)
+        inside = (across < width / 2 + reach) & (down < height / 2 + reach)
+        pixels = rows[inside] + reach - 1, columns[inside] + reach - 1
+        np.maximum.at(cover, pixels, np.clip(radius + 0.5 - distance, 0, 1)[inside])
         cover = cover[reach - 1 : reach - 1 + height, reach - 1 : reach - 1 + width, None]
         image[:] = (image + cover * (_INK - image)).round()
     return drawn

@@ -102,9 +102,8 @@ class Optics:
         change = self._display(self._maps, 0 * slopes[0], *slopes) - self._still
         change *= 255 * self.profile.gain
         if self.profile.residual:
-            change += residual_levels(
-                tilt(slopes, self._maps[2]), self._places[:, None], self.profile.residual
-            )
+            leaning = tilt(slopes, self._maps[2])
+            change += residual_levels(leaning, self._places[:, None], self.profile.residual)
         return np.asarray(torch.as_tensor(change).cpu())
 
     def surface(self, displacement: torch.Tensor) -> tuple[Vectors, Vectors, Array]:
@@ -129,9 +128,8 @@ class Optics:
         rows, columns = self._window(displacement)
         moved = displacement[:, rows, columns]
         slopes = self._slopes(moved)
-        display = (
-            self._display(self._maps[:, rows, columns], moved, *slopes) - self._still[:, :, rows, columns]
-        )
+        still = self._still[:, :, rows, columns]
+        display = self._display(self._maps[:, rows, columns], moved, *slopes) - still
         display *= 255 * self.profile.gain
         if self.profile.residual:
             leaning = tilt(slopes, self._maps[2, rows, columns])
@@ -191,10 +189,8 @@ class Optics:
         whole = slice(0, height), slice(0, width)
         if self.device.type != "cpu":
             return whole
-        if (
-            displacement[:, [0, -1]].any(axis=(0, 2)).all()
-            and displacement[..., [0, -1]].any(axis=(0, 1)).all()
-        ):
+        ends = displacement[:, [0, -1]].any(axis=(0, 2)), displacement[..., [0, -1]].any(axis=(0, 1))
+        if np.all(ends):
             return whole
         found = [np.flatnonzero(displacement.any(axis=axes)) for axes in ((0, 2), (0, 1))]
         rows, columns = (slice(int(f[0]), int(f[-1]) + 1) if f.size else slice(0, 1) for f in found)

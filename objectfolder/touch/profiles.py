@@ -37,12 +37,7 @@ class SensorProfile:
     """One vision-based tactile sensor.
 
     Camera frame: origin at the pinhole, +x along the optical axis towards the gel, +z up in the image,
-    +y left in the image.
-
-    Raises
-    ------
-    ObjectFolderError
-        If a value is outside its range.
+    +y left in the image. Raises ObjectFolderError if a value is outside its range.
     """
 
     name: str
@@ -98,25 +93,18 @@ class SensorProfile:
                 self._require(value <= 1 or name not in at_most_one, name, "at most 1")
         self._require(min(self.height, self.width) >= 2, "height and width", "at least 2")
         self._require(self.vertical_fov_deg < 180, "vertical_fov_deg", "less than 180")
-        self._require(
-            self.elastomer_thickness < self.camera_to_gel, "elastomer_thickness", "less than camera_to_gel"
-        )
-        self._require(
-            self.max_indentation < self.elastomer_thickness,
-            "max_indentation",
-            "less than elastomer_thickness",
-        )
+        for less, more in (
+            ("elastomer_thickness", "camera_to_gel"),
+            ("max_indentation", "elastomer_thickness"),
+        ):
+            self._require(getattr(self, less) < getattr(self, more), less, f"less than {more}")
         self._require(self.gel in GELS, "gel", f"one of {', '.join(GELS)}")
         self._require(self.poisson_ratio < 0.5, "poisson_ratio", "less than 0.5")
         # The rim of the cap lies this far off the axis, and must lie outside the field of view.
-        seen = math.hypot(*self.half_extent) * (
-            self.camera_to_gel - self.gel_curvature * self.gel_dome_radius**2
-        )
-        self._require(
-            self.gel_dome_radius > seen,
-            "gel_dome_radius",
-            f"more than {seen:.4g}, so that the dome fills the field of view",
-        )
+        rim = self.camera_to_gel - self.gel_curvature * self.gel_dome_radius**2
+        seen = math.hypot(*self.half_extent) * rim
+        filling = f"more than {seen:.4g}, so that the dome fills the field of view"
+        self._require(self.gel_dome_radius > seen, "gel_dome_radius", filling)
         # Gel and blur pad the image by these lengths: bound the memory.
         side = min(self.height, self.width) * self.pixel_pitch
         for name, part in (("elastomer_thickness", 2), ("slope_smoothing", 4), ("image_smoothing", 4)):
@@ -130,18 +118,14 @@ class SensorProfile:
             self._require(all(map(math.isfinite, light.position)), "lights", "at finite positions")
             self._require(all(0 <= c <= 1 for c in light.color), "lights", "of colors between 0 and 1")
             self._require(0 < light.intensity < math.inf, "lights", "of positive intensity")
-        shape = [len(row) for row in self.residual]
-        self._require(
-            shape in ([], [RESIDUAL_TERMS] * 3), "residual", f"empty or 3 x {RESIDUAL_TERMS} numbers"
-        )
+        shape, expected = [len(row) for row in self.residual], f"empty or 3 x {RESIDUAL_TERMS} numbers"
+        self._require(shape in ([], [RESIDUAL_TERMS] * 3), "residual", expected)
         self._require(all(map(math.isfinite, sum(self.residual, ()))), "residual", "finite")
 
     def _require(self, condition: bool, name: str, expected: str) -> None:
         if not condition:
-            value = getattr(self, name, None)
-            raise ObjectFolderError(
-                f"sensor profile {self.name!r}: {name} = {quoted(value)} must be {expected}"
-            )
+            given = f"{name} = {quoted(getattr(self, name, None))}"
+            raise ObjectFolderError(f"sensor profile {self.name!r}: {given} must be {expected}")
 
     @property
     def half_extent(self) -> tuple[float, float]:
@@ -165,16 +149,8 @@ class SensorProfile:
     def from_dict(cls, values: Mapping[str, Any], stored: bool = False) -> "SensorProfile":
         """Inverse of `to_dict`; also accepts lists and whole numbers, as JSON and YAML store them.
 
-        Parameters
-        ----------
-        values : mapping
-        stored : bool
-            Whether they are of an Object File, whose unknown fields are of newer versions and ignored.
-
-        Raises
-        ------
-        ObjectFolderError
-            If a field is missing, of the wrong type, outside its range or, unless stored, unknown.
+        Raises ObjectFolderError if a field is missing, of the wrong type, outside its range, or unknown,
+        which in values ``stored`` in an Object File are those of newer versions, and ignored.
         """
         return _from_mapping(cls, _known(cls, values) if stored else values, "sensor profile")
 
@@ -185,24 +161,15 @@ def available_profiles() -> list[str]:
 
 
 def load_profile(sensor: str | Path | SensorProfile) -> SensorProfile:
-    """Read a profile from YAML.
+    """Read a profile from YAML, by its name in the package or by path; a profile is returned as it is.
 
-    Parameters
-    ----------
-    sensor : str, Path or SensorProfile
-        Name of a profile in the package, or path of a ``.yaml`` file; a profile is returned as it is.
-
-    Raises
-    ------
-    ObjectFolderError
-        If there is no such profile, or it is not valid.
+    Raises ObjectFolderError if there is no such profile, or it is not valid.
     """
     if isinstance(sensor, SensorProfile):
         return sensor
     if not isinstance(sensor, str | Path):
-        raise ObjectFolderError(
-            f"sensor is of type {type(sensor).__name__}, expected a name, a path or a profile"
-        )
+        kind = type(sensor).__name__
+        raise ObjectFolderError(f"sensor is of type {kind}, expected a name, a path or a profile")
     path = Path(sensor)
     named = not is_yaml_name(path)
     if named:
@@ -282,11 +249,8 @@ def _coerce(value: Any, kind: Any, what: str) -> Any:
         return float(value)
     if kind == tuple[Light, ...] and sequence:
         return tuple(_from_mapping(Light, item, what) for item in value)
-    if (
-        kind == tuple[tuple[float, ...], ...]
-        and sequence
-        and all(isinstance(row, list | tuple) for row in value)
-    ):
+    rows = sequence and all(isinstance(row, list | tuple) for row in value)
+    if kind == tuple[tuple[float, ...], ...] and rows:
         return tuple(tuple(_coerce(item, float, what) for item in row) for row in value)
     lengths = {Vector: 3, tuple[float, float]: 2}
     if kind in lengths and sequence and len(value) == lengths[kind]:

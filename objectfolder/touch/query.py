@@ -223,14 +223,10 @@ class TouchQueries(StoredObject):
 
     @usual_modes()
     def press_range(self, sensor: Sensor = None) -> tuple[float, float]:
-        """Return the least and the greatest press depth of usual contacts, metres.
+        """Return the least and the greatest press depth of usual contacts of a sensor, as in `touch`, metres.
 
         They are the ``press_depth`` of the sensor's profile, as far as the touch net answers them: one of an
         imported 2.0 file answers 0.5 to 2 mm.
-
-        Parameters
-        ----------
-        sensor : as in `touch`
         """
         return self.touch_sense.press_range(_profile(sensor) or self.sensor_profile)
 
@@ -384,23 +380,11 @@ class TouchQueries(StoredObject):
         """Return the directions against which `touch` and `press` move a sensor that is not tilted.
 
         They are means over a neighbourhood, so that they lean at edges;
-        `objectfolder.touch.contact.contact_normals` defines them.
-
-        Parameters
-        ----------
-        points : (N, 3) array
-            Object frame, metres; snapped to the surface as by `touch`.
-        tolerance : float
-            Greatest distance of a point from the surface, fraction of the size.
+        `objectfolder.touch.contact.contact_normals` defines them. Parameters and errors as in `touch`.
 
         Returns
         -------
         (N, 3) float64, outward unit vectors
-
-        Raises
-        ------
-        ObjectFolderError
-            If the points are not finite rows of three, or one is off the surface.
         """
         surface: ObjectSurface = self._parts.surface
         places = surface.closest_unit_points(finite_rows("points", points, 3), tolerance, UNMOVED)

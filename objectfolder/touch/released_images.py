@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch.nn.functional import grid_sample
 
-from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.checks import refuse_rows
 from objectfolder.nets.released_network import (
     Frame,
     ReleasedNetwork,
@@ -112,28 +112,14 @@ class ReleasedDepth:
     ) -> np.ndarray:
         """Evaluate the original's depth maps, metres from the camera; (N, 120, 160) float32.
 
-        Raises ObjectFolderError if a depth or tilt is outside the net's training range.
-
-        Parameters
-        ----------
-        points : (N, 3) array, unit frame
-        depths : (N,) array
-            Press depths, metres.
-        tilts, azimuths : (N,) arrays
-            Theta and phi of the release, radians.
+        At points (N, 3), unit frame, for press depths (N,), metres, tilts and azimuths (N,), theta and phi of
+        the release, radians. Raises ObjectFolderError if a depth or tilt is outside the net's training range.
         """
         self.require(depths, tilts)
         low, high = self._bounds
+        place = (self.frame.released(points) - low) / (high - low)
         pressed = (depths - PRESS_DEPTHS[0]) / (PRESS_DEPTHS[1] - PRESS_DEPTHS[0])
-        x = np.column_stack(
-            [
-                (self.frame.released(points) - low) / (high - low),
-                tilts / MAX_TILT,
-                np.cos(azimuths),
-                np.sin(azimuths),
-                pressed,
-            ]
-        )
+        x = np.column_stack([place, tilts / MAX_TILT, np.cos(azimuths), np.sin(azimuths), pressed])
         maps = np.empty((len(x), *DEPTH_SIZE), np.float32)
         for out, row in zip(maps, torch.from_numpy(x).float().to(self._pixels)):
             depth = evaluate_pixels(self.network, row, self._pixels).view(*DEPTH_SIZE)
@@ -143,12 +129,8 @@ class ReleasedDepth:
     def require(self, depths: np.ndarray, tilts: np.ndarray) -> None:
         """Raise ObjectFolderError unless press depths and tilts are in the net's training range."""
         for name, values, (low, high) in (("depth", depths, PRESS_DEPTHS), ("tilt", tilts, (0.0, MAX_TILT))):
-            wrong = np.flatnonzero(~((values >= low - _ROUNDING) & (values <= high + _ROUNDING)))
-            if len(wrong):
-                raise ObjectFolderError(
-                    f"{name}: row {wrong[0]} is {values[wrong[0]]:g}; the released net was trained on "
-                    f"{low:g} to {high:g}"
-                )
+            known = (values >= low - _ROUNDING) & (values <= high + _ROUNDING)
+            refuse_rows(name, ~known, values, f"; the released net was trained on {low:g} to {high:g}")
 
     def press_range(self, profile: SensorProfile) -> tuple[float, float]:
         """Return the press depths of a sensor that the net was trained on, metres; without any, the net's."""
@@ -164,18 +146,9 @@ class ReleasedDepth:
         azimuths: np.ndarray,
         profile: SensorProfile | None = None,
     ) -> Iterator[Touches]:
-        """Press a sensor's gel into the surfaces of the depth maps; yield one contact at a time.
-
-        Parameters
-        ----------
-        points, depths, tilts, azimuths
-            See `depth_maps`.
-        profile : SensorProfile, optional
-            Default: the stored one.
-        """
+        """Press a gel, by default the stored sensor's, into `depth_maps`; yield one contact at a time."""
         profile = profile or self.profile
-        empty = len(points) == 0
-        for row in [slice(0, 0)] if empty else [slice(i, i + 1) for i in range(len(points))]:
+        for row in [slice(i, i + 1) for i in range(len(points))] or [slice(0, 0)]:
             maps = self.depth_maps(points[row], depths[row], tilts[row], azimuths[row])
             height = self.heights(maps, depths[row], profile)
             found = contacts_of(height, np.zeros(len(height)), profile)

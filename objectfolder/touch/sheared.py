@@ -54,28 +54,16 @@ def shear_touches(
     values = {field.name: getattr(touches, field.name) for field in fields(Touches)}
     moving = np.flatnonzero(touches.mask.any(axis=(1, 2)) & (shear.any(axis=1) | (twist != 0)))
     if len(moving):
-        height, displacement, pressure = dragged_contacts(
-            touches.height[moving],
-            touches.pressure[moving],
-            found.dragged[moving],
-            shear[moving],
-            twist[moving],
-            profile,
-        )
+        pressed = touches.height[moving], touches.pressure[moving], found.dragged[moving]
+        motion = shear[moving], twist[moving]
+        height, displacement, pressure = dragged_contacts(*pressed, *motion, profile)
         after = {"height": height, "displacement": displacement, "pressure": pressure, "mask": pressure > 0}
         for name, images in (after | {"images": render(displacement)}).items():
             values[name] = values[name].copy()
             values[name][moving] = images
     if markers:
         values["images"] = draw_markers(values["images"], places, flow, dots, profile)
-    return ShearedTouches(
-        **values,
-        sideways=found.displacement,
-        traction=found.traction,
-        shear_force=found.force,
-        torque=found.torque,
-        slipping=found.slipping,
-        friction=friction,
-        markers=places,
-        marker_flow=flow,
-    )
+    by_friction = found.displacement, found.traction, found.force, found.torque, found.slipping
+    names = ("sideways", "traction", "shear_force", "torque", "slipping")
+    values |= dict(zip(names, by_friction))
+    return ShearedTouches(**values, friction=friction, markers=places, marker_flow=flow)

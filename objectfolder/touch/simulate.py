@@ -62,18 +62,10 @@ def contacts_of(height: np.ndarray, obstructed: np.ndarray, profile: SensorProfi
     """Press what the heightmaps (N, H, W) of `heightmaps` show into the sensor's gel."""
     displacement, pressure = deform(height, profile)
     mask = height > 0 if profile.gel == "rigid" else pressure > 0
-    total, volume, force = (_integrals(of, profile) for of in (mask, height * mask, pressure))
-    return Contacts(
-        height=height,
-        displacement=displacement,
-        pressure=pressure,
-        mask=mask,
-        area=total,
-        max_penetration=height.max(axis=(1, 2), initial=0).astype(np.float64),
-        mean_penetration=volume / np.where(total > 0, total, 1),
-        force=force,
-        obstructed=obstructed,
-    )
+    area, volume, force = (_integrals(of, profile) for of in (mask, height * mask, pressure))
+    deepest = height.max(axis=(1, 2), initial=0).astype(np.float64)
+    mean = volume / np.where(area > 0, area, 1)
+    return Contacts(height, displacement, pressure, mask, area, deepest, mean, force, obstructed)
 
 
 def _integrals(images: np.ndarray, profile: SensorProfile) -> np.ndarray:

@@ -27,19 +27,8 @@ class TactoReference:
     camera, lights do not cast shadows, and the object is drawn with the gel's grey coating and with smooth
     normals. The force model is left out: contacts have a given depth. TACTO's noise is off unless asked for.
 
-    Parameters
-    ----------
-    vertices, faces, profile, scale
-        See `objectfolder.touch.tacto_rays.TactoRays`.
-
-    Attributes
-    ----------
-    background : (H, W, 3) uint8 array
-
-    Raises
-    ------
-    ObjectFolderError
-        If OpenGL or pyrender is missing, or pyrender cannot draw the profile.
+    Parameters and ``background`` are those of `objectfolder.touch.tacto_rays.TactoRays`. Raises
+    ObjectFolderError if OpenGL or pyrender is missing, or pyrender cannot draw the profile.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, profile: SensorProfile, scale: float = 1.0):
@@ -66,22 +55,15 @@ class TactoReference:
         )
 
         def mesh(positions: np.ndarray, normals: np.ndarray, indices: np.ndarray | None) -> pyrender.Mesh:
-            return pyrender.Mesh(
-                [
-                    pyrender.Primitive(
-                        positions, normals, indices=indices, material=material, mode=pyrender.GLTF.TRIANGLES
-                    )
-                ]
-            )
+            drawn = {"indices": indices, "material": material, "mode": pyrender.GLTF.TRIANGLES}
+            return pyrender.Mesh([pyrender.Primitive(positions, normals, **drawn)])
 
         self._scene = pyrender.Scene(bg_color=np.zeros(4), ambient_light=np.zeros(3))
         # pyrender's camera looks along -z, with y up and x to the right.
         pose = np.eye(4)
         pose[:3, :3] = np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]])
-        field = np.radians(profile.vertical_fov_deg)
-        camera = pyrender.PerspectiveCamera(
-            field, NEAR_PLANE, _FAR_PLANE, aspectRatio=profile.width / profile.height
-        )
+        field, aspect = np.radians(profile.vertical_fov_deg), profile.width / profile.height
+        camera = pyrender.PerspectiveCamera(field, NEAR_PLANE, _FAR_PLANE, aspectRatio=aspect)
         self._scene.add(camera, pose=pose)
         for light in profile.lights:
             pose = np.eye(4)

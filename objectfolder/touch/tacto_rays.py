@@ -32,21 +32,9 @@ class TactoRays:
     object is drawn. Only faces towards the camera are visible. One ray through the centre of a pixel, shaded
     with the interpolated normal; at the outline of the contact four, as in OpenGL's multisampling.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Of a closed surface without duplicate vertices, in units of ``scale``, object frame.
-    faces : (F, 3) int array
-        Anticlockwise from outside.
-    profile : SensorProfile
-    scale : float
-        Metres per unit of the vertices.
-    normals : (V, 3) array, optional
-        Unit normals of the vertices; default: `smooth_normals`, as in TACTO.
-
-    Attributes
-    ----------
-    background : (H, W, 3) uint8 array
+    Vertices (V, 3), object frame, in units of ``scale`` metres, and faces (F, 3), anticlockwise from outside,
+    are those of a closed surface without duplicate vertices; their unit normals (V, 3) are by default those
+    of `smooth_normals`, as in TACTO. The ``background`` is (H, W, 3) uint8.
     """
 
     def __init__(
@@ -92,11 +80,9 @@ class TactoRays:
             outline = np.flatnonzero(_outline(contact[i]))
             if outline.size:
                 picture[outline] = self._multisample(camera, frame, outline)
+            shape = height, width, 3
             images[i] = compose(
-                picture.reshape(height, width, 3),
-                self._empty.reshape(height, width, 3),
-                self.background,
-                self.profile,
+                picture.reshape(shape), self._empty.reshape(shape), self.background, self.profile
             )
         return images, contact
 
@@ -190,7 +176,6 @@ def _outline(contact: np.ndarray) -> np.ndarray:
     edge = np.zeros_like(contact)
     for axis in (0, 1):
         differ = np.diff(contact, axis=axis)
-        edge |= np.insert(differ, 0, False, axis=axis) | np.insert(
-            differ, differ.shape[axis], False, axis=axis
-        )
+        for place in (0, differ.shape[axis]):
+            edge |= np.insert(differ, place, False, axis=axis)
     return edge

@@ -31,10 +31,8 @@ def color_table(profile: SensorProfile, bins: int = BINS, sign: float = 1.0) -> 
     angle = np.minimum((np.arange(bins) + 0.5) * np.pi / 2 / (bins - 1), _MAX_SLOPE_ANGLE)
     angle[0] = 0
     direction = (np.arange(bins) + 0.5) * 2 * np.pi / (bins - 1) - np.pi
-    rows, columns = (
-        (np.arange(n) + 0.5) * full / n - 0.5
-        for n, full in ((coarse.height, profile.height), (coarse.width, profile.width))
-    )
+    sizes = (coarse.height, profile.height), (coarse.width, profile.width)
+    rows, columns = ((np.arange(n) + 0.5) * full / n - 0.5 for n, full in sizes)
     y, x = (axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
     solve = np.linalg.pinv(np.stack([x * x, y * y, x * y, x, y, np.ones_like(x)], axis=1))
     table = np.empty((3, bins, bins, 6))
@@ -71,19 +69,12 @@ def export_taxim(profile: SensorProfile, folder: str | Path, isaac: bool = False
 def _coarse(profile: SensorProfile) -> SensorProfile:
     """Return the profile with the same view in few pixels, without its background."""
     shorter, longer = sorted((profile.height, profile.width))
+
+    def apart(n: int) -> float:
+        return abs(round(n * longer / shorter) * shorter - n * longer) / n
+
     # The number whose ratio to the rounded longer side is the nearest: an exact one if there is any.
-    pixels = min(
-        range(_SAMPLES, 3 * _SAMPLES),
-        key=lambda n: abs(round(n * longer / shorter) * shorter - n * longer) / n,
-    )
-    factor = pixels / shorter
+    factor = min(range(_SAMPLES, 3 * _SAMPLES), key=apart) / shorter
     height, width = (max(2, round(n * factor)) for n in (profile.height, profile.width))
-    return replace(
-        profile,
-        height=height,
-        width=width,
-        slope_smoothing=0.0,
-        image_smoothing=0.0,
-        background_image="",  # of another aspect ratio than these few pixels
-        background_sha256="",
-    )
+    sharp = replace(profile, height=height, width=width, slope_smoothing=0.0, image_smoothing=0.0)
+    return replace(sharp, background_image="", background_sha256="")  # of another aspect ratio

@@ -103,12 +103,5 @@ def render_contacts(
             values[part] = getattr(contacts, name)
         masks[part] = contacts.mask
         images[part] = optics.noise(torch.from_numpy(clean), noise).numpy()
-    return {
-        "images": images,
-        "masks": masks,
-        "points": points * scale,
-        "normals": normals,
-        "depths": depths,
-        "angles": angles,
-        **measured,
-    }
+    pose = {"points": points * scale, "normals": normals, "depths": depths, "angles": angles}
+    return {"images": images, "masks": masks} | pose | measured

@@ -14,15 +14,9 @@ from objectfolder.viewer.background import pack_background
 
 
 def viewer_page(objects: Mapping[str, bytes], title: str = "Object File") -> str:
-    """Return a page of HTML that holds Object Files and the program that answers from them.
+    """Return a page of HTML that holds Object Files, by the names in its menu, and answers from them.
 
     It works from disk and offline: nothing is loaded from anywhere.
-
-    Parameters
-    ----------
-    objects : mapping of bytes
-        Contents of Object Files by the names in the page's menu.
-    title : str
     """
     return fill_page("page.html", page_parts(objects, title) | {"script": static_text("viewer.js")})
 
@@ -63,16 +57,13 @@ def _embedded(name: str, content: bytes) -> str:
 @cache
 def _settings() -> str:
     """Return materials and sensors as JSON that may stand in HTML."""
-    settings = {
-        "materials": {law: {name: _material(name, law) for name in material_names()} for law in LAWS},
-        "sensors": {name: page_sensor(name) for name in available_profiles()},
-    }
-    return in_script(settings)
+    materials = {law: {name: _material(name, law) for name in material_names()} for law in LAWS}
+    sensors = {name: page_sensor(name) for name in available_profiles()}
+    return in_script({"materials": materials, "sensors": sensors})
 
 
 def _material(name: str, law: str) -> dict[str, Any]:
-    found = material(name, law)
-    return {"name": name, **found.properties()}
+    return {"name": name, **material(name, law).properties()}
 
 
 def page_sensor(name: str) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import math
 
 import torch
+from torch import Tensor
 
 from objectfolder.vision.vectors import dot, normalize_rows
 
@@ -11,13 +12,8 @@ MIN_ALPHA = 0.001
 
 
 def principled(
-    normal: torch.Tensor,
-    view: torch.Tensor,
-    light: torch.Tensor,
-    base_color: torch.Tensor,
-    roughness: float,
-    metallic: float,
-) -> torch.Tensor:
+    normal: Tensor, view: Tensor, light: Tensor, base_color: Tensor, roughness: float, metallic: float
+) -> Tensor:
     """Return pi * BSDF * cosine: the radiance under a light that gives a white Lambertian surface 1; (S, 3).
 
     As in Mitsuba 3, with the lobes of an opaque, isotropic surface without coat and sheen: diffuse with
@@ -42,7 +38,7 @@ def principled(
     return torch.where(facing, specular / seen + (1 - metallic) * base_color * received * diffuse, 0)
 
 
-def fresnel(cosine: torch.Tensor, base_color: torch.Tensor, metallic: float) -> torch.Tensor:
+def fresnel(cosine: Tensor, base_color: Tensor, metallic: float) -> Tensor:
     """Return the Fresnel reflectance; (S, 3), or (S, 1) for a dielectric, which has no colour.
 
     Cosines (S, 1) are between the direction of the light and the (micro)surface normal.
@@ -53,13 +49,13 @@ def fresnel(cosine: torch.Tensor, base_color: torch.Tensor, metallic: float) -> 
     return share
 
 
-def _schlick(cosine: torch.Tensor) -> torch.Tensor:
+def _schlick(cosine: Tensor) -> Tensor:
     rest = (1 - cosine).clamp(0, 1)
     squared = rest * rest
     return squared * squared * rest
 
 
-def _dielectric(cosine: torch.Tensor) -> torch.Tensor:
+def _dielectric(cosine: Tensor) -> Tensor:
     """Fresnel reflectance of unpolarised light at a surface of `REFRACTIVE_INDEX`."""
     cosine = cosine.clamp(0, 1)
     inside = (1 - (1 - cosine * cosine) / REFRACTIVE_INDEX**2).sqrt()
@@ -68,6 +64,6 @@ def _dielectric(cosine: torch.Tensor) -> torch.Tensor:
     return 0.5 * (across**2 + along**2)
 
 
-def _masking(cosine: torch.Tensor, squared: float) -> torch.Tensor:
+def _masking(cosine: Tensor, squared: float) -> Tensor:
     """Smith's masking of GGX, for alpha squared."""
     return 2 * cosine / (cosine + (squared + (1 - squared) * cosine**2).sqrt())

@@ -20,13 +20,9 @@ class Intrinsics:
     """A pinhole camera without skew or distortion.
 
     Lengths are in pixels. Image positions are measured from the upper left corner, so that the
-    centre of the upper left pixel is (0.5, 0.5). Numbers of numpy and torch are kept as Python's.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the size is no positive whole number, a focal length is not positive, or the principal point is not
-        finite.
+    centre of the upper left pixel is (0.5, 0.5). Numbers of numpy and torch are kept as Python's. Raises
+    ObjectFolderError if the size is no positive whole number, a focal length is not positive, or the
+    principal point is not finite.
     """
 
     width: int = 256
@@ -141,23 +137,10 @@ def sphere_points(count: int, radius: float, rng: np.random.Generator) -> np.nda
 def look_at(
     positions: np.ndarray, target: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> np.ndarray:
-    """Return camera-to-world matrices of cameras that look at a target with z up.
+    """Return camera-to-world matrices (N, 4, 4) of cameras at positions (N, 3) that see a target, with z up.
 
-    Cameras within 11.5 degrees of the poles have y up.
-
-    Parameters
-    ----------
-    positions : (N, 3) array
-    target : (3,) array
-
-    Returns
-    -------
-    (N, 4, 4) array
-
-    Raises
-    ------
-    ObjectFolderError
-        If a camera is at the target or not finite.
+    Cameras within 11.5 degrees of the poles have y up. Raises ObjectFolderError if a camera is at the target
+    or not finite.
     """
     positions = np.asarray(positions, np.float64).reshape(-1, 3)
     target = np.asarray(target, np.float64)
@@ -187,13 +170,11 @@ def require_rigid(poses: np.ndarray) -> None:
     """
     rotation = poses[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # what is not a number fails every comparison
+        last = np.abs(poses[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(1)
+        skew = np.abs(rotation.transpose(0, 2, 1) @ rotation - np.eye(3)).max((1, 2))
         problems = {
-            "its last row must be [0, 0, 0, 1] (is it transposed?)": np.abs(
-                poses[:, 3] - [0.0, 0.0, 0.0, 1.0]
-            ).max(1),
-            "its first three columns must be of length 1 and orthogonal": np.abs(
-                rotation.transpose(0, 2, 1) @ rotation - np.eye(3)
-            ).max((1, 2)),
+            "its last row must be [0, 0, 0, 1] (is it transposed?)": last,
+            "its first three columns must be of length 1 and orthogonal": skew,
             "it mirrors: its determinant must be 1": np.abs(np.linalg.det(rotation) - 1),
         }
     for problem, deviation in problems.items():

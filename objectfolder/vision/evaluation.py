@@ -20,9 +20,8 @@ def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[s
     answer, given if the views contain their noise.
     """
     errors, white, similarity, lit_errors = [], [], [], []
-    for rgba, pose, light, intrinsics in zip(
-        truth["rgba"].astype(np.float32), truth["camera_to_world"], truth["light"], image_intrinsics(truth)
-    ):
+    asked = truth["camera_to_world"], truth["light"], image_intrinsics(truth)
+    for rgba, pose, light, intrinsics in zip(truth["rgba"].astype(np.float32), *asked):
         shown = on_white(torch.from_numpy(rgba)).numpy()
         image = file.view(pose, light, intrinsics=intrinsics)[0]
         squared = (image - shown) ** 2

@@ -39,16 +39,7 @@ class View(AnswerModule):
     No gradients come from what jumps: the silhouette and the edges of shadows; which triangle a ray meets;
     the patch of the surface whose diffuse light counts at a point, and what its mirror image shows.
 
-    Parameters
-    ----------
-    sense : SurfaceSense
-    dtype : torch.dtype
-        Of shading and answers.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the net is of another kind than ``surface``.
+    Raises ObjectFolderError if the net is of another kind than ``surface``.
     """
 
     def __init__(self, sense: Any, dtype: torch.dtype):
@@ -67,21 +58,12 @@ class View(AnswerModule):
         resolution: int | None = None,
         intrinsics: Intrinsics | None = None,
     ) -> Seen:
-        """Render the object under a point light; parameters and errors as of `ObjectFile.view`.
-
-        Parameters
-        ----------
-        camera : (N, 3) or (N, 4, 4) tensor
-        light : (N, 3) tensor
-        resolution : int, optional
-        intrinsics : Intrinsics, optional
-        """
+        """Render under a point light; parameters, which may be tensors, and errors of `ObjectFile.view`."""
         seen_by = Intrinsics.given(intrinsics, resolution)
         count = len(LitCameras.checked(camera, light, (), seen_by, _BYTES_PER_PIXEL))
         places = first_order(torch.as_tensor(camera).double())
-        frames = (
-            places.reshape(-1, 4, 4) if places.shape[-2:] == (4, 4) else look_at_origin(places.reshape(-1, 3))
-        )
+        posed = places.shape[-2:] == (4, 4)
+        frames = places.reshape(-1, 4, 4) if posed else look_at_origin(places.reshape(-1, 3))
         frames = frames.expand(count, 4, 4)
         lights = first_order(torch.as_tensor(light).to(self._dtype)).reshape(-1, 3).expand(count, 3)
         pictures = [self._picture(frame, of, seen_by) for frame, of in zip(frames, lights)]
@@ -106,9 +88,8 @@ class View(AnswerModule):
             return radiance.view(*shape, 3), inside.view(shape)
         row, column = np.divmod(part, right - left)
         row, column = row + top, column + left
-        samples = intersect_planes(
-            self._surface, frame, centre_directions(seen_by, row, column), face, light.detach(), self._dtype
-        )
+        ways = centre_directions(seen_by, row, column)
+        samples = intersect_planes(self._surface, frame, ways, face, light.detach(), self._dtype)
         color = self.net.radiance(self._baked, samples, light, rays.by_squares(part, SQUARE_SIDE))
         place = torch.from_numpy(row * seen_by.width + column)
         radiance = radiance.index_copy(0, place, color)
@@ -145,16 +126,8 @@ def intersect_planes(
     normals = normalize_rows(column_major(weighted_rows(surface.shading.tensor.to(dtype), corners, weights)))
     points = points.to(dtype)
     lit = is_lit(surface, points.detach().float(), normals.detach().float(), light.float())
-    return SurfaceSamples(
-        torch.arange(len(face)),
-        points,
-        normals,
-        normalize_rows(away.to(dtype)),
-        distance[:, 0],
-        lit,
-        corners,
-        weights,
-    )
+    views, row = normalize_rows(away.to(dtype)), torch.arange(len(face))
+    return SurfaceSamples(row, points, normals, views, distance[:, 0], lit, corners, weights)
 
 
 def centre_directions(seen_by: Intrinsics, row: np.ndarray, column: np.ndarray) -> torch.Tensor:

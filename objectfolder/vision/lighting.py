@@ -28,10 +28,8 @@ Triple = Sequence[float] | np.ndarray
 class PointLight:
     """A point light.
 
-    Raises
-    ------
-    ObjectFolderError
-        If a number is not finite, the position too far away, or the colour negative or beyond `MAX_COLOR`.
+    Raises ObjectFolderError if a number is not finite, the position too far away, or the colour negative or
+    beyond `MAX_COLOR`.
     """
 
     position: Triple  #: three numbers, unit frame
@@ -57,11 +55,8 @@ class PointLight:
 class DistantLight:
     """Parallel light, as of the sun.
 
-    Raises
-    ------
-    ObjectFolderError
-        If a number is not finite, the direction has no length, or the colour is negative or beyond
-        `MAX_COLOR`.
+    Raises ObjectFolderError if a number is not finite, the direction has no length, or the colour is negative
+    or beyond `MAX_COLOR`.
     """
 
     direction: Triple  #: three numbers towards the light; any length but 0
@@ -142,11 +137,9 @@ def choose_lamps(lights: str | Sequence[Any] | None) -> list[Lamp]:
 
 def _parallel(lamp: PointLight) -> Lamp:
     squared = float(np.square(lamp.place).sum())
-    return (
-        lamp
-        if squared <= PARALLEL_DISTANCE**2
-        else DistantLight(lamp.position, np.array(lamp.color) / squared)
-    )
+    if squared <= PARALLEL_DISTANCE**2:
+        return lamp
+    return DistantLight(lamp.position, np.array(lamp.color) / squared)
 
 
 def _triple(name: str, values: Triple) -> tuple[float, ...]:

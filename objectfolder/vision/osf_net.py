@@ -14,7 +14,7 @@ from torch import nn
 from objectfolder.mesh.grid import ascent
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.nets.positional import HiddenLinear, SkipNetwork, append_octaves
-from objectfolder.nets.storage import DEPTH, OCTAVES, UNFILLED, WIDTH, NetKind, fill, halve_weights, whole
+from objectfolder.nets.storage import OCTAVES, PAPERS, UNFILLED, NetKind, fill, halve_weights, whole
 from objectfolder.vision.cameras import Intrinsics, camera_rays
 from objectfolder.vision.picture import Picture
 from objectfolder.vision.volume import Rays, resample, sample_strata, visibility
@@ -108,13 +108,10 @@ class OsfNet(nn.Module):
     def _sample(
         self, rays: Rays, generator: torch.Generator | None, light: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return distances for the fine net (N, S), ascending, and the coarse radiance if light is given."""
+        """Return distances for the fine net (N, S), ascending, and what the coarse one sees, if lit."""
         distance = sample_strata(rays.near, rays.far, self.samples[0], generator)
-        weights, computed, hidden = self._visibility(self.coarse, rays, distance)
-        seen = distance.new_zeros(0, 3)
-        if light is not None:
-            alpha = weights.sum(1, keepdim=True)
-            seen = _radiance(self.coarse, rays, distance, weights, computed, hidden, light) + 1 - alpha
+        weights, radiance = self._march(self.coarse, rays, distance, light)
+        seen = radiance + 1 - weights.sum(1, keepdim=True)
         more = resample(rays.intervals(distance), weights.detach(), self.samples[1], generator)
         return torch.cat([distance, more], 1).sort(1).values, seen
 
@@ -122,16 +119,30 @@ class OsfNet(nn.Module):
         self, rays: Rays, distance: torch.Tensor, light: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return radiance (N, 3), alpha (N,) and mean distance times alpha (N,) of the fine net."""
-        weights, computed, hidden = self._visibility(self.fine, rays, distance)
-        radiance = _radiance(self.fine, rays, distance, weights, computed, hidden, light)
+        weights, radiance = self._march(self.fine, rays, distance, light)
         return radiance, weights.sum(1), (weights * distance).sum(1)
 
-    def _visibility(
-        self, field: ScatteringFunction, rays: Rays, distance: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return weights (N, S) of samples, which ones (K,) the field computed, and their hidden layer."""
+    def _march(
+        self, field: ScatteringFunction, rays: Rays, distance: torch.Tensor, light: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the weights of samples at distances (N, S), and the radiance (N, 3), 0 without a light.
+
+        A point light, (N, 3) or (3,), is scattered with inverse-square falloff.
+        """
         density, computed, hidden = self._evaluated(field, rays.points(distance).flatten(0, 1))
-        return visibility(density.view_as(distance), rays.intervals(distance).diff()), computed, hidden
+        weights = visibility(density.view_as(distance), rays.intervals(distance).diff())
+        if light is None:
+            return weights, weights.new_zeros(len(weights), 3)
+        # Samples of zero weight affect neither the colour nor a gradient: skip them.
+        chosen = weights.flatten()[computed].nonzero()[:, 0]
+        seen = computed[chosen]
+        row = seen // distance.shape[1]
+        points = rays.origins[row] + distance.flatten()[seen, None] * rays.directions[row]
+        to_light = light.expand(len(distance), 3)[row] - points
+        squared = to_light.square().sum(1, keepdim=True).clamp(min=_NEAREST**2)
+        fraction = field.scattered(hidden[chosen], to_light / squared.sqrt(), -rays.directions[row])
+        colors = fraction.new_zeros(weights.numel(), 3).index_copy(0, seen, fraction / squared)
+        return weights, torch.einsum("ns,nsc->nc", weights, colors.view(*weights.shape, 3))
 
     def _evaluated(
         self, field: ScatteringFunction, points: torch.Tensor
@@ -203,32 +214,6 @@ class OsfNet(nn.Module):
         return fill(net, state)
 
 
-def _radiance(
-    field: ScatteringFunction,
-    rays: Rays,
-    distance: torch.Tensor,
-    weights: torch.Tensor,
-    computed: torch.Tensor,
-    hidden: torch.Tensor,
-    light: torch.Tensor,
-) -> torch.Tensor:
-    """Integrate radiance (N, 3) along rays, scattered from a point light with inverse-square falloff.
-
-    Distances and weights are (N, S). ``computed`` (K,) are the samples that have a hidden layer (K, width),
-    counted through all rays; others have no weight. The light is (N, 3) or (3,).
-    """
-    # Samples of zero weight affect neither the colour nor a gradient: skip them.
-    chosen = weights.flatten()[computed].nonzero()[:, 0]
-    seen = computed[chosen]
-    row = seen // distance.shape[1]
-    points = rays.origins[row] + distance.flatten()[seen, None] * rays.directions[row]
-    to_light = light.expand(len(distance), 3)[row] - points
-    squared = to_light.square().sum(1, keepdim=True).clamp(min=_NEAREST**2)
-    fraction = field.scattered(hidden[chosen], to_light / squared.sqrt(), -rays.directions[row])
-    colors = fraction.new_zeros(weights.numel(), 3).index_copy(0, seen, fraction / squared)
-    return torch.einsum("ns,nsc->nc", weights, colors.view(*weights.shape, 3))
-
-
 def pixel_centres(intrinsics: Intrinsics) -> np.ndarray:
     """Return the image positions of the pixel centres, row by row; (H W, 2)."""
     rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width]
@@ -236,11 +221,9 @@ def pixel_centres(intrinsics: Intrinsics) -> np.ndarray:
 
 
 _FIELDS = {
-    "width": WIDTH,
-    "depth": DEPTH,
-    "branch_width": WIDTH,
-    "branch_depth": DEPTH,
-    "point_octaves": OCTAVES,
+    **PAPERS,
+    "branch_width": PAPERS["width"],
+    "branch_depth": PAPERS["depth"],
     "direction_octaves": OCTAVES,
     "coarse_samples": whole(2, 4096, "of a ray"),
     "fine_samples": whole(1, 4096, "of a ray"),

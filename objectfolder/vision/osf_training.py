@@ -53,10 +53,7 @@ def train(
 
 
 def train_osf(
-    train: dict[str, np.ndarray],
-    val: dict[str, np.ndarray],
-    config: OsfConfig,
-    session: Session,
+    train: dict[str, np.ndarray], val: dict[str, np.ndarray], config: OsfConfig, session: Session
 ) -> tuple[OsfNet, list[CurvePoint]]:
     """Fit an `OsfNet` to whole views; rays of a batch are drawn with replacement.
 
@@ -67,18 +64,10 @@ def train_osf(
     """
     device, generator = session.device, session.generator
     pixels, held_out = _gather(train, device), _gather(val, device)
+    sizes = "width", "depth", "branch_width", "branch_depth", "point_octaves", "direction_octaves"
+    shape = {name: getattr(config, name) for name in sizes}
     with session.initialisation():
-        net = OsfNet(
-            config.coarse_samples,
-            config.fine_samples,
-            width=config.width,
-            depth=config.depth,
-            branch_width=config.branch_width,
-            branch_depth=config.branch_depth,
-            point_octaves=config.point_octaves,
-            direction_octaves=config.direction_octaves,
-            hull_cells=config.hull_cells,
-        )
+        net = OsfNet(config.coarse_samples, config.fine_samples, config.hull_cells, **shape)
     if net.hull is not None:
         net.hull = torch.from_numpy(visual_hull(train, config.hull_cells, BOUND))
     checked = torch.randperm(len(held_out.target), generator=generator)[:VAL_RAYS]

@@ -72,11 +72,9 @@ class LitCameras:
         points = None if light is None else finite_rows("light", light, 3)
         count, width, height = len(places), intrinsics.width, intrinsics.height
         count = count if points is None else max(count, len(points))
-        require_memory(
-            f"{count} images of {width} x {height} pixels",
-            (count * bytes_per_pixel + _BYTES_DRAWING) * width * height,
-            "ask for a lower resolution or fewer images",
-        )
+        needed = (count * bytes_per_pixel + _BYTES_DRAWING) * width * height
+        images = f"{count} images of {width} x {height} pixels"
+        require_memory(images, needed, "ask for a lower resolution or fewer images")
         poses = _poses(places)
         if points is not None:
             require_near("light", points)

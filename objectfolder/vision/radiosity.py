@@ -52,10 +52,8 @@ class Radiosity:
         points, normals, directions = points[order], normals[order], directions[order]
         self._surface = surface
         self._reflectance = reflectance(*map(torch.from_numpy, (points, normals))).numpy().T.copy()
-        tree = cKDTree(_oriented(points, normals))
-        distance, index = tree.query(
-            _oriented(surface.shading.vertices, surface.shading.normals), k=NEIGHBOURS
-        )
+        tree, shading = cKDTree(_oriented(points, normals)), surface.shading
+        distance, index = tree.query(_oriented(shading.vertices, shading.normals), k=NEIGHBOURS)
         weights = 1 / (distance**2 + 1e-6)
         self._patches = torch.from_numpy(index.astype(np.int32))
         self._weights = torch.from_numpy((weights / weights.sum(1, keepdims=True)).astype(np.float32))
@@ -64,9 +62,8 @@ class Radiosity:
         self._sees = torch.from_numpy(sees[index].any(1))
         # The light on all others reaches no patch: most of a convex object.
         self._involved = np.flatnonzero(sees | (np.bincount(self._seen.indices, minlength=PATCHES) > 0))
-        self._points, self._normals = (
-            column_major(torch.from_numpy(v[self._involved])) for v in (points, normals)
-        )
+        involved = (torch.from_numpy(v[self._involved]) for v in (points, normals))
+        self._points, self._normals = map(column_major, involved)
         self._solved: Recent[tuple[torch.Tensor, torch.Tensor]] = Recent(CACHED_LIGHTS)
 
     def gather(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
@@ -89,10 +86,8 @@ class Radiosity:
         """
         _, outgoing = self._under(light)
         some = self._sees.index_select(0, samples.nearest_corner.cpu()).nonzero()[:, 0]
-        points, outward, mirror, view = (
-            take_rows(v.detach().cpu(), some)
-            for v in (samples.points, samples.normals, normals, samples.directions)
-        )
+        of_samples = samples.points, samples.normals, normals, samples.directions
+        points, outward, mirror, view = (take_rows(v.detach().cpu(), some) for v in of_samples)
         starts = points + START * self._surface.grid.spacing * outward
         away = view - 2 * dot(mirror, view) * mirror
         ray, _, face, weights = self._surface.caster.intersect(starts.numpy(), away.numpy())
@@ -200,10 +195,7 @@ def _hemispheres(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     x, y, z = normals.T[:, :, None]
     sign = np.copysign(np.float32(1), z)
     a, b = -1 / (sign + z), -x * y / (sign + z)
-    axes = (
-        np.stack([1 + sign * x * x * a, sign * b, -sign * x], -1),
-        np.stack([b, sign + y * y * a, -y], -1),
-        normals[:, None],
-    )
+    across = np.stack([1 + sign * x * x * a, sign * b, -sign * x], -1)
+    axes = across, np.stack([b, sign + y * y * a, -y], -1), normals[:, None]
     local = radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1 - square)
     return sum(c[..., None] * axis for c, axis in zip(local, axes)).astype(np.float32)

@@ -237,22 +237,16 @@ def build_scattering(
 
     Raises ValueError, KeyError or RuntimeError if the tensors describe none.
     """
-    depth, branch_depth = (
-        sum(name.startswith(f"{part}.hidden.") and name.endswith(".weight") for name in state)
-        for part in ("trunk", "branch")
-    )
+
+    def shape(part: str) -> tuple[int, int]:
+        start = f"{part}.hidden."
+        depth = sum(name.startswith(start) and name.endswith(".weight") for name in state)
+        return len(state[f"{start}0.weight"]), depth
+
     if not (0 <= point_octaves <= 64 and 0 <= direction_octaves <= 64):
         raise ValueError(f"{point_octaves} and {direction_octaves} octaves")
-    shape = {
-        "width": len(state["trunk.hidden.0.weight"]),
-        "depth": depth,
-        "branch_width": len(state["branch.hidden.0.weight"]),
-        "branch_depth": branch_depth,
-        "point_octaves": point_octaves,
-        "direction_octaves": direction_octaves,
-    }
     with UNFILLED:
-        net = ScatteringFunction(**shape)
+        net = ScatteringFunction(*shape("trunk"), *shape("branch"), point_octaves, direction_octaves)
     return fill(net, state).requires_grad_(False)
 
 

@@ -79,14 +79,9 @@ class SurfaceNet(nn.Module):
         lit = samples.lit.nonzero()[:, 0]
         to_light = toward(light, take_rows(samples.points, lit))
         squared = dot(to_light, to_light)
-        reflected = principled(
-            take_rows(normals, lit),
-            take_rows(samples.directions, lit),
-            normalize_rows(to_light),
-            take_rows(base_color, lit),
-            self.config["roughness"],
-            self.config["metallic"],
-        )
+        normal, view, color = (take_rows(v, lit) for v in (normals, samples.directions, base_color))
+        look = self.config["roughness"], self.config["metallic"]
+        reflected = principled(normal, view, normalize_rows(to_light), color, *look)
         radiance = base_color.new_zeros(base_color.shape[::-1])
         return radiance.index_copy_(1, lit, (reflected / squared.clamp(min=NEAREST**2)).mT).mT
 
@@ -130,31 +125,13 @@ class SurfaceNet(nn.Module):
         nh8 = nh.square().square().square()
         sine, cosine = torch.sin(4 * p), torch.cos(4 * p)
         lit, received = samples.lit[:, None].float(), nl.clamp(min=0) / squared
+        place = light[:3].expand(len(p), 3)  # of distant ones as if on the unit sphere, as in training
+        doubled = 2 * sine * cosine, 1 - 2 * sine * sine  # sine and cosine of the double angle
+        radiances = (torch.log1p(by * of) for by, of in ((4, direct), (4, gathered), (16, mirrored)))
         features = [
-            p,
-            sine,
-            cosine,
-            2 * sine * cosine,  # sine and cosine of the double angle
-            1 - 2 * sine * sine,
-            light[:3].expand(len(p), 3),  # distant ones as if on the unit sphere, as in training
-            samples.normals,
-            n,
-            view,
-            l,
-            away,
-            nl,
-            nv,
-            nh,
-            nh8,
-            nh8.square().square(),
-            received,
-            lit,
-            lit * received,
-            1 / squared,
-            torch.log(squared),
-            torch.log1p(4 * direct),
-            torch.log1p(4 * gathered),
-            torch.log1p(16 * mirrored),
+            *(p, sine, cosine, *doubled, place, samples.normals, n, view, l, away),
+            *(nl, nv, nh, nh8, nh8.square().square()),
+            *(received, lit, lit * received, 1 / squared, torch.log(squared), *radiances),
         ]
         return BounceInputs(concatenate(features, 1), gathered, mirrored)
 
@@ -202,10 +179,8 @@ class SurfaceNet(nn.Module):
         (4,). What mirrored rays see, and which patch is nearest, is constant. The baked surface is on the
         device, as the net. For ``pixel`` (S,) see `objectfolder.vision.view.Shader`.
         """
-        one, group, few, share = (
-            torch.from_numpy(index).to(device)
-            for index in _shared(pixel, samples.lit, samples.normals.detach())
-        )
+        shared = _shared(pixel, samples.lit, samples.normals.detach())
+        one, group, few, share = (torch.from_numpy(index).to(device) for index in shared)
         samples, light = samples.to(device), light.to(device)
         base_color, normals = baked.look_of(samples)
         direct = self.direct(samples, light, base_color, normals)
@@ -221,8 +196,8 @@ class SurfaceNet(nn.Module):
             values = (take_rows(v, part) for v in (*looks[1:], *radiances))
             inputs = self.bounce_inputs(some, light, *values)
             corrections.append(self.corrections(inputs, column_major(some.interpolate(baked.transport))))
-        shared = take_rows(find_gains(concatenate(corrections)), share)
-        diffuse, glossy = (v if not several else take_rows(v, group) for v in apply_gains(shared, *radiances))
+        indirect = apply_gains(take_rows(find_gains(concatenate(corrections)), share), *radiances)
+        diffuse, glossy = (take_rows(v, group) for v in indirect) if several else indirect
         return direct + base_color * diffuse + glossy
 
     @torch.no_grad()
@@ -349,10 +324,9 @@ def in_cube(points: torch.Tensor) -> torch.Tensor:
 
 
 def _mlp(inputs: int, width: int, outputs: int, depth: int) -> nn.Sequential:
-    sizes = [inputs] + [width] * depth
-    hidden = [
-        layer for a, b in itertools.pairwise(sizes) for layer in (nn.Linear(a, b), nn.ReLU(inplace=True))
-    ]
+    hidden: list[nn.Module] = []
+    for a, b in itertools.pairwise([inputs] + [width] * depth):
+        hidden += [nn.Linear(a, b), nn.ReLU(inplace=True)]
     return nn.Sequential(*hidden, nn.Linear(width, outputs))
 
 

@@ -109,11 +109,7 @@ def train_surface(
     rng = np.random.default_rng(int(torch.randint(2**31, (1,), generator=generator)))
 
     def fit_to(
-        learn: _Points | _Pixels,
-        check: _Points | _Pixels,
-        steps: int,
-        batch: int,
-        session: Session,
+        learn: _Points | _Pixels, check: _Points | _Pixels, steps: int, batch: int, session: Session
     ) -> list[CurvePoint]:
         batches = iter(minibatches(len(learn), batch, generator))
         chunks = torch.arange(len(check)).split(CHUNK)
@@ -146,9 +142,8 @@ def _look_up(
     p = torch.from_numpy(points.astype(np.float32))
     weights = trimesh.triangles.points_to_barycentric(mesh.triangles[face], points)
     corners = surface.shading.normals[surface.shading.faces[face]]
-    normals = F.normalize(
-        torch.from_numpy(np.einsum("sk,skc->sc", weights, corners).astype(np.float32)), dim=1
-    )
+    mixed = np.einsum("sk,skc->sc", weights, corners).astype(np.float32)
+    normals = F.normalize(torch.from_numpy(mixed), dim=1)
     shading = torch.from_numpy(looked_up)
     # Meshes may have inverted faces; renderers flip their normals towards the camera, which is outside.
     shading = torch.where((shading * normals).sum(1, keepdim=True) < 0, -shading, shading)
@@ -168,9 +163,8 @@ def _gather(
 ) -> _Pixels:
     """Sample about ``count`` pixels, equally many per image; dark ones with lower probability."""
     share, parts = -(-count // len(views["rgba"])), []
-    for rgba, pose, light, intrinsics in zip(
-        views["rgba"], views["camera_to_world"], views["light"], image_intrinsics(views)
-    ):
+    seen_by = views["camera_to_world"], views["light"], image_intrinsics(views)
+    for rgba, pose, light, intrinsics in zip(views["rgba"], *seen_by):
         rows, columns = np.nonzero(rgba[..., 3] >= MIN_FOREGROUND_ALPHA)
         samples = trace(surface, *camera_rays(pose, intrinsics, np.stack([columns, rows], 1) + 0.5), light)
         ray = samples.ray.numpy()  # NumPy takes a tensor of one element for a number

@@ -92,22 +92,16 @@ def render_frames(
     rgba = np.empty((count, one.height, one.width, 4), np.float16)
     noise = np.zeros((count, 2))
     for i in progress(range(count)):
-        view = frames.camera_to_world[i], frames.light[i], frames.intrinsics[i]
-        images = [
-            renderer.render(*view, samples // parts, int(seed)).clip(max=MAX_RADIANCE) for seed in seeds[:, i]
-        ]
+        view = frames.camera_to_world[i], frames.light[i], frames.intrinsics[i], samples // parts
+        images = [renderer.render(*view, int(seed)).clip(max=MAX_RADIANCE) for seed in seeds[:, i]]
         rgba[i] = sum(images) / parts
         if halves:
             noise[i] = estimate_noise(*images)
-    views = {
-        "rgba": rgba,
-        "camera_to_world": frames.camera_to_world,
-        "light": frames.light,
-        "focal": np.asarray(one.focal, np.float64),
-        "center": np.array([[part.cx, part.cy] for part in frames.intrinsics]),
-        "renderer": np.asarray(renderer.version),
-    }
-    return views | {"noise": noise} if halves else views
+    center = np.array([[part.cx, part.cy] for part in frames.intrinsics])
+    views = {"rgba": rgba, "camera_to_world": frames.camera_to_world, "light": frames.light}
+    views |= {"focal": np.asarray(one.focal, np.float64), "center": center}
+    views |= {"renderer": np.asarray(renderer.version)} | ({"noise": noise} if halves else {})
+    return views
 
 
 def estimate_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:

@@ -14,9 +14,8 @@ CREASE = 0.35  # difference of neighbouring unit normals
 SIDE = 3  # edge pixels have SIDE x SIDE samples, one of them at the centre
 EXTRA_SAMPLES = SIDE**2 - 1
 AXIS = (np.arange(SIDE, dtype=np.float32) + 0.5) / SIDE
-AROUND = np.delete(
-    np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1), EXTRA_SAMPLES // 2, axis=1
-)  # x, y off the centre
+_SAMPLES = np.stack(np.meshgrid(AXIS, AXIS)).reshape(2, -1)
+AROUND = np.delete(_SAMPLES, EXTRA_SAMPLES // 2, axis=1)  # x, y off the centre
 HALVINGS = 4  # bisections of the interval between two samples that contains a silhouette
 END = np.float32(1 / 64)  # pixels; a line that is hit this near to its end is covered up to the end
 TILE = 2**18  # pixels drawn at once, to bound the memory of a large image
@@ -91,11 +90,8 @@ def _draw(
         around = rays.through(np.repeat(edges, EXTRA_SAMPLES), *np.tile(AROUND, len(edges)))
         fine = trace(surface, rays.origin, around, light)
         ray = fine.ray.numpy()
-        samples, pixel, finer = (
-            fine.join(centre),
-            np.concatenate([edges[ray // EXTRA_SAMPLES], seen]),
-            len(ray),
-        )
+        samples, finer = fine.join(centre), len(ray)
+        pixel = np.concatenate([edges[ray // EXTRA_SAMPLES], seen])
     if not len(pixel):
         return _shaped(images, rays.shape)
     radiance = shade(samples, torch.from_numpy(light), rays.by_squares(pixel, SQUARE_SIDE)).numpy().T

@@ -132,8 +132,9 @@ def upgrade_workspace(root: Path) -> Upgrade:
             continue  # the second: edited here, and the same in both versions
         write_text(root / (name + NEW * edited), text)
         (conflicts if edited else written).append(name)
-    removed = [name for name in old.keys() - texts.keys() if not name.startswith(f"{PACKAGE}/")]
-    removed = [name for name in sorted(removed) if _is_unedited(root / name, old[name])]
+    gone = {name: root / name for name in sorted(old.keys() - texts.keys())}
+    removed = [n for n, path in gone.items() if path.is_file() and _digest(path.read_text()) == old[n]]
+    removed = [name for name in removed if not name.startswith(f"{PACKAGE}/")]
     for name in removed:
         (root / name).unlink()
     added = _add_settings(document, defaults)
@@ -173,10 +174,6 @@ def _write_record(root: Path) -> None:
     written = {name: _digest(text) for name, text in template.tool_files().items()}
     lines = (f"{digest}  {name}\n" for name, digest in {**package_digests(), **written}.items())
     write_text(root / RECORD, "".join(lines))
-
-
-def _is_unedited(path: Path, digest: str) -> bool:
-    return path.is_file() and _digest(path.read_text()) == digest
 
 
 def _digest(text: str) -> str:

@@ -11,15 +11,7 @@ MATERIALS = "materials"  #: folder of a workspace's own materials
 
 
 class Build:
-    """Paths of one object's artifacts.
-
-    Parameters
-    ----------
-    key : str
-        Object key.
-    root : Path
-        Workspace, the directory that holds ``dvc.yaml``.
-    """
+    """Paths of one object's artifacts; ``root`` is the workspace, the directory that holds ``dvc.yaml``."""
 
     def __init__(self, key: str, root: str | Path = "."):
         self.key = key
@@ -78,13 +70,7 @@ class Build:
 
 
 class Benchmarks:
-    """Paths of the samples and results of benchmarks.
-
-    Parameters
-    ----------
-    folder : Path
-        Default: that of the stages.
-    """
+    """Paths of the samples and results of benchmarks, by default in the folder of the stages."""
 
     def __init__(self, folder: str | Path = "benchmarks"):
         self.dir = Path(folder)

@@ -39,7 +39,7 @@ class Stage:
     #: What it runs for: a source of meshes, each object, each object if others need it, objects or splits
     #: that ``benchmarks`` in params.yaml lists.
     of: Literal["first", "object", "on demand", "listed"]
-    settings: str = ""  #: ``MODULE:CLASS`` of its section of params.yaml
+    settings: str = ""  #: ``MODULE:CLASS`` in objectfolder/ of its section of params.yaml
     #: Memory is above the largest peaks in docs/measurements. One core, because outputs must not depend on
     #: the number of threads. Timeouts are an order of magnitude above the longest run.
     needs: Needs = Needs()
@@ -50,49 +50,38 @@ class Stage:
     hulls: bool = False  #: whether its objects must be listed under ``decompose``
 
 
-_FEM, _DATA = "objectfolder.sound.fem.settings", "objectfolder.benchmarks.datasets.settings"
-_TASKS, _POLICIES = "objectfolder.benchmarks.tasks", "objectfolder.benchmarks.models.settings"
+_FEM, _DATA = "sound.fem.settings", "benchmarks.datasets.settings"
+_TASKS, _POLICIES = "benchmarks.tasks", "benchmarks.models.settings"
 _BOTH = ("seen", "unseen")
 STAGES = {
     "hash_code": Stage("first"),
     "generate": Stage("first", needs=Needs(2, memory_mb=500)),
-    "normalize": Stage("object", "objectfolder.mesh.settings:NormalizeConfig", Needs(1, memory_mb=2000)),
+    "normalize": Stage("object", "mesh.settings:NormalizeConfig", Needs(1, memory_mb=2000)),
     "voxelize": Stage("object", f"{_FEM}:VoxelizeConfig", Needs(7, memory_mb=2500)),
     "modal": Stage("object", f"{_FEM}:ModalConfig", Needs(45, memory_mb=8000, timeout=3 * HOUR)),
-    "radiation": Stage(
-        "object", "objectfolder.sound.radiation.settings:RadiationConfig", Needs(25, memory_mb=2200)
-    ),
+    "radiation": Stage("object", "sound.radiation.settings:RadiationConfig", Needs(25, memory_mb=2200)),
     "render_views": Stage(
         "object",
-        "objectfolder.vision.settings:RenderViewsConfig",
+        "vision.settings:RenderViewsConfig",
         Needs(50, memory_mb=1000, timeout=12 * HOUR),
         {"mitsuba-cuda": Needs(30, gpus=0.5, memory_mb=2000, timeout=3 * HOUR)},
     ),
     "render_touch": Stage(
-        "object", "objectfolder.touch.settings:RenderTouchConfig", Needs(3, memory_mb=1000, timeout=3 * HOUR)
+        "object", "touch.settings:RenderTouchConfig", Needs(3, memory_mb=1000, timeout=3 * HOUR)
     ),
     "train_vision": Stage(
-        "object",
-        "objectfolder.vision.net_settings:VisionConfig",
-        Needs(18, memory_mb=2000),
-        net_in="train_vision",
+        "object", "vision.net_settings:VisionConfig", Needs(18, memory_mb=2000), net_in="train_vision"
     ),
     "train_audio": Stage(
-        "object",
-        "objectfolder.sound.net_settings:AudioConfig",
-        Needs(20, memory_mb=1500),
-        net_in="train_audio",
+        "object", "sound.net_settings:AudioConfig", Needs(20, memory_mb=1500), net_in="train_audio"
     ),
     "train_touch": Stage(
-        "object",
-        "objectfolder.touch.net_settings:TouchConfig",
-        Needs(5, memory_mb=1500),
-        net_in="train_touch",
+        "object", "touch.net_settings:TouchConfig", Needs(5, memory_mb=1500), net_in="train_touch"
     ),
     "pack": Stage("object", needs=Needs(memory_mb=800)),
     "evaluate": Stage(
         "object",
-        "objectfolder.objectfile.settings:EvaluateConfig",
+        "objectfile.settings:EvaluateConfig",
         Needs(9, memory_mb=2000, timeout=3 * HOUR),
         net_in="train_vision",
     ),
@@ -156,7 +145,7 @@ ROBOT_STAGES = tuple(name for name, stage in STAGES.items() if stage.hulls)
 def section_config(name: str) -> type[Any]:
     """Return the dataclass of a section."""
     module, _, qualified = SECTIONS[name].partition(":")
-    config: type[Any] = getattr(import_module(module), qualified)
+    config: type[Any] = getattr(import_module(f"objectfolder.{module}"), qualified)
     return config
 
 

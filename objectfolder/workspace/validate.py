@@ -24,39 +24,17 @@ from objectfolder.workspace.layout import MODALITIES, SPLITS, Build
 
 #: Array shapes; a letter stands for the same number throughout a file.
 MODES = {
-    "points": "p3",
-    "split": "p",
-    "shapes": "p3m",
-    "eigenvalues": "m",
-    "damping": "m",
-    "damped_frequency": "m",
-    "truncated": "",
-    "band_hz": "2",
+    **{"points": "p3", "split": "p", "shapes": "p3m", "eigenvalues": "m", "damping": "m"},
+    **{"damped_frequency": "m", "truncated": "", "band_hz": "2"},
 }
 VIEWS = {"rgba": "nhw4", "camera_to_world": "n44", "light": "n3", "focal": "", "center": "n2", "renderer": ""}
 TOUCHES = {
-    "images": "nhw3",
-    "masks": "nhw",
-    "points": "n3",
-    "normals": "n3",
-    "depths": "n",
-    "angles": "n",
-    "obstructed": "n",
-    "max_penetration": "n",
-    "area": "n",
-    "force": "n",
-    "renderer": "",
+    **{"images": "nhw3", "masks": "nhw", "points": "n3", "normals": "n3", "depths": "n", "angles": "n"},
+    **{"obstructed": "n", "max_penetration": "n", "area": "n", "force": "n", "renderer": ""},
 }
 SDF = {"values": "nnn", "band": ""}
 NORMALIZE = (
-    "scale_m",
-    "source_centre",
-    "source_size",
-    "source_up",
-    "solid",
-    "volume_m3",
-    "rungs",
-    "warnings",
+    *("scale_m", "source_centre", "source_size", "source_up", "solid", "volume_m3", "rungs", "warnings"),
 )
 
 

@@ -27,17 +27,8 @@ TINY = {
     },
     "grasp_data": {"grasps": 10, "perturbations": 0, "image": 16, "touch": [8, 8], "timestep": 0.002},
     "grasp_stability": {
-        "seeds": 1,
-        "epochs": 1,
-        "batch": 8,
-        "learning_rate": 0.001,
-        "weight_decay": 0.01,
-        "patience": 1,
-        "sizes": [8],
-        "epoch_grasps": 8,
-        "fusion_epochs": 1,
-        "hidden": 4,
-        "touch": [8, 8],
+        **{"seeds": 1, "epochs": 1, "batch": 8, "learning_rate": 0.001, "weight_decay": 0.01, "patience": 1},
+        **{"sizes": [8], "epoch_grasps": 8, "fusion_epochs": 1, "hidden": 4, "touch": [8, 8]},
     },
 }
 

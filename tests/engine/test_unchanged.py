@@ -137,3 +137,14 @@ def test_what_is_elsewhere_is_asked_each_time(make_workspace, dep):
     workspace = make_workspace(f"stages: {{a: {{cmd: echo 1 > a, deps: ['{dep}'], outs: [a]}}}}")
     with open_repository(workspace.root) as repository:
         assert other_files(repository, stage_graph(repository).stages.values()) is None
+
+
+def test_a_graph_in_a_hidden_folder_is_asked_each_time(make_workspace):
+    workspace = make_workspace("stages: {a: {cmd: echo 1 > a, deps: [b], outs: [a]}}")
+    (workspace.root / ".hidden").mkdir()
+    text = "stages: {b: {cmd: echo 1 > ../b, deps: [../steps.py], outs: [../b]}}"
+    (workspace.root / ".hidden/dvc.yaml").write_text(text)
+    with open_repository(workspace.root) as repository:
+        stages = stage_graph(repository).stages
+        assert len(stages) == 2
+        assert other_files(repository, stages.values()) is None

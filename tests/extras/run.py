@@ -17,40 +17,26 @@ LLVM = "DRJIT_LIBLLVM_PATH"
 
 @dataclass(frozen=True)
 class Extra:
-    """Extra of pyproject.toml, or a system library, with the tests that need it.
+    """Extra of pyproject.toml, or a system library, with the tests that need it."""
 
-    Parameters
-    ----------
-    name : str
-        As the table shows it.
-    requirements : tuple of str
-        To install; ``[tet]`` is an extra of this package.
-    package : str
-        Distribution whose version is shown.
-    select : str
-        Expression for ``pytest -k``.
-    tests : tuple of str
-        Test files.
-    environment : str
-        Virtual environment; extras whose pins conflict need one of their own.
-    unpinned : tuple of str
-        Packages that constraints.txt does not hold.
-    pinned : bool
-        False where constraints.txt holds nothing: the package wants older releases of most of it.
-    """
-
-    name: str
-    requirements: tuple[str, ...]
-    package: str
-    select: str
-    tests: tuple[str, ...]
-    environment: str = "main"
-    unpinned: tuple[str, ...] = ()
-    pinned: bool = True
+    name: str  #: as the table shows it
+    requirements: tuple[str, ...]  #: to install; ``[tet]`` is an extra of this package
+    package: str  #: distribution whose version is shown
+    select: str  #: expression for ``pytest -k``
+    tests: tuple[str, ...]  #: files
+    environment: str = "main"  #: virtual environment; extras whose pins conflict need one of their own
+    unpinned: tuple[str, ...] = ()  #: packages that constraints.txt does not hold
+    pinned: bool = True  #: False where it holds nothing: the package wants older releases of most of it
 
 
-ELEMENTS = ("tests/fem/test_elements.py", "tests/fem/test_accuracy.py")
+ELEMENTS = ("tests/sound/fem/test_elements.py", "tests/sound/fem/test_accuracy.py")
 RENDERERS = "tests/vision/test_renderers.py"
+LEROBOT, NERFSTUDIO = (f"tests/benchmarks/datasets/test_{name}.py" for name in ("lerobot", "nerfstudio"))
+# The last for Python 3.11, and the last.
+LEROBOTS = ("lerobot==0.4.4; python_version < '3.12'", "lerobot[dataset]==0.6.1; python_version >= '3.12'")
+# Of later versions, torch may refuse how Nerfstudio indexes, and fpsample has no wheels.
+NERFSTUDIOS = ("nerfstudio==1.1.5", "torch==2.10.0", "fpsample<1")
+REACH, RELEASE = "tests/sim/test_reach.py", "tests/hub/release/test_release.py"
 EXTRAS = (
     Extra("tet", ("[tet]", "[inspect]"), "pytetwild", "tet", ELEMENTS),
     Extra("raster", ("[raster]",), "pyrender", "raster or tacto", (RENDERERS, "tests/touch/test_tacto.py")),
@@ -58,60 +44,18 @@ EXTRAS = (
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),
     Extra("s3", ("[s3]", "moto[s3,server]"), "dvc-s3", "s3 or outage", ("tests/engine/test_remotes.py",)),
     Extra("usd", ("[usd]",), "usd-core", "usd", ("tests/sim/test_usd_export.py",)),
-    Extra(
-        "lerobot",
-        # The last for Python 3.11, and the last.
-        (
-            "[hub]",
-            "lerobot==0.4.4; python_version < '3.12'",
-            "lerobot[dataset]==0.6.1; python_version >= '3.12'",
-        ),
-        "lerobot",
-        "lerobot",
-        ("tests/benchmarks/datasets/test_lerobot.py",),
-        environment="lerobot",
-        pinned=False,
-    ),
-    Extra(
-        "nerfstudio",
-        # Of later versions, torch may refuse how Nerfstudio indexes, and fpsample has no wheels.
-        ("nerfstudio==1.1.5", "torch==2.10.0", "fpsample<1"),
-        "nerfstudio",
-        "nerfstudio",
-        ("tests/benchmarks/datasets/test_nerfstudio.py",),
-        environment="nerfstudio",
-        pinned=False,
-    ),
-    Extra(
-        "croissant",
-        ("[hub]", "mlcroissant"),
-        "mlcroissant",
-        "croissant",
-        ("tests/release/test_release.py",),
-    ),
-    Extra(
-        "metaworld",
-        ("[metaworld]",),
-        "metaworld",
-        "metaworld",
-        ("tests/envs/test_reach.py",),
-        environment="metaworld",
-        unpinned=("mujoco",),
-    ),
+    Extra("lerobot", ("[hub]", *LEROBOTS), "lerobot", "lerobot", (LEROBOT,), "lerobot", pinned=False),
+    Extra("nerfstudio", NERFSTUDIOS, "nerfstudio", "nerfstudio", (NERFSTUDIO,), "nerfstudio", pinned=False),
+    Extra("croissant", ("[hub]", "mlcroissant"), "mlcroissant", "croissant", (RELEASE,)),
+    Extra("metaworld", ("[metaworld]",), "metaworld", "metaworld", (REACH,), "metaworld", ("mujoco",)),
 )
 
 
 def run(*command: object, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a command in the repository; its output goes to standard error as well."""
     print("$", *command, file=sys.stderr, flush=True)
-    done = subprocess.run(
-        [str(word) for word in command],
-        cwd=ROOT,
-        env=os.environ | environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+    outputs = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    done = subprocess.run([*map(str, command)], cwd=ROOT, env=os.environ | environment, **outputs)
     print(done.stdout, file=sys.stderr, flush=True)
     return done
 
@@ -162,19 +106,10 @@ def test(extra: Extra) -> tuple[str, int, int, int, str]:
     report = HOME / f"{extra.name}.xml"
     report.unlink(missing_ok=True)
     python = HOME / extra.environment / "bin" / "python"
-    pytest = (
-        python,
-        "-m",
-        "pytest",
-        "-m",
-        "slow or not slow",
-        "-p",
-        "no:cacheprovider",
-        f"--junitxml={report}",
-    )
+    options = ("-m", "slow or not slow", "-p", "no:cacheprovider", f"--junitxml={report}")
     # Plugins for pytest that packages bring take no part: those of old releases stop it.
     environment = newest_llvm() | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    done = run(*pytest, "-k", extra.select, *extra.tests, **environment)
+    done = run(python, "-m", "pytest", *options, "-k", extra.select, *extra.tests, **environment)
     if not report.exists():
         return installed, 0, 1, 0, _last(done.stdout, "Error")
     cases = list(ET.parse(report).iter("testcase"))

@@ -33,9 +33,8 @@ def see(net):
 
 
 def _osf():
-    return OsfNet(
-        8, 8, width=16, depth=2, branch_width=16, branch_depth=2, point_octaves=2, direction_octaves=1
-    )
+    shape = {"width": 16, "depth": 2, "branch_width": 16, "branch_depth": 2}
+    return OsfNet(8, 8, **shape, point_octaves=2, direction_octaves=1)
 
 
 def _vivid(net):
@@ -63,10 +62,7 @@ NETS = {
         ),
         lambda net: net.spectrograms(torch.from_numpy(POINTS[:1])),
     ),
-    "released_nerf": (
-        lambda tmp: configured_net(_read(released.released_2(6), "VisionNet", tmp)),
-        see,
-    ),
+    "released_nerf": (lambda tmp: configured_net(_read(released.released_2(6), "VisionNet", tmp)), see),
     "released_kilo": (lambda tmp: configured_net(_read(released.released_kilo(7), "VisionNet", tmp)), see),
     "released_spectrogram": (
         lambda tmp: spectrogram_net(_read(released.released_1(2), "AudioNet", tmp), FRAME),
@@ -102,13 +98,8 @@ def test_a_net_on_a_device_answers_as_on_the_cpu(kind, tmp_path):
     here = query(net)
     with pretend_device() as device:
         there = query(net.to(device))
-        arrays = [
-            tuple(
-                np.asarray(x.cpu() if isinstance(x, torch.Tensor) else x)
-                for x in (y if isinstance(y, tuple) else (y,))
-            )
-            for y in (here, there)
-        ]
+        answers = (y if isinstance(y, tuple) else (y,) for y in (here, there))
+        arrays = [[np.asarray(x.cpu() if isinstance(x, torch.Tensor) else x) for x in y] for y in answers]
     assert all(len(np.unique(x)) > 1 for x in arrays[0])
     for a, b in zip(*arrays, strict=True):
         np.testing.assert_array_equal(a, b)

@@ -24,10 +24,9 @@ def trained(make):
 
 
 def test_it_is_the_adam_of_pytorch():
-    ours = trained(lambda groups: Adam(groups, (0.9, 0.99), 1e-12))
-    assert torch.equal(
-        ours, trained(lambda groups: torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-12, fused=True))
-    )
+    options = {"betas": (0.9, 0.99), "eps": 1e-12}
+    theirs = trained(lambda groups: torch.optim.Adam(groups, **options, fused=True))
+    assert torch.equal(trained(lambda groups: Adam(groups, **options)), theirs)
 
 
 @pytest.mark.slow

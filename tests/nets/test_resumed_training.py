@@ -90,7 +90,7 @@ def train_by_ppo(path, report):
     def validate(actor):  # no part is solved
         return 0.0, float(actor(np.array([0.8]))[0])
 
-    actor, curve, _ = train_ppo(Line, params, 0, ("test",), validate, path, lambda *point: report(point))
+    actor, curve, _ = train_ppo(Line, params, 0, ("test",), validate, path, report)
     return actor.tensors(), curve
 
 
@@ -102,9 +102,7 @@ def train_by_trpo(path, report):
     def validate(actor):
         return float(actor(np.array([0.5, 1.0]))[0])
 
-    actor, curve, _ = train_trpo(
-        Follow(4), params, 0, ("test",), validate, path, lambda *point: report(point)
-    )
+    actor, curve, _ = train_trpo(Follow(4), params, 0, ("test",), validate, path, report)
     return actor.tensors(), curve
 
 

@@ -23,9 +23,8 @@ def defaults(dtype, device):
         torch.set_default_dtype(before)
 
 
-DEFAULTS = pytest.mark.parametrize(
-    ("dtype", "device"), [(torch.float64, "cpu"), (torch.float16, "cpu"), (torch.float32, "meta")]
-)
+_TYPES = [(torch.float64, "cpu"), (torch.float16, "cpu"), (torch.float32, "meta")]
+DEFAULTS = pytest.mark.parametrize(("dtype", "device"), _TYPES)
 
 
 def loaded(file):

@@ -261,29 +261,6 @@ def test_inspect(built, opengl):
     assert "build" in built.cli("inspect", "modal@nothing", ok=False).stderr
 
 
-def test_published_query_formats(built, tmp_path):
-    file = "build/cube/ObjectFile.safetensors"
-    cube = ObjectFile.load(built.root / file)
-    points = cube.sample_surface(2)
-    np.save(tmp_path / "v.npy", np.array([[2.5, 0, 0, 0, 0, 1], [0, 2.5, 0, 1, 0, 0]], np.float32))
-    np.save(tmp_path / "p.npy", points)
-    np.save(tmp_path / "f.npy", np.ones((2, 3)))
-    np.save(tmp_path / "g.npy", np.array([[0.1, 0.5, 0.001], [0, 0, 0.002]]))
-    out = f"{tmp_path}/out"
-    built.cli("query", "vision", file, f"{tmp_path}/v.npy", f"{out}/views", "--resolution", "32")
-    built.cli("query", "audio", file, f"{tmp_path}/p.npy", f"{out}/sounds", "--forces", f"{tmp_path}/f.npy")
-    built.cli("query", "touch", file, f"{tmp_path}/p.npy", f"{out}/touch", "--gelinfo", f"{tmp_path}/g.npy")
-    assert {p.relative_to(out).as_posix() for p in (tmp_path / "out").rglob("*.*")} == {
-        *("views/1.png", "views/2.png", "sounds/1.wav", "sounds/2.wav", "touch/1.png", "touch/2.png"),
-        "touch/contacts.csv",
-    }
-    assert "cube" in built.cli("info", file).stdout
-    np.save(tmp_path / "bad.npy", np.zeros((2, 5)))
-    refused = built.cli("query", "vision", file, f"{tmp_path}/bad.npy", f"{out}/bad", ok=False)
-    assert refused.returncode == 1
-    assert "(2, 5), expected (N, 6)" in refused.stderr
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_training_leaves_nothing_and_restarts_to_the_same_bytes(built, how):

@@ -40,7 +40,7 @@ from objectfolder.report.inspect_stage import STAGES, inspect_stage
 from objectfolder.report.inspection import Inspection, print_inspection
 from objectfolder.sound.fem.cutcell import cut_cells
 from objectfolder.sound.fem.elements import solid_arrays, solid_from_arrays
-from objectfolder.sound.fem.modal import modal_analysis
+from objectfolder.sound.fem.modal import Request, modal_analysis
 from objectfolder.sound.gains_net import GainsNet, GainsShape
 from objectfolder.sound.radiation.radiation import pack_radiation, radiate
 from objectfolder.touch.geometric_net import GeometricTouch
@@ -101,7 +101,7 @@ def _solid_and_modes(build, vertices, faces, rng):
     values, band = distance_grid(vertices, faces, 32)
     write_npz(build.sdf, values=values, band=band)
     points = np.concatenate([vertices, sample_surface(vertices, faces, 20, rng)])
-    data = modal_analysis(cells, points, material("ceramic"), SCALE, 20000.0, 8)
+    data = modal_analysis(cells, points, Request(material("ceramic"), SCALE, 20000.0, 8))
     write_npz(build.modes, points=points, split=split_rows(len(points), rng), **data.arrays())
     write_json(build.modal, data.report)
     surface = vertices * SCALE, faces

@@ -68,8 +68,11 @@ def test_colours_agree_across_seams(name):
 
 
 @pytest.mark.parametrize("generator", GENERATORS)
-def test_every_dimension_is_a_finite_number_and_most_are_positive(generator):
-    parameters = inspect.signature(GENERATORS[generator]).parameters.values()
+def test_every_dimension_is_a_finite_number_that_fits_the_others(generator):
+    """One that is out of its range, or that puts another one out of its range."""
+    beside = r"\S+ to \S+, .+; change \1 or the dimensions beside it"
+    limits = rf"{generator}: (\w+)=.*: expected ({beside}|a positive, finite number)"
+    parameters = inspect.signature(inspect.unwrap(GENERATORS[generator])).parameters.values()
     dimensions = [p for p in parameters if isinstance(p.default, float)]
     assert dimensions
     for one in dimensions:
@@ -78,6 +81,11 @@ def test_every_dimension_is_a_finite_number_and_most_are_positive(generator):
             for wrong in (np.nan, "big", True, *((0.0, -1, np.inf) if positive else ())):
                 words = "a positive, finite number" if positive else ""
                 with refused(f"{generator}: {one.name}={wrong!r}: expected {words}"):
+                    generate(generator, **{one.name: wrong})
+            if one.name == "span" and generator != "airplane":  # the only length
+                continue
+            for wrong in (1e9, 1e-9) if positive else (1e9, -1e9):
+                with refused(limits):
                     generate(generator, **{one.name: wrong})
 
 
@@ -107,70 +115,32 @@ def test_object_of_twice_the_size_has_eight_times_the_volume(generator, lengths,
     [
         ("anvil", {}, "unknown generator 'anvil'.*bell, block.*wrench"),
         ("mug", {"colour": 3}, "unknown parameter 'colour'.*radius"),
-        ("mug", {"wall": 0.03}, "wall=0.03.*expected"),
-        ("mug", {"bottom": 0.09}, "bottom=0.09.*expected"),
         ("mug", {"handle_reach": 0.3}, "handle_reach=0.3.*handle"),
         ("mug", {"texture_size": 0}, "texture_size=0.*texels"),
         ("mug", {"texture_size": 100.5}, "texture_size=100.5.*texels"),
         ("die", {"fillet": 0.02}, "fillet=0.02.*pips"),
-        ("bell", {"wall": 0.02}, "wall=0.02.*expected"),
-        ("bell", {"radius": 0.2}, "height=0.09.*expected"),
-        ("bowl", {"wall": 0.03}, "bowl: wall=0.03.*expected"),
-        ("bowl", {"foot_radius": 0.07}, "bowl: foot_radius=0.07.*70 %"),
-        ("bowl", {"fullness": 1.0}, r"bowl: fullness=1\.0.*cone to cylinder"),
         ("bowl", {"lobes": 2}, "bowl: lobes=2.*from 3 to 12"),
         ("bowl", {"finish": "velvet"}, "unknown finish 'velvet'"),
-        ("cup", {"rounding": 0.05}, "cup: rounding=0.05.*radius of the base"),
         ("cup", {"stem": 0.09}, "cup: stem=0.09.*65 %"),
         ("cup", {"stem": -1.0}, r"cup: stem=-1\.0.*positive"),
-        ("plate", {"rim": 0.045}, "plate: rim=0.045.*what the well leaves"),
-        ("plate", {"height": 0.001}, "plate: height=0.001.*above the well"),
-        ("bottle", {"neck_radius": 0.05}, "bottle: neck_radius=0.05.*90 %"),
-        ("bottle", {"height": 0.1}, "bottle: height=0.1.*neck, shoulder and a body"),
-        ("vase", {"neck": 0.3}, "vase: neck=0.3.*above the belly"),
-        ("pan", {"handle_width": 0.2}, "pan: handle_width=0.2.*wall can hold"),
-        ("pan", {"handle_length": 2.0}, r"pan: handle_length=2\.0.*0.5 to 3 radii"),
-        ("teapot", {"lid_radius": 0.06}, "teapot: lid_radius=0.06.*35 %"),
-        ("teapot", {"height": 0.5}, "teapot: height=0.5.*1.3 to 3 radii"),
         ("teapot", {"texture_size": 64}, "texture_size=64.*charts.*larger"),
-        ("table", {"length": 9.0}, "table: length=9.0.*expected"),
-        ("table", {"leg_size": 0.3}, "leg_size=0.3.*expected"),
-        ("table", {"bevel": 0.03}, "bevel=0.03.*expected"),
-        ("table", {"apron": 0.6}, "apron=0.6.*expected"),
         ("table", {"shape": "star"}, "shape='star'.*rectangle, oval"),
         ("table", {"base": "one"}, "base='one'.*legs, pillar"),
         ("stool", {"legs": 2}, "legs=2.*whole number from 3 to 6"),
         ("stool", {"legs": 3.5}, "legs=3.5.*whole number"),
-        ("stool", {"rung_height": 0.44}, "rung_height=0.44.*clear of the seat"),
         ("stool", {"color": "red"}, "color='red'.*hexadecimal"),
         ("shelf", {"bays": 0}, "bays=0.*whole number from 1 to 8"),
         ("shelf", {"bays": 8, "height": 0.5, "width": 0.5}, "height=0.5.*room for those bays"),
-        ("shelf", {"back": 0.001}, "back=0.001.*expected"),
         ("shelf", {"front": "glass"}, "front='glass'.*open, doors, drawers"),
-        ("shelf", {"board_thickness": 0.1}, "board_thickness=0.1.*expected"),
-        ("wrench", {"length": 0.05}, "length=0.05.*expected"),
-        ("wrench", {"thickness": 0.03}, "thickness=0.03.*expected"),
         ("wrench", {"ends": "hook"}, "ends='hook'.*combination, open, ring"),
         ("hammer", {"head": "axe"}, "head='axe'.*claw, club, mallet"),
-        ("hammer", {"head_length": 0.4}, "head_length=0.4.*expected"),
-        ("hammer", {"handle_width": 0.1}, "handle_width=0.1.*expected"),
-        ("spoon", {"wall": 0.01}, "wall=0.01.*expected"),
-        ("spoon", {"depth": 0.05}, "depth=0.05.*expected"),
-        ("spoon", {"hook": 0.002}, "hook=0.002.*expected"),
-        ("spoon", {"rise": -0.1}, "rise=-0.1.*expected"),
         ("block", {"rows": 0}, "rows=0.*whole number"),
-        ("block", {"diameter": 0.04}, "diameter=0.04.*pitch"),
         ("block", {"depth": 0.0499}, "depth=0.0499.*floor"),
-        ("block", {"rounding": 0.01}, "rounding=0.01.*expected"),
         ("block", {"relief": "slots"}, "relief='slots'.*plain, holes, studs"),
-        ("airplane", {"wing": 0.02}, "wing=0.02.*40 % of the body"),
         ("toy", {"kind": "robot"}, "kind='robot'.*car, truck, duck, rings"),
-        ("toy", {"plump": 3}, "plump=3.*expected"),
         ("toy", {"count": 20}, "count=20.*whole number"),
         ("electronics", {"kind": "lantern"}, "kind='lantern'.*television, radio, clock"),
-        ("electronics", {"plump": 2}, "plump=2.*expected"),
         ("appliance", {"kind": "oven"}, "kind='oven'.*toaster, lantern, iron, dryer"),
-        ("appliance", {"plump": 0.5}, "plump=0.5.*expected"),
     ],
 )
 def test_impossible_requests_are_refused(generator, parameters, words):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from refused import refused
+from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
 import objectfolder.sim  # noqa: F401, registers
 from objectfolder.sim.calls import distinct_materials, object_file, open_files
@@ -177,10 +178,25 @@ def test_environments_side_by_side_do_what_each_does_alone(make, name):
             together, expected = many.step(np.stack([action, action]))[0], alone.step(action)[0]
 
 
-@pytest.mark.parametrize("name", GAMES)
-def test_the_checker_passes_with_a_game_made_by_name(brick, name):
-    few = {"drop": {"seconds": 0.03}, "tap": {"seconds": 0.03}, "explore": {}}[name]
-    check_env(gymnasium.make(f"ObjectFolder/{name.title()}-v0", objects=[brick], **few).unwrapped)
+DRAWN = {"render_mode": "rgb_array"}
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "checks"),
+    [
+        ("Grasp", DRAWN | {"observation": "features"}, [check_env]),
+        ("Grasp", DRAWN | {"observation": "width"}, [check_for_stable_baselines]),
+        ("Reach", DRAWN | {"horizon": 20, "resolution": (24, 32)}, [check_env, check_for_stable_baselines]),
+        ("Drop", {"seconds": 0.03}, [check_env]),
+        ("Tap", {"seconds": 0.03}, [check_env]),
+        ("Explore", {}, [check_env]),
+    ],
+)
+def test_the_checkers_pass_with_what_is_made_by_name(brick, hulls, name, given, checks):
+    thing = {"objects": [brick]} if name.lower() in GAMES else {"file": brick, "hulls": hulls}
+    env = gymnasium.make(f"ObjectFolder/{name}-v0", **thing, **given).unwrapped
+    for check in checks:
+        check(env)
 
 
 @pytest.mark.parametrize(

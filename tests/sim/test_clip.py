@@ -66,14 +66,15 @@ def test_the_default_view_sees_the_objects(brick):
 def test_simulate_says_what_it_needs(brick, tmp_path, monkeypatch):
     monkeypatch.setattr("shutil.which", lambda program: program)  # whether it is installed or not
     path = tmp_path / "scene.xml"
-    path.write_text("<mujoco><worldbody><body name='cup'><geom size='.1'/></body></worldbody></mujoco>")
-    with refused(r"no body is named bell or die or mug"):
-        app(["simulate", str(path), "--out", str(tmp_path / "a.mp4")], standalone_mode=False)
-    path.write_text("<mujoco><nonsense/></mujoco>")
-    with refused(r"scene.xml: MuJoCo cannot read it"):
-        app(["simulate", str(path), "--out", str(tmp_path / "a.mp4")], standalone_mode=False)
-    with refused(r"ends in \.mp4"):
-        app(["simulate", str(path), "--out", str(tmp_path / "a.gif")], standalone_mode=False)
+    cup = "<worldbody><body name='cup'><geom size='.1'/></body></worldbody>"
+    for content, out, message in (
+        (cup, "a.mp4", "no body is named bell or die or mug"),
+        ("<nonsense/>", "a.mp4", "scene.xml: MuJoCo cannot read it"),
+        (cup, "a.gif", r"ends in \.mp4"),
+    ):
+        path.write_text(f"<mujoco>{content}</mujoco>")
+        with refused(message):
+            app(["simulate", str(path), "--out", str(tmp_path / out)], standalone_mode=False)
 
 
 @pytest.mark.skipif(shutil.which("ffprobe") is None, reason="needs the program ffmpeg")

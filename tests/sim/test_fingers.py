@@ -5,16 +5,9 @@ import pytest
 from brick import felt_by
 from solids import box
 
+from objectfolder.sim import fingers
 from objectfolder.sim.body import turn_poses
-from objectfolder.sim.fingers import (
-    MIN_DEPTH,
-    Presses,
-    TrueSurface,
-    pad_presses,
-    press_depths,
-    sensor_angles,
-    tactile_images,
-)
+from objectfolder.sim.fingers import Presses, pad_presses, press_depths, tactile_images
 from objectfolder.touch.contact import sensor_frames
 
 
@@ -26,7 +19,7 @@ def test_angles_reproduce_the_orientation_of_the_sensor(rng):
     """The conventions of `ObjectFile.touch` turn angle, tilt and azimuth back into the same sensor."""
     normals, outward = unit(rng.normal(size=(50, 3))), unit(rng.normal(size=(50, 3)))
     up = unit(np.cross(outward, rng.normal(size=(50, 3))))
-    angle, tilt, azimuth = sensor_angles(normals, outward, up)
+    angle, tilt, azimuth = fingers.sensor_angles(normals, outward, up)
     frames = sensor_frames(normals, angle)
     lean = np.cos(azimuth)[:, None] * frames[:, :, 2] - np.sin(azimuth)[:, None] * frames[:, :, 1]
     assert np.cos(tilt)[:, None] * normals + np.sin(tilt)[:, None] * lean == pytest.approx(outward, abs=1e-9)
@@ -68,7 +61,7 @@ def test_depth_is_clipped_to_the_range_of_the_sensor(brick, on_faces):
 def on_box(profile, background):
     """The brick's exact surface."""
     corners, faces = box((0.1, 0.06, 0.03))
-    return TrueSurface(corners, faces, profile, background)
+    return fingers.TrueSurface(corners, faces, profile, background)
 
 
 def test_pads_may_face_away_from_the_surface(brick, on_faces):
@@ -80,7 +73,7 @@ def test_pads_may_face_away_from_the_surface(brick, on_faces):
     depths = np.array([0.0012, 0.0008])
     implicit, explicit = tactile_images(brick, away, depths), truth.tactile_images(away, depths)
     assert np.abs(implicit.astype(int) - explicit).mean() < 1
-    limits = MIN_DEPTH, brick.sensor_profile.max_indentation
+    limits = fingers.MIN_DEPTH, brick.sensor_profile.max_indentation
     found = press_depths(brick, away, np.array([1.0, 10.0]))
     assert ((found >= limits[0] * (1 - 1e-9)) & (found <= limits[1] * (1 + 1e-9))).all()
 

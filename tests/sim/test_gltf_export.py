@@ -13,17 +13,8 @@ from objectfolder.cli import app
 from objectfolder.mesh.srgb import encode
 from objectfolder.mesh.textured import y_up, z_up
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.sim import visual
-from objectfolder.sim.gltf import (
-    AUDIO,
-    PHYSICS,
-    SAMPLES,
-    add_accessor,
-    pack_glb,
-    sample_modes,
-    unpack_glb,
-    write_glb,
-)
+from objectfolder.sim import gltf, visual
+from objectfolder.sim.gltf import AUDIO, PHYSICS, unpack_glb, write_glb
 from objectfolder.sound.synthesis import sinusoid_bank
 
 pytestmark = pytest.mark.usefixtures("small_textures")
@@ -47,6 +38,11 @@ def accessor_values(document, buffer, accessor):
     return values if width == 1 else values.reshape(-1, width)
 
 
+def look_of(document):
+    drawn = document["meshes"][document["nodes"][0]["mesh"]]["primitives"][0]
+    return document["materials"][drawn["material"]]["pbrMetallicRoughness"]
+
+
 @pytest.fixture(scope="module")
 def model(glb):
     document, buffer = glb
@@ -57,11 +53,10 @@ def model(glb):
 
 def test_a_reader_that_knows_no_extension_draws_the_surface(brick, path):
     scene = trimesh.load(path)
-    (drawn,) = [
-        scene.geometry[name] for name in scene.graph.nodes_geometry for name in [scene.graph[name][1]]
-    ]
-    np.testing.assert_allclose(z_up(drawn.vertices).min(0), brick.bounds[0], atol=2e-4)
-    np.testing.assert_allclose(z_up(drawn.vertices).max(0), brick.bounds[1], atol=2e-4)
+    (node,) = scene.graph.nodes_geometry
+    drawn = scene.geometry[scene.graph[node][1]]
+    places = z_up(drawn.vertices)
+    np.testing.assert_allclose([places.min(0), places.max(0)], brick.bounds, atol=2e-4)
     assert drawn.visual.material.baseColorTexture.size == (64, 64)
     assert drawn.area == pytest.approx(brick.to_mesh().area, rel=0.01)
 
@@ -118,7 +113,7 @@ def test_the_sound_that_the_extension_defines_is_the_objects(brick, model):
 
 def test_shapes_between_the_samples_are_interpolated_well(brick, model):
     samples, faces = z_up(model["positions"]).astype(float), model["indices"].reshape(-1, 3)
-    assert 100 < len(samples) <= SAMPLES
+    assert 100 < len(samples) <= gltf.SAMPLES
     mesh = trimesh.Trimesh(samples, faces, process=False)
     points = brick.sample_surface(300)
     squared, face, nearest = igl.point_mesh_squared_distance(points, samples, faces.astype(np.int64))[:3]
@@ -149,23 +144,16 @@ def test_an_object_without_sound_has_none(brick, body, tmp_path):
 
 def test_an_object_without_base_colours_is_grey(brick, body, tmp_path):
     document, _ = unpack_glb(write_glb(without(brick, "vision"), tmp_path, hulls=body.hulls).read_bytes())
-    drawn = document["meshes"][document["nodes"][0]["mesh"]]["primitives"][0]
-    found = document["materials"][drawn["material"]]["pbrMetallicRoughness"]
+    found = look_of(document)
     assert "baseColorTexture" not in found
     assert encode(np.array(found["baseColorFactor"][:3])) == pytest.approx(visual.GREY, abs=0.5 / 255)
     assert found["baseColorFactor"][3] == 1
 
 
-def test_a_texture_keeps_its_colours(glb):
-    document, _ = glb
-    drawn = document["meshes"][document["nodes"][0]["mesh"]]["primitives"][0]
-    found = document["materials"][drawn["material"]]["pbrMetallicRoughness"]
-    assert found.get("baseColorFactor", [1, 1, 1, 1]) == [1, 1, 1, 1]
-
-
-def test_a_texture_is_read_without_mipmaps(glb):
+def test_a_texture_keeps_its_colours_and_is_read_without_mipmaps(glb):
     """They would mix the rectangles of faces."""
     document, _ = glb
+    assert look_of(document).get("baseColorFactor", [1, 1, 1, 1]) == [1, 1, 1, 1]
     (texture,) = document["textures"]
     assert document["samplers"][texture["sampler"]]["minFilter"] == 9729  # LINEAR
 
@@ -173,11 +161,9 @@ def test_a_texture_is_read_without_mipmaps(glb):
 def test_arrays_come_back_from_a_buffer_of_any_length():
     document, buffer = {"bufferViews": [], "accessors": []}, bytearray(b"abc")
     rows = np.arange(12, dtype=np.float32).reshape(4, 3)
-    first, second = (
-        add_accessor(document, buffer, rows),
-        add_accessor(document, buffer, np.arange(5, dtype=np.uint32)),
-    )
-    document, buffer = unpack_glb(pack_glb(document, buffer))
+    arrays = rows, np.arange(5, dtype=np.uint32)
+    first, second = (gltf.add_accessor(document, buffer, values) for values in arrays)
+    document, buffer = unpack_glb(gltf.pack_glb(document, buffer))
     np.testing.assert_array_equal(accessor_values(document, buffer, first), rows)
     np.testing.assert_array_equal(accessor_values(document, buffer, second), np.arange(5))
     assert document["accessors"][0]["max"] == [9, 10, 11]
@@ -190,7 +176,7 @@ def test_command(brick_path, tmp_path):
 
 
 def test_samples_are_on_the_surface_and_apart(brick):
-    points, faces = sample_modes(brick)
+    points, faces = gltf.sample_modes(brick)
     assert brick.nearest(points)[1].max() < 1e-6
     assert np.unique(points, axis=0).shape == points.shape
     assert faces.max() < len(points)

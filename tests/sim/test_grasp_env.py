@@ -5,9 +5,7 @@ import gymnasium
 import numpy as np
 import pytest
 from brick import felt_by, with_images, without
-from gymnasium.utils.env_checker import check_env
 from refused import refused
-from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import objectfolder.sim  # noqa: F401, registers
 from objectfolder.objectfile.file import ObjectFile
@@ -31,11 +29,6 @@ def task(brick):
 def made(path, hulls, observation):
     given = {"file": path, "hulls": hulls, "observation": observation, "render_mode": "rgb_array"}
     return gymnasium.make("ObjectFolder/Grasp-v0", **given).unwrapped
-
-
-@pytest.mark.parametrize(("check", "observation"), [(check_env, "features"), (check_env_for_sb3, "width")])
-def test_the_checkers_pass(brick_path, hulls, check, observation):
-    check(made(brick_path, hulls, observation))
 
 
 @pytest.mark.parametrize("observation", ["images", "tactile", "blind"])

@@ -1,15 +1,11 @@
 import sys
-import warnings
 from dataclasses import replace
 from importlib import import_module
 
-import gymnasium
 import numpy as np
 import pytest
 import trimesh
-from gymnasium.utils.env_checker import check_env
 from refused import refused
-from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
 from objectfolder.benchmarks.tasks.reach_training import controller, run_episodes
 from objectfolder.sim import reach
@@ -31,17 +27,6 @@ def _trajectory(env, seed, steps=60):
         observation, reward, *_ = env.step(rng.uniform(-1, 1, 4).astype(np.float32))
         seen += [observation, np.array([reward])]
     return np.concatenate(seen).tobytes()
-
-
-def test_both_checkers_pass(body):
-    env = gymnasium.make(
-        "objectfolder.sim:ObjectFolder/Reach-v0", file=body, horizon=20, render_mode="rgb_array",
-        resolution=(24, 32),
-    ).unwrapped  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env)
-        check_for_stable_baselines(env)
 
 
 def test_the_environment_takes_a_file_and_its_hulls(brick, brick_path):

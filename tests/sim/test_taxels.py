@@ -22,12 +22,12 @@ def pad(spec, **options):
     add_taxels(spec, "finger", DIGIT, **options)
 
 
-def forward(spec, velocity=(0, 0, 0)):
+def forward(spec, velocity=(0, 0, 0), contact=True):
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.qvel[:3] = velocity
+    data.qvel[:3] = velocity[: model.nv]
     mujoco.mj_forward(model, data)
-    assert data.ncon
+    assert bool(data.ncon) == contact
     return model, data
 
 
@@ -78,23 +78,20 @@ def test_an_object_is_felt_where_it_touches(brick):
 def test_no_contact_reads_zero():
     spec = mujoco.MjSpec()
     pad(spec)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    assert (read_taxels(model, data) == 0).all()
+    assert (read_taxels(*forward(spec, contact=False)) == 0).all()
 
 
 def test_errors_name_what_is_wrong():
     spec = mujoco.MjSpec()
     pad(spec)
-    with refused("no body 'thumb'; expected one of world, finger"):
-        add_taxels(spec, "thumb", DIGIT)
-    with refused("has a 'taxels' already"):
-        add_taxels(spec, "finger", DIGIT)
-    with refused("taxels: rows"):
-        taxel_mesh(DIGIT, 1, 9)
-    with refused("unknown sensor profile 'finger'"):
-        add_taxels(spec, "finger", "finger", name="more")
+    for given, message in (
+        (("thumb", DIGIT), "no body 'thumb'; expected one of world, finger"),
+        (("finger", DIGIT), "has a 'taxels' already"),
+        (("finger", "finger", 16, 12, (0, 0, 0), (1, 0, 0, 0), "more"), "unknown sensor profile 'finger'"),
+        (("finger", DIGIT, 1, 9, (0, 0, 0), (1, 0, 0, 0), "more"), "taxels: rows"),
+    ):
+        with refused(message):
+            add_taxels(spec, *given)
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(12, 16), (16, 12), (2, 2), (7, 5)])

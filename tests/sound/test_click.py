@@ -40,11 +40,8 @@ def test_sound_comes_after_the_time_it_needs():
     now, later = (recoil_pressure(SPHERE, UP, place, rate, 2000, CONTACT, delay=d)[0] for d in (False, True))
     lag = (1 - RADIUS) / SOUND_SPEED * rate
     assert not later[: int(lag)].any()
-    np.testing.assert_allclose(
-        later[300:600],
-        np.interp(np.arange(300, 600) - lag, np.arange(2000), now),
-        atol=0.02 * np.abs(now).max(),
-    )
+    expected = np.interp(np.arange(300, 600) - lag, np.arange(2000), now)
+    np.testing.assert_allclose(later[300:600], expected, atol=0.02 * np.abs(now).max())
 
 
 def test_added_mass_of_a_sphere_a_disc_and_a_cylinder():

@@ -77,9 +77,7 @@ def test_each_axis_has_its_own_range(bar, trained):
     for axis in (0, 1):
         assert float((high - low)[axis] / (high - low)[2]) == pytest.approx(0.2, rel=1e-5)
     values = torch.stack([low, high], 1)[None].expand(1, 3, 2)
-    torch.testing.assert_close(
-        trained[0].scaled(values)[0], torch.tensor([[0.0, 1]] * 3, dtype=torch.float64)
-    )
+    torch.testing.assert_close(trained[0].scaled(values)[0], torch.tensor([[0.0, 1]] * 3).double())
 
 
 def test_files_with_one_range_for_all_axes_answer_as_before(bar, trained):

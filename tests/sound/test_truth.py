@@ -8,10 +8,10 @@ from solids import box
 
 from objectfolder.base.materials import material
 from objectfolder.sound.fem.cutcell import cut_cells
-from objectfolder.sound.fem.modal import modal_analysis, solved_band
+from objectfolder.sound.fem.modal import Request, modal_analysis, solved_band
 from objectfolder.sound.fem.settings import ModalConfig
 from objectfolder.sound.fem.similarity import similarity
-from objectfolder.sound.truth import Request, compute_modes, problem_digest, rescaled
+from objectfolder.sound.truth import compute_modes, problem_digest, rescaled
 
 SOLID = box((1, 0.55, 0.3))
 GLASS = material("glass")
@@ -27,7 +27,7 @@ def solve():
 
     def modes(request):
         if request not in done:
-            done[request] = modal_analysis(cells, SOLID[0], *vars(request).values())
+            done[request] = modal_analysis(cells, SOLID[0], request)
         return done[request]
 
     return modes
@@ -72,8 +72,7 @@ def test_it_is_what_a_solve_finds(solve, changes):
         exact = value is None or isinstance(value, str)
         assert data.report[name] == (value if exact else pytest.approx(value, **loose)), name
     assert data.report["residual_max"] < 1e-8
-    bounds = wanted.material, wanted.max_frequency, wanted.max_modes
-    assert solved_band(data, *bounds) == pytest.approx(solved_band(fresh, *bounds))
+    assert solved_band(data, wanted) == pytest.approx(solved_band(fresh, wanted))
 
 
 def test_the_lowest_modes_of_a_truncated_solve_serve_again(solve):
@@ -83,7 +82,7 @@ def test_the_lowest_modes_of_a_truncated_solve_serve_again(solve):
     np.testing.assert_allclose(data.eigenvalues, fresh.eigenvalues, rtol=1e-6)
     assert data.report["truncated"] is fresh.report["truncated"] is True
     assert data.report["count_below_max_frequency"] is None  # it was not counted
-    assert solved_band(data, GLASS, 20000.0, 6) == pytest.approx(solved_band(fresh, GLASS, 20000.0, 6))
+    assert solved_band(data, wanted) == pytest.approx(solved_band(fresh, wanted))
 
 
 @pytest.mark.parametrize(
@@ -137,19 +136,18 @@ def test_modes_that_become_overdamped_are_dropped(solve):
 
 
 def test_the_band_ends_where_modes_are_overdamped(solve):
-    stuff = dataclasses.replace(GLASS, beta=2e-5)
-    dull = dataclasses.replace(BASE, material=stuff)
-    low, high = solved_band(solve(dull), stuff, 20000.0, 100)
+    def band(**damping):
+        request = dataclasses.replace(BASE, material=dataclasses.replace(GLASS, **damping))
+        return solved_band(solve(request), request), len(solve(request).damping)
+
+    (low, high), count = band(beta=2e-5)
     natural = np.sqrt(solve(BASE).eigenvalues) / (2 * np.pi)
     assert low == 20
     assert high == pytest.approx(2 / 2e-5 / (2 * np.pi), rel=1e-4)
-    assert ((natural > low) & (natural < high)).sum() == len(solve(dull).damping)
+    assert ((natural > low) & (natural < high)).sum() == count
     # Damped by its mass alone, the low ones are.
-    heavy = dataclasses.replace(GLASS, alpha=1e5, beta=0.0)
-    low, high = solved_band(solve(dataclasses.replace(BASE, material=heavy)), heavy, 20000.0, 100)
-    assert (low, high) == (pytest.approx(1e5 / 4 / np.pi), 20000)
-    gone = dataclasses.replace(GLASS, alpha=1e5, beta=1e-3)
-    low, high = solved_band(solve(dataclasses.replace(BASE, material=gone)), gone, 20000.0, 100)
+    assert band(alpha=1e5, beta=0.0)[0] == [pytest.approx(1e5 / 4 / np.pi), 20000]
+    (low, high), _ = band(alpha=1e5, beta=1e-3)
     assert low == high
 
 
@@ -157,20 +155,20 @@ def test_the_band_ends_where_modes_are_overdamped(solve):
 def test_the_band_of_an_object_that_is_not_heard(solve):
     small = dataclasses.replace(BASE, scale=0.01)
     assert len(solve(small).damping) == 0  # all above 20 kHz
-    assert solved_band(solve(small), GLASS, 20000.0, 100) == [0, 20000]
+    assert solved_band(solve(small), small) == [0, 20000]
     again = rescaled(stored(solve, BASE), "task", small)
     assert again.shapes.shape == (8, 3, 0)
     assert again.report["lowest_hz"] == []
     # All modes that were kept are below hearing: nothing is known.
     large = Request(GLASS, 200.0, 60.0, 1)
     assert solve(large).report["modes"] == 0
-    low, high = solved_band(solve(large), GLASS, 60.0, 1)
+    low, high = solved_band(solve(large), large)
     assert low == high
     # With a loss factor only those are missing, however large alpha and beta.
     slack = dataclasses.replace(GLASS, alpha=1e5, beta=2e-5, loss_factor=((1000.0, 0.01),))
-    deep = solve(Request(slack, 200.0, 60.0, 1000))
-    assert 0 < deep.report["modes"] < deep.report["count_below_max_frequency"]
-    assert solved_band(deep, slack, 60.0, 1000) == [20, 60]
+    deep = Request(slack, 200.0, 60.0, 1000)
+    assert 0 < solve(deep).report["modes"] < solve(deep).report["count_below_max_frequency"]
+    assert solved_band(solve(deep), deep) == [20, 60]
 
 
 def test_similarity_is_that_of_the_wave_equation():

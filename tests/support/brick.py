@@ -13,7 +13,7 @@ from objectfolder.nets.hashgrid import HashGrid
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.packing import pack_object_file
 from objectfolder.sound.fem.cutcell import cut_cells
-from objectfolder.sound.fem.modal import modal_analysis, solved_band
+from objectfolder.sound.fem.modal import Request, modal_analysis, solved_band
 from objectfolder.sound.gains_training import ModeSamples, train_gains
 from objectfolder.sound.net_settings import GainsConfig
 from objectfolder.sound.radiation.radiation import pack_radiation, radiate
@@ -47,8 +47,9 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     solid = box(SIDES)
     values, band = distance_grid(*solid, 64)
     points = sample_surface(*solid, 300, np.random.default_rng(0))
-    modes = modal_analysis(cut_cells(*solid, 6, 4), points, material("plastic"), scale, 20000.0, 12)
-    band_hz = solved_band(modes, material("plastic"), 20000.0, 12)
+    request = Request(material("plastic"), scale, 20000.0, 12)
+    modes = modal_analysis(cut_cells(*solid, 6, 4), points, request)
+    band_hz = solved_band(modes, request)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         grid = HashGrid(levels=2, features=2, table_bits=10, coarsest=4, finest=12)

@@ -4,7 +4,6 @@ A fork imports the project itself, from its working directory, as a new process 
 signals or process groups needs a real process instead.
 """
 
-import array
 import fcntl
 import gc
 import importlib
@@ -45,10 +44,7 @@ sys.exit(Process({path!r}, sys.argv[1:], os.getcwd(), dict(os.environ), (0, 1, 2
 
 
 class ForkServer:
-    """Client of a server.
-
-    ``path``: its socket, and beside it the program ``bin/python``.
-    """
+    """Client of a server; ``path``: its socket, and beside it the program ``bin/python``."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -57,11 +53,8 @@ class ForkServer:
         """Run ``python COMMAND...`` and capture what it prints, like subprocess.run."""
         with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
             code = self.start(command, cwd, out, err, **env).wait(timeout)
-            texts = []
-            for stream in (out, err):
-                stream.seek(0)
-                texts.append(stream.read().decode())
-        return subprocess.CompletedProcess(list(command), code, *texts)
+            texts = [os.pread(file.fileno(), os.fstat(file.fileno()).st_size, 0) for file in (out, err)]
+        return subprocess.CompletedProcess(list(command), code, *(text.decode() for text in texts))
 
     def start(self, command, cwd, out, err, **env) -> "Process":
         """Start ``python COMMAND...`` with open files for its output."""
@@ -81,8 +74,7 @@ class Process:
         self.connection = socket.socket(socket.AF_UNIX)
         self.connection.connect(str(path))
         text = json.dumps({"command": command, "cwd": cwd, "env": env}).encode() + b"\n"
-        rights = array.array("i", files).tobytes()
-        self.connection.sendmsg([text[:1]], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, rights)])
+        socket.send_fds(self.connection, [text[:1]], files)
         self.connection.sendall(text[1:])
         self.pid = struct.unpack("i", self.connection.recv(4, socket.MSG_WAITALL))[0]
 
@@ -173,29 +165,27 @@ def serve(path: str, shim: str) -> None:
                 connection.close()
                 continue
             client, _ = listener.accept()
-            text, ancillary, _, _ = client.recvmsg(1 << 16, socket.CMSG_SPACE(12))
+            text, files, _, _ = socket.recv_fds(client, 1 << 16, 3)
             if text.startswith(b"lease"):
                 leases.add(client)
                 started = True
             elif os.fork() == 0:
                 for other in (listener, *leases):
                     other.close()
-                return attend(client, text, ancillary, shim)
+                return attend(client, text, files, shim)
             else:
-                for _, _, data in ancillary:
-                    for file in array.array("i", data):
-                        os.close(file)
+                for file in files:
+                    os.close(file)
                 client.close()
     sys.exit()
 
 
-def attend(client: socket.socket, text: bytes, ancillary: list, shim: str) -> None:
+def attend(client: socket.socket, text: bytes, files: list[int], shim: str) -> None:
     """Fork the command and report its exit code; end it if the client ends. Returns in the command's fork."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     while not text.endswith(b"\n"):
         text += client.recv(1 << 16)
     asked = json.loads(text)
-    files = array.array("i", ancillary[0][2])
     if (worker := os.fork()) == 0:
         client.close()
         os.setsid()

@@ -53,3 +53,10 @@ def hum(pitches, rng):
     time = np.arange(1600) / 16000
     sounds = np.sin(2 * np.pi * np.asarray(pitches)[:, None] * time) * np.exp(-20 * time)
     return (sounds + 0.01 * rng.standard_normal(sounds.shape)).astype(np.float32)
+
+
+def observations(rng, count):
+    """Noise as a view, a sound of two seconds, and a touch, so many of each."""
+    sides = {"vision": (64, 64), "touch": (160, 120)}
+    found = {name: rng.integers(256, size=(count, *of, 3), dtype=np.uint8) for name, of in sides.items()}
+    return found | {"audio": rng.standard_normal((count, 32000)).astype(np.float32)}

@@ -89,14 +89,8 @@ def nerf(state, points, views, lights, octaves=(10, 4), prefix="", refeed=True):
     """Colour in about [0, 1] and raw density."""
     hidden = trunk(state, encode(points, octaves[0]), prefix, refeed)
     density = apply(state, f"{prefix}alpha_linear", hidden)[:, 0]
-    x = np.concatenate(
-        [
-            apply(state, f"{prefix}bottleneck_linear", hidden),
-            encode(views, octaves[1]),
-            encode(lights, octaves[1]),
-        ],
-        1,
-    )
+    joined = apply(state, f"{prefix}bottleneck_linear", hidden)
+    x = np.concatenate([joined, encode(views, octaves[1]), encode(lights, octaves[1])], 1)
     x = np.maximum(apply(state, f"{prefix}views_lights_linears.0", x), 0)
     return 1.2 * (sigmoid(apply(state, f"{prefix}rgb_linear", x)) - 0.5) + 0.5, density
 
@@ -179,33 +173,34 @@ def rendered(answer, pose, light, size, focal, near=0.01, far=4.0, samples=64, m
     return image, alphas, depths
 
 
-def released_1(seed=0, width=16, density=0.0, **where):
+def audio_branches(rng, inputs, outputs, width):
+    state = OrderedDict()
+    for axis in "xyz":
+        state |= mlp_state(rng, inputs, outputs, width, prefix=f"module.model_{axis}.")
+    return state
+
+
+def ranges(rng, kind):
+    ends = (("min", -1), ("max", 1))
+    return {f"f{i}_{end}": kind(sign * rng.uniform(0.5, 2)) for i in (1, 2, 3) for end, sign in ends}
+
+
+def released_1(seed=0, width=16, density=0.0):
     """A whole file of 1.0."""
     rng = np.random.default_rng(seed)
     vertices = np.unique(rng.integers(4, 29, (60, 3)), axis=0).astype(np.float64)
-    audio_state = OrderedDict()
-    for axis in "xyz":
-        audio_state |= mlp_state(rng, 5, 2, width, prefix=f"module.model_{axis}.")
+    audio_state = audio_branches(rng, 5, 2, width)
+    optimizer = {"state": {0: {"step": 3, "exp_avg": torch.zeros(2)}}, "param_groups": []}
     return {
         "VisionNet": {
-            "global_step": 200000,
-            "optimizer_state_dict": {
-                "state": {0: {"step": 3, "exp_avg": torch.zeros(2)}},
-                "param_groups": [],
-            },
+            **{"global_step": 200000, "optimizer_state_dict": optimizer},
             "network_fn_state_dict": nerf_state(rng, width, density=density),
             "network_fine_state_dict": nerf_state(rng, width, density=density),
         },
         "AudioNet": {
-            "normalizer": {
-                f"f{i}_{end}": np.float32(sign * rng.uniform(0.5, 2))
-                for i in (1, 2, 3)
-                for end, sign in (("min", -1), ("max", 1))
-            },
-            "voxel_vertex": vertices,
-            "translation": np.array([0.1, 0.12, 0.11]),
-            "scale": np.float64(4.0),
-            "model_state_dict": audio_state,
+            "normalizer": ranges(rng, np.float32),
+            **{"voxel_vertex": vertices, "translation": np.array([0.1, 0.12, 0.11])},
+            **{"scale": np.float64(4.0), "model_state_dict": audio_state},
         },
         "TouchNet": {"model_state_dict": mlp_state(rng, 5, 3, width, prefix="module.")},
     }
@@ -213,46 +208,27 @@ def released_1(seed=0, width=16, density=0.0, **where):
 
 def released_2(seed=0, width=16, modes=7):
     """A whole file of 2.0 without KiloOSF."""
-    rng = np.random.default_rng(seed)
-    audio_state = OrderedDict()
-    for axis in "xyz":
-        audio_state |= mlp_state(rng, 3, modes, width, prefix=f"module.model_{axis}.")
-    ends = (("min", -1), ("max", 1))
-    normalizer = {f"f{i}_{end}": float(sign * rng.uniform(0.5, 2)) for i in (1, 2, 3) for end, sign in ends}
+    rng, bounds = np.random.default_rng(seed), {"xyz_min": np.float64(-0.08), "xyz_max": np.float64(0.11)}
+    audio_state, normalizer = audio_branches(rng, 3, modes, width), ranges(rng, float)
     return {
         "VisionNet": {"cfg": config_2(width), "model_state_dict": nerf_state(rng, width)},
         "AudioNet": {
-            "normalizer": normalizer | {"xyz_min": np.float64(-0.08), "xyz_max": np.float64(0.11)},
+            "normalizer": normalizer | bounds,
             "frequencies": rng.uniform(200, 7000, modes),
             "dampings": rng.uniform(5, 60, modes),
             "model_state_dict": audio_state,
         },
-        "TouchNet": {
-            "xyz_min": np.float64(-0.08),
-            "xyz_max": np.float64(0.11),
-            "model_state_dict": mlp_state(rng, 9, 1, width, prefix="module.", gain=0.5),
-        },
+        "TouchNet": bounds | {"model_state_dict": mlp_state(rng, 9, 1, width, prefix="module.", gain=0.5)},
     }
 
 
 def config_2(width=16, **other):
     return {
-        "num_hidden_layers": 8,
-        "hidden_layer_size": width,
-        "direction_layer_size": width // 2,
-        "refeed_position_index": 4,
-        "num_frequencies": 10,
-        "num_frequencies_direction": 4,
-        "near": 0.01,
-        "far": 4,
-        "num_samples_per_ray": 48,
-        "num_importance_samples_per_ray": 0,
-        "perturb": 1.0,
-        "raw_noise_std": 0.0,
-        "blender_white_background": True,
-        "llff_lindisp": False,
-        "no_color_sigmoid": False,
-        "model_type": "single_network",
+        **{"num_hidden_layers": 8, "hidden_layer_size": width, "direction_layer_size": width // 2},
+        **{"refeed_position_index": 4, "num_frequencies": 10, "num_frequencies_direction": 4},
+        **{"near": 0.01, "far": 4, "num_samples_per_ray": 48, "num_importance_samples_per_ray": 0},
+        **{"perturb": 1.0, "raw_noise_std": 0.0, "blender_white_background": True, "llff_lindisp": False},
+        **{"no_color_sigmoid": False, "model_type": "single_network"},
         **other,
     }
 
@@ -276,18 +252,10 @@ def released_kilo(seed=0, width=8, grid=(3, 2, 4), voxels=(9, 8, 8), filled=0.5)
         state[f"{name}.weight"] = torch.from_numpy(weight.astype(np.float32))
         state[f"{name}.bias"] = torch.from_numpy(rng.normal(0, 0.1, (count, outputs)).astype(np.float32))
     cfg = config_2(
-        width,
-        num_hidden_layers=2,
-        direction_layer_size=width,
-        refeed_position_index="None",
-        late_feed_direction=True,
-        num_frequencies=4,
-        num_frequencies_direction=2,
-        num_frequencies_light=2,
-        fixed_resolution=list(grid),
-        global_domain_min=[-0.6, -0.6, -0.6],
-        global_domain_max=[0.6, 0.6, 0.6],
-        model_type="multi_network",
+        **{"width": width, "num_hidden_layers": 2, "direction_layer_size": width},
+        **{"num_frequencies": 4, "num_frequencies_direction": 2, "num_frequencies_light": 2},
+        **{"fixed_resolution": list(grid), "global_domain_min": [-0.6] * 3, "global_domain_max": [0.6] * 3},
+        **{"late_feed_direction": True, "refeed_position_index": "None", "model_type": "multi_network"},
         occupancy={"resolution": list(voxels), "threshold": 10},
     )
     occupied = torch.from_numpy(rng.random(math.prod(voxels)) < filled)

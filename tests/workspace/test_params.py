@@ -46,12 +46,8 @@ from objectfolder.workspace.stages import (
 
 REPOSITORY = Path(__file__).parents[2]
 MUG = {
-    "mesh": "data/objects/mug/mesh.glb",
-    "material": "ceramic",
-    "scale": 0.1,
-    "up": "y",
-    "wall": None,
-    "bridge": "all",
+    **{"mesh": "data/objects/mug/mesh.glb", "material": "ceramic", "scale": 0.1},
+    **{"up": "y", "wall": None, "bridge": "all"},
 }
 NONE = {name: [] for name in Selection.model_fields}
 
@@ -98,17 +94,10 @@ def test_views_too_small_to_evaluate_are_refused_before_they_are_built(write, va
 @pytest.mark.parametrize(
     ("key", "reason"),
     [
-        (7, "DVC drops integer keys silently"),
-        (True, "DVC drops integer keys silently"),
-        ("mug.old", "DVC reads a dot as a path"),
-        ("Mug", "all lower case"),
-        ("2mug", "expected a letter"),
-        ("mug-a", "keys become file and stage names"),
-        ("", "keys become file and stage names"),
-        ("mug\n", "keys become file and stage names"),
-        ("../x", "dot as a path"),
-        (None, "keys become file and stage names"),
-        (1.5, "keys become file and stage names"),
+        *((key, "DVC drops integer keys silently") for key in (7, True)),
+        *((key, "keys become file and stage names") for key in ("mug-a", "", "mug\n", None, 1.5)),
+        *(("mug.old", "DVC reads a dot as a path"), ("../x", "dot as a path")),
+        *(("Mug", "all lower case"), ("2mug", "expected a letter")),
         *((stage, "it is the name of a stage") for stage in ("modal", "generate", "hash_code", "reach")),
     ],
 )

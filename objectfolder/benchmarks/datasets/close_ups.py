@@ -13,14 +13,8 @@ from objectfolder.base.arrays import write_npy
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import write_json
 from objectfolder.base.locks import exclusive
+from objectfolder.benchmarks.datasets import samples
 from objectfolder.benchmarks.datasets.observations import CLOSE_UP_ARRAYS, CLOSE_UP_RECORD
-from objectfolder.benchmarks.datasets.samples import (
-    array_path,
-    averaged_images,
-    is_complete,
-    object_digest,
-    require_parts,
-)
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics
@@ -42,7 +36,7 @@ def close_up_request(file: ObjectFile, count: int, size: tuple[int, int], seed: 
     Raises ObjectFolderError if the object cannot be seen and touched at any point and depth, or images are
     too small or larger than the sensor's.
     """
-    require_parts(file, ("geometry", "vision", "touch"), "close views and touches")
+    samples.require_parts(file, ("geometry", "vision", "touch"), "close views and touches")
     if file.fixed_contact is not None:
         raise ObjectFolderError(
             f"{file.key}: the Object File knows touches of one depth only; leave the object out, or rebuild "
@@ -57,7 +51,7 @@ def close_up_request(file: ObjectFile, count: int, size: tuple[int, int], seed: 
     return {
         "code": code_digest(sample_close_ups),
         "key": file.key,
-        "object_sha256": object_digest(file),
+        "object_sha256": samples.object_digest(file),
         "count": count,
         "size": list(size),
         "seed": seed,
@@ -66,7 +60,7 @@ def close_up_request(file: ObjectFile, count: int, size: tuple[int, int], seed: 
 
 def has_close_ups(request: dict[str, Any], folder: Path) -> bool:
     """Return whether a folder holds all images of a `close_up_request`."""
-    return is_complete(folder / CLOSE_UP_RECORD, request, CLOSE_UP_ARRAYS)
+    return samples.is_complete(folder / CLOSE_UP_RECORD, request, CLOSE_UP_ARRAYS)
 
 
 def sample_close_ups(file: ObjectFile, count: int, size: tuple[int, int], seed: int, folder: Path) -> None:
@@ -82,9 +76,9 @@ def sample_close_ups(file: ObjectFile, count: int, size: tuple[int, int], seed: 
         points, distances = open_points(file, count, seed)
         (folder / CLOSE_UP_RECORD).unlink(missing_ok=True)
         parts = np.array_split(points, -(-count // CHUNK))
-        touches = [averaged_images(file.touch(part, DEPTH), size) for part in parts]
-        write_npy(array_path(folder, "view"), close_views(file, points, distances, size))
-        write_npy(array_path(folder, "touch"), np.concatenate(touches))
+        touches = [samples.averaged_images(file.touch(part, DEPTH), size) for part in parts]
+        write_npy(samples.array_path(folder, "view"), close_views(file, points, distances, size))
+        write_npy(samples.array_path(folder, "touch"), np.concatenate(touches))
         write_json(folder / CLOSE_UP_RECORD, request)
 
 

@@ -41,21 +41,10 @@ def write_webdataset(
     queries (`objectfolder.benchmarks.datasets.sampling.draw_queries`). Samples are shuffled, because readers
     stream them; ``index.json`` holds the label names and the number of samples of each shard.
 
-    Parameters
-    ----------
-    observations : Observations
-    split : Split
-    out : path
-        Folder to create: ``train-000000.tar`` ... ``val-000000.tar`` ... ``test-000000.tar`` ...
-    shard : int
-        Samples per shard.
-    report : callable
-        Called with the numbers of written and of all samples.
+    Creates a folder of ``train-000000.tar`` ... ``val-000000.tar`` ... ``test-000000.tar`` ... with so many
+    samples per shard. ``report`` is called with the numbers of written and of all samples.
 
-    Raises
-    ------
-    ObjectFolderError
-        If the folder exists, or the disk is full.
+    Raises ObjectFolderError if the folder exists, or the disk is full.
     """
     from webdataset import TarWriter
 
@@ -77,9 +66,8 @@ def write_webdataset(
                             tar.write(_members(sample))
                             done += 1
                             report(done, total)
-        write_json(
-            folder / "index.json", {"split": split.name, "labels": list(observations.keys), "shards": shards}
-        )
+        index = {"split": split.name, "labels": list(observations.keys), "shards": shards}
+        write_json(folder / "index.json", index)
 
 
 def write_datasets(
@@ -87,19 +75,7 @@ def write_datasets(
 ) -> None:
     """Write a folder for ``datasets.load_dataset(OUT)``: Parquet files and a card.
 
-    Parameters
-    ----------
-    observations : Observations
-    split : Split
-    out : path
-        Folder to create.
-    report : callable
-        Called with the numbers of written and of all samples.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the folder exists, or the disk is full.
+    For the rest see `write_webdataset`. Raises ObjectFolderError if the folder exists, or the disk is full.
     """
     import datasets
     import pyarrow as pa

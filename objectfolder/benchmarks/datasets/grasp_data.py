@@ -15,26 +15,13 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import atomic_stream, write_json
 from objectfolder.base.locks import exclusive
 from objectfolder.base.seeding import numpy_generator
+from objectfolder.benchmarks.datasets import samples
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, OPTIONAL, RECORD
-from objectfolder.benchmarks.datasets.samples import (
-    array_path,
-    averaged_images,
-    is_complete,
-    object_digest,
-    require_parts,
-)
 from objectfolder.benchmarks.datasets.settings import GraspDataConfig
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.sim import fingers
 from objectfolder.sim.body import RigidBody, rotation, turn_poses
 from objectfolder.sim.camera import ExternalCamera
-from objectfolder.sim.fingers import (
-    Presses,
-    TrueSurface,
-    pad_presses,
-    press_depths,
-    require_pads,
-    tactile_images,
-)
 from objectfolder.sim.grasp_scene import GraspScene, Outcomes, Physics, lowest_hand
 from objectfolder.sim.gripper import PAD, hand_axes
 from objectfolder.sim.hulls import hulls_digest
@@ -94,60 +81,47 @@ def collect_grasps(
     folder = Path(folder)
     request = grasp_request(file, body, wanted, seed, surface)
     with exclusive(folder):  # of two benchmarks that start together, one simulates
-        if not is_collected(request, folder):
-            _collect(file, body, wanted, request, folder, surface, threads, report)
-
-
-def _collect(
-    file: ObjectFile,
-    body: RigidBody,
-    wanted: GraspDataConfig,
-    request: dict[str, Any],
-    folder: Path,
-    surface: Surface | None,
-    threads: int,
-    report: Report,
-) -> None:
-    seed = request["seed"]
-    require_parts(file, ("geometry", "vision", "touch"), "grasps")
-    require_pads(file)
-    if file.fixed_contact is None and file.sensor_profile.gel == "rigid":
-        raise ObjectFolderError(
-            f"{file.key}: the gel of sensor {file.sensor!r} is rigid and bears no force, which gives the "
-            "press depth of grasps; rebuild the object with a sensor with gel: soft"
-        )
-    scene = GraspScene(body, Physics(timestep=wanted.timestep), threads)
-    truth = None if surface is None else _truth(file, surface)
-    rests = scene.rests(numpy_generator(seed, file.key, "rests"))
-    progress = folder / ".progress" / hashlib.sha256(repr(request).encode()).hexdigest()[:16]
-    refuse_links(progress, folder)
-    (folder / RECORD).unlink(missing_ok=True)
-    camera = ExternalCamera(wanted.image)
-    paths: list[Path] = []
-    counts = dict.fromkeys(("drawn", "free", "touched"), 0)
-    needed = 2 * wanted.grasps * wanted.bytes(explicit=truth is not None)  # batches, then arrays
-    with enough_space(f"{file.key}: grasps", folder, needed, ", or collect fewer or smaller ones"):
-        while counts["touched"] < wanted.grasps:
-            path = progress / f"{len(paths):05d}.npz"
-            if not path.is_file():
-                rng = numpy_generator(seed, file.key, "grasps", str(len(paths)))
-                tried = label_grasps(scene, rests, wanted.perturbations, rng)
-                write_npz(path, **_observe(file, body, camera, wanted.touch, truth, *tried))
-            with np.load(path, allow_pickle=False) as stored:
-                counts = {name: count + int(stored[name]) for name, count in counts.items()}
-            paths.append(path)
-            report(min(counts["touched"], wanted.grasps), wanted.grasps)
-        digest = _write(folder, paths, wanted.grasps)
-        success = np.concatenate(list(_parts(paths, "success")))[: wanted.grasps]
-        record = request | {"digest": digest, "attempts": counts, "success_rate": float(success.mean())}
-        write_json(folder / RECORD, record | {"mass": body.mass})
-    shutil.rmtree(folder / ".progress")
+        if is_collected(request, folder):
+            return
+        samples.require_parts(file, ("geometry", "vision", "touch"), "grasps")
+        fingers.require_pads(file)
+        if file.fixed_contact is None and file.sensor_profile.gel == "rigid":
+            raise ObjectFolderError(
+                f"{file.key}: the gel of sensor {file.sensor!r} is rigid and bears no force, which gives the "
+                "press depth of grasps; rebuild the object with a sensor with gel: soft"
+            )
+        scene = GraspScene(body, Physics(timestep=wanted.timestep), threads)
+        truth = None if surface is None else _truth(file, surface)
+        rests = scene.rests(numpy_generator(seed, file.key, "rests"))
+        progress = folder / ".progress" / hashlib.sha256(repr(request).encode()).hexdigest()[:16]
+        refuse_links(progress, folder)
+        (folder / RECORD).unlink(missing_ok=True)
+        camera = ExternalCamera(wanted.image)
+        paths: list[Path] = []
+        counts = dict.fromkeys(("drawn", "free", "touched"), 0)
+        needed = 2 * wanted.grasps * wanted.bytes(explicit=truth is not None)  # batches, then arrays
+        with enough_space(f"{file.key}: grasps", folder, needed, ", or collect fewer or smaller ones"):
+            while counts["touched"] < wanted.grasps:
+                path = progress / f"{len(paths):05d}.npz"
+                if not path.is_file():
+                    rng = numpy_generator(seed, file.key, "grasps", str(len(paths)))
+                    tried = label_grasps(scene, rests, wanted.perturbations, rng)
+                    write_npz(path, **_observe(file, body, camera, wanted.touch, truth, *tried))
+                with np.load(path, allow_pickle=False) as stored:
+                    counts = {name: count + int(stored[name]) for name, count in counts.items()}
+                paths.append(path)
+                report(min(counts["touched"], wanted.grasps), wanted.grasps)
+            digest = _write(folder, paths, wanted.grasps)
+            success = np.concatenate(list(_parts(paths, "success")))[: wanted.grasps]
+            record = request | {"digest": digest, "attempts": counts, "success_rate": float(success.mean())}
+            write_json(folder / RECORD, record | {"mass": body.mass})
+        shutil.rmtree(folder / ".progress")
 
 
 def is_collected(request: dict[str, Any], folder: Path) -> bool:
     """Return whether a folder holds all grasps of a `grasp_request`."""
     names = [name for name in ARRAYS if name != OPTIONAL or request["surface_sha256"]]
-    return is_complete(folder / RECORD, request, names)
+    return samples.is_complete(folder / RECORD, request, names)
 
 
 def draw_attempts(
@@ -241,13 +215,13 @@ def _observe(
     body: RigidBody,
     camera: ExternalCamera,
     touch: tuple[int, int],
-    truth: TrueSurface | None,
+    truth: fingers.TrueSurface | None,
     grasps: Outcomes,
     more: dict[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
     """Compute all arrays of a batch."""
-    pressed = pad_presses(grasps.objects, grasps.hands, grasps.contacts)
-    depths = press_depths(file, pressed, grasps.forces.ravel())
+    pressed = fingers.pad_presses(grasps.objects, grasps.hands, grasps.contacts)
+    depths = fingers.press_depths(file, pressed, grasps.forces.ravel())
     middle = grasps.contacts.mean(1) - np.stack([_place(body.centre, pose) for pose in grasps.objects])
     pictures = zip(grasps.objects, grasps.hands, grasps.width)
     arrays = {
@@ -256,26 +230,26 @@ def _observe(
         "offset": np.einsum("nij,ni->nj", hand_axes(grasps.hands), middle).astype(np.float32),
         "force": grasps.forces.mean(1).astype(np.float32),
         "image": np.stack([camera.picture(file, *given) for given in pictures]),
-        "touch": _images(tactile_images, file, pressed, depths, touch),
+        "touch": _images(fingers.tactile_images, file, pressed, depths, touch),
         "objects": grasps.objects,
         "hands": grasps.hands,
         "contacts": grasps.contacts,
         "depths": depths.reshape(-1, 2),
     }
     if truth is not None:
-        arrays[OPTIONAL] = _images(TrueSurface.tactile_images, truth, pressed, depths, touch)
+        arrays[OPTIONAL] = _images(fingers.TrueSurface.tactile_images, truth, pressed, depths, touch)
     return arrays | more
 
 
 def _images(
-    ask: Callable[[Any, Presses, np.ndarray], np.ndarray],
+    ask: Callable[[Any, fingers.Presses, np.ndarray], np.ndarray],
     source: Any,
-    pressed: Presses,
+    pressed: fingers.Presses,
     depths: np.ndarray,
     size: tuple[int, int],
 ) -> np.ndarray:
     """Compute tactile images of both fingers at the stored size; (N, 2, h, w, 3) uint8."""
-    return averaged_images(ask(source, pressed, depths), size).reshape(-1, 2, *size, 3)
+    return samples.averaged_images(ask(source, pressed, depths), size).reshape(-1, 2, *size, 3)
 
 
 def _write(folder: Path, paths: list[Path], count: int) -> str:
@@ -285,11 +259,11 @@ def _write(folder: Path, paths: list[Path], count: int) -> str:
         rows = {name: first[name][:1] for name in first.files if first[name].ndim}
     for name in ARRAYS:
         if name not in rows:
-            array_path(folder, name).unlink(missing_ok=True)
+            samples.array_path(folder, name).unlink(missing_ok=True)
             continue
         example, left = rows[name], count
         header = {"descr": example.dtype.str, "fortran_order": False, "shape": (count, *example.shape[1:])}
-        with atomic_stream(array_path(folder, name)) as stream:
+        with atomic_stream(samples.array_path(folder, name)) as stream:
             np.lib.format.write_array_header_1_0(stream, header)
             for part in _parts(paths, name):
                 content = part[:left].tobytes()
@@ -317,7 +291,7 @@ def grasp_request(
         "key": file.key,
         "material": file.material,
         "scale": file.scale,
-        "object_sha256": object_digest(file),
+        "object_sha256": samples.object_digest(file),
         "hulls_sha256": hulls_digest(body.hulls),
         "friction": body.friction,
         "count": wanted.grasps,
@@ -332,7 +306,7 @@ def _digest(surface: Surface) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _truth(file: ObjectFile, surface: Surface) -> TrueSurface:
+def _truth(file: ObjectFile, surface: Surface) -> fingers.TrueSurface:
     if file.fixed_contact is not None:
         raise ObjectFolderError(
             f"{file.key}: its touch net knows one press alone, with which the true surface cannot be "
@@ -346,7 +320,7 @@ def _truth(file: ObjectFile, surface: Surface) -> TrueSurface:
             f"{bounds[1].round(3).tolist()} of the object's size, the Object File from "
             f"{known[0].round(3).tolist()} to {known[1].round(3).tolist()}: it is of another object or build"
         )
-    return TrueSurface(vertices * file.scale, faces, file.sensor_profile, file.sensor_background)
+    return fingers.TrueSurface(vertices * file.scale, faces, file.sensor_profile, file.sensor_background)
 
 
 def _place(points: np.ndarray, pose: np.ndarray) -> np.ndarray:

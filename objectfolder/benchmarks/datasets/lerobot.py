@@ -50,29 +50,10 @@ def write_lerobot(
     statistics, of the whole and of each episode. Sounds are displacement responses at absolute scale, as
     `ObjectFile.impact` gives them.
 
-    Parameters
-    ----------
-    files : sequence of ObjectFile
-        With sensors of one image size and keys of their own; each is a task.
-    out : path
-        Folder to create.
-    episodes : int
-        Per object.
-    seconds : float
-        Length of an episode.
-    fps : int
-        Frames per second; it must divide the sample rate.
-    sample_rate : int
-        Of the sound, Hz.
-    seed : int
-    report : callable
-        Called with the numbers of written and of all episodes.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the folder exists, a number is not valid, sensors differ in size, a touch net is not geometric, or
-        two objects have one key.
+    Each file is a task of so many episodes, which have a length in seconds and so many frames per second, a
+    divisor of the sample rate (Hz) of the sound. ``report`` is called with the numbers of written and of all
+    episodes. Raises ObjectFolderError if the folder exists, a number is not valid, sensors differ in size, a
+    touch net is not geometric, or two objects have one key.
     """
     import pandas as pd
 
@@ -187,15 +168,9 @@ def _episode_row(number: int, task: str, frames: int, columns: dict[str, np.ndar
     start, end = number * frames, (number + 1) * frames
     found = _statistics({name: values[start:end] for name, values in columns.items()})
     return {
-        "episode_index": number,
-        "tasks": [task],
-        "length": frames,
-        "data/chunk_index": 0,
-        "data/file_index": 0,
-        "dataset_from_index": start,
-        "dataset_to_index": end,
-        "meta/episodes/chunk_index": 0,
-        "meta/episodes/file_index": 0,
+        **{"episode_index": number, "tasks": [task], "length": frames},
+        **{"data/chunk_index": 0, "data/file_index": 0, "dataset_from_index": start, "dataset_to_index": end},
+        **{"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0},
     } | {f"stats/{name}/{key}": value for name, one in found.items() for key, value in one.items()}
 
 
@@ -238,18 +213,9 @@ def _statistics(columns: dict[str, np.ndarray]) -> dict[str, dict[str, list[Any]
 
 
 def _info(features: dict[str, Any], tasks: int, episodes: int, frames: int, fps: int) -> dict[str, Any]:
+    sizes = {"chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
     return {
-        "codebase_version": VERSION,
-        "robot_type": None,
-        "total_episodes": episodes,
-        "total_frames": frames,
-        "total_tasks": tasks,
-        "chunks_size": 1000,
-        "data_files_size_in_mb": 100,
-        "video_files_size_in_mb": 200,
-        "fps": fps,
-        "splits": {"train": f"0:{episodes}"},
-        "data_path": _PATH,
-        "video_path": None,
-        "features": features,
+        **{"codebase_version": VERSION, "robot_type": None, "features": features, "fps": fps, **sizes},
+        **{"total_episodes": episodes, "total_frames": frames, "total_tasks": tasks},
+        **{"splits": {"train": f"0:{episodes}"}, "data_path": _PATH, "video_path": None},
     }

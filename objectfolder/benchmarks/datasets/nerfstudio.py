@@ -29,33 +29,13 @@ def write_nerfstudio(
 ) -> Path:
     """Write a folder ``OUT/<key>`` with ``images/*.png`` and ``transforms.json``.
 
-    Cameras and lights are drawn as those of the training data. Images are RGBA: sRGB, not multiplied by
-    alpha. ``transform_matrix`` is camera-to-world (OpenGL axes) in the unit frame, in which the object's
-    longest side is 1; ``scale_m`` is that side in metres. Each frame has its ``light_position``; with
-    ``fixed_light``, all have the first one, as nets without light need.
+    Cameras and lights are drawn as those of the training data. Images, of ``resolution`` pixels a side, are
+    RGBA: sRGB, not multiplied by alpha. ``transform_matrix`` is camera-to-world (OpenGL axes) in the unit
+    frame, in which the object's longest side is 1; ``scale_m`` is that side in metres. Each frame has its
+    ``light_position``; with ``fixed_light``, all have the first one, as nets without light need. ``report``
+    is called with the numbers of written and of all views. Returns the path of ``transforms.json``.
 
-    Parameters
-    ----------
-    file : ObjectFile
-    out : path
-        Parent of the new folder, which is named after the object.
-    views : int
-    resolution : int
-        Pixels along a side.
-    seed : int
-    fixed_light : bool
-    report : callable
-        Called with the numbers of written and of all views.
-
-    Returns
-    -------
-    Path
-        Of ``transforms.json``.
-
-    Raises
-    ------
-    ObjectFolderError
-        If the folder exists, the file answers no views, or a number is not valid.
+    Raises ObjectFolderError if the folder exists, the file answers no views, or a number is not valid.
     """
     drawn = sample_views(views, seed)
     cameras, lights = look_at(drawn[:, :3]), drawn[:, 3:]
@@ -72,25 +52,16 @@ def write_nerfstudio(
             for name, rgba in zip(names[rows], answers.rgba):
                 Image.fromarray(unpremultiply(rgba)).save(new / name)
             report(min(start + _BATCH, views), views)
-        write_json(
-            new / "transforms.json",
-            {
-                "camera_model": "OPENCV",
-                "w": intrinsics.width,
-                "h": intrinsics.height,
-                "fl_x": intrinsics.fx,
-                "fl_y": intrinsics.fy,
-                "cx": intrinsics.cx,
-                "cy": intrinsics.cy,
-                "object": file.key,
-                "material": file.material,
-                "scale_m": file.scale,
-                "frames": [
-                    {"file_path": name, "transform_matrix": camera.tolist(), "light_position": light.tolist()}
-                    for name, camera, light in zip(names, cameras, lights)
-                ],
-            },
-        )
+        frames = [
+            {"file_path": name, "transform_matrix": camera.tolist(), "light_position": light.tolist()}
+            for name, camera, light in zip(names, cameras, lights)
+        ]
+        described = {
+            **{"camera_model": "OPENCV", "w": intrinsics.width, "h": intrinsics.height},
+            **{"fl_x": intrinsics.fx, "fl_y": intrinsics.fy, "cx": intrinsics.cx, "cy": intrinsics.cy},
+            **{"object": file.key, "material": file.material, "scale_m": file.scale, "frames": frames},
+        }
+        write_json(new / "transforms.json", described)
     return folder / "transforms.json"
 
 

@@ -141,18 +141,10 @@ def sample_occupancy(
         for name, points in pools.items():
             rows[name].append(is_inside(surface, points))
     stacked = {name: np.stack(values) for name, values in rows.items()}
-    return OccupancySamples(
-        pools["train"],
-        stacked["train"],
-        stacked["near"],
-        stacked["near_inside"],
-        pools["val"],
-        stacked["val"],
-        pools["score"],
-        stacked["score"],
-        stacked["grid"],
-        np.asarray(resolution),
-    )
+    drawn = {f"{name}_points": points for name, points in pools.items()}
+    inside = {f"{name}_inside": stacked[name] for name in (*pools, "grid")}
+    near_surface = {"near_points": stacked["near"], "near_inside": stacked["near_inside"]}
+    return OccupancySamples(**drawn, **inside, **near_surface, resolution=np.asarray(resolution))
 
 
 def cached_occupancy(

@@ -34,11 +34,7 @@ SPAN = 0.0095
 RAYS = 9  #: along each side
 ABOVE = 0.004  #: where rays start, metres above the point
 BELOW = 0.003  #: and where they end below it: gel of no sensor reaches further
-_DTYPES: dict[str, np.dtype[Any]] = {
-    "vision": np.dtype(np.uint8),
-    "audio": np.dtype(np.float32),
-    "touch": np.dtype(np.uint8),
-}
+_DTYPES: dict[str, np.dtype[Any]] = dict(zip(MODALITIES, map(np.dtype, ("uint8", "float32", "uint8"))))
 
 log = logging.getLogger(__name__)
 
@@ -59,8 +55,7 @@ def sample_observations(
     An interrupted call resumes at the modality it was writing. A complete folder is left alone. Observations
     of another Object File, count, resolution or seed are replaced.
 
-    Raises ObjectFolderError if the count is not a multiple of ten, the Object File lacks a part, a query
-    fails, or the disk is full.
+    Raises ObjectFolderError as `observation_request`, or if a query fails, or the disk is full.
 
     The first n observations do not depend on the count. Views have ``resolution`` pixels a side. The folder,
     of this object alone, receives ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json`` that
@@ -68,12 +63,7 @@ def sample_observations(
     ``untouched.npy``, which touches miss; the Object File; and finally ``observations.json``. ``report`` is
     called with a modality and the number of its observations written so far.
     """
-    folder = Path(folder)
-    check_count(count)
-    if resolution < 1:
-        raise ObjectFolderError(f"{file.key}: views of {resolution} pixels, expected a positive number")
-    require_parts(file, PARTS, "benchmarks")
-    request = observation_request(file, count, resolution, seed)
+    folder, request = Path(folder), observation_request(file, count, resolution, seed)
     with exclusive(folder):  # of two benchmarks that start together, one samples
         if not is_sampled(request, folder):
             _sample(file, request, folder, report)
@@ -118,7 +108,14 @@ def _find_untouched(file: ObjectFile, folder: Path) -> np.ndarray:
 
 
 def observation_request(file: ObjectFile, count: int, resolution: int, seed: int) -> dict[str, Any]:
-    """Identify the observations that `sample_observations` writes; hashes the Object File."""
+    """Identify the observations that `sample_observations` writes; hashes the Object File.
+
+    Raises ObjectFolderError if the count is not a multiple of ten, or the Object File lacks a part.
+    """
+    check_count(count)
+    if resolution < 1:
+        raise ObjectFolderError(f"{file.key}: views of {resolution} pixels, expected a positive number")
+    require_parts(file, PARTS, "benchmarks")
     return {
         "version": VERSION,
         "code": code_digest(sample_observations),

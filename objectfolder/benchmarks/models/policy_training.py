@@ -57,14 +57,11 @@ def model_settings(
     }
 
 
-def identify(params: ReachConfig | GraspPolicyConfig, seed: int, purpose: tuple[str, ...]) -> dict[str, Any]:
-    """Return what a training depends on."""
-    return {"params": asdict(replace(params, seeds=1)), "seed": seed, "purpose": "/".join(purpose)}
-
-
 def train_policy(
     training: PolicyTraining,
-    identity: dict[str, Any],
+    params: ReachConfig | GraspPolicyConfig,
+    seed: int,
+    purpose: tuple[str, ...],
     checkpoint: Path,
     report: Callable[[PolicyPoint], None],
 ) -> tuple[Actor, list[list[Any]], float]:
@@ -76,22 +73,24 @@ def train_policy(
 
     Returns the best of all parts in validation, a row per part (what is done so far, and the figures), and
     seconds of training and validation, those of interrupted calls included. Raises ObjectFolderError if the
-    checkpoint is damaged, or of another training (`identify`).
+    checkpoint is damaged, or of a training with other parameters, seed or purpose.
     """
     model = training.model
+    name = "/".join(purpose)
+    identity = {"params": asdict(replace(params, seeds=1)), "seed": seed, "purpose": name}
     model.set_logger(Logger(folder=None, output_formats=[]))  # its own leaves a folder in /tmp per training
 
     def advance(state: TrainingState[PolicyPoint]) -> PolicyPoint:
         part, rate = state.units + 1, training.learning_rate(state.units * training.done_per_part)
         # Stable-Baselines3 tells the progress of a part, which is not that of the training.
         model.lr_schedule = lambda _: rate
-        model.set_random_seed(draw_seed(identity["seed"], identity["purpose"], str(part)))
+        model.set_random_seed(draw_seed(seed, name, str(part)))
         model.learn(training.steps)
         figures = training.measure(training.actor())
         return PolicyPoint(part * training.done_per_part, figures, state.seconds)
 
     def keep() -> dict[str, torch.Tensor]:
-        return {name: torch.from_numpy(value) for name, value in training.actor().tensors().items()}
+        return {key: torch.from_numpy(value) for key, value in training.actor().tensors().items()}
 
     state = run_training(
         Training(
@@ -105,7 +104,7 @@ def train_policy(
         Checkpoint(checkpoint, identity),
         report,
     )
-    best = Actor.of({name: value.numpy() for name, value in state.best.items()})
+    best = Actor.of({key: value.numpy() for key, value in state.best.items()})
     return best, [[point.done, *point.figures] for point in state.curve], state.seconds
 
 

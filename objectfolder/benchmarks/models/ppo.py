@@ -11,16 +11,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from objectfolder.benchmarks.models import policy_training
 from objectfolder.benchmarks.models.actor import CLIP, Actor
-from objectfolder.benchmarks.models.policy_training import (
-    Figures,
-    PolicyPoint,
-    PolicyTraining,
-    extract_layers,
-    identify,
-    model_settings,
-    train_policy,
-)
 from objectfolder.benchmarks.models.settings import ReachConfig
 
 ROUNDS = 10  #: rollouts and updates of a part, after which the policy is validated and kept
@@ -49,34 +41,34 @@ def train_ppo(
     params: ReachConfig,
     seed: int,
     purpose: tuple[str, ...],
-    validate: Callable[[Actor], Figures],
+    validate: Callable[[Actor], policy_training.Figures],
     checkpoint: Path,
-    report: Callable[[int, Figures, float], None] = lambda steps, figures, seconds: None,
+    report: Callable[[policy_training.PolicyPoint], None] = lambda point: None,
 ) -> tuple[Actor, list[list[Any]], float]:
     """Train a policy until it makes no mistake in validation, `SOLVED` times in a row.
 
     ``make`` gives a new environment; ``purpose`` names what is trained, for `objectfolder.base.seeding`.
     ``validate`` returns figures of a policy: the first is its success, 1 without a failure; a larger tuple is
-    better. Of equally good parts the last one is kept. ``report`` is called after each part with the control
-    steps so far, the figures, and seconds since the start. For the rest, and the result, see
-    `objectfolder.benchmarks.models.policy_training.train_policy`; its rows hold control steps and figures.
+    better. Of equally good parts the last one is kept. ``report`` is called after each part. For the
+    rest, and the result, see `objectfolder.benchmarks.models.policy_training.train_policy`; its rows hold
+    control steps and figures.
     """
     scaling: dict[str, Any] = {"clip_obs": CLIP, "gamma": params.discount, "epsilon": VARIANCE_FLOOR}
     envs = VecNormalize(DummyVecEnv([make] * params.environments), **scaling)
-    settings = model_settings(params, seed, purpose)
+    settings = policy_training.model_settings(params, seed, purpose)
     model = PPO(env=envs, n_epochs=params.epochs, learning_rate=params.learning_rate, **settings)
 
     def actor() -> Actor:
         seen = cast(RunningMeanStd, envs.obs_rms)
         deviation = np.sqrt(seen.var + VARIANCE_FLOOR)
-        return Actor(seen.mean.copy(), deviation, extract_layers(model.policy))
+        return Actor(seen.mean.copy(), deviation, policy_training.extract_layers(model.policy))
 
-    def is_finished(curve: list[PolicyPoint]) -> bool:
+    def is_finished(curve: list[policy_training.PolicyPoint]) -> bool:
         last = [point.figures[0] == 1 for point in curve[-SOLVED:]]
         return (len(last) == SOLVED and all(last)) or curve[-1].done >= params.steps
 
     steps = ROUNDS * params.rollout * params.environments
-    training = PolicyTraining(
+    training = policy_training.PolicyTraining(
         *(model, steps, steps),
         learning_rate=lambda done: params.learning_rate * (1 - done / params.steps),
         actor=actor,
@@ -85,10 +77,7 @@ def train_ppo(
         is_finished=is_finished,
         parts={"moments": _Moments(envs)},
     )
-    task = identify(params, seed, purpose)
     try:
-        return train_policy(
-            training, task, checkpoint, lambda point: report(point.done, point.figures, point.seconds)
-        )
+        return policy_training.train_policy(training, params, seed, purpose, checkpoint, report)
     finally:
         envs.close()

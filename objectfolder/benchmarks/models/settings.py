@@ -46,10 +46,11 @@ class TrainingConfig:
     """Settings that the sections of all trained tasks share."""
 
     epochs: Count  #: at most
-    batch: Annotated[int, Ge(2)]
-    learning_rate: Positive
-    weight_decay: NonNegative
+    batch: Annotated[int, Ge(2)] = 32
+    learning_rate: Positive = 0.001
+    weight_decay: NonNegative = 0.01
     patience: Count  #: epochs without a better validation score after which training stops
+    seeds: Count = 1  #: runs whose mean is the result
 
 
 @section("reach")

@@ -9,16 +9,8 @@ import numpy as np
 from sb3_contrib import TRPO
 from stable_baselines3.common.vec_env import VecEnv
 
+from objectfolder.benchmarks.models import policy_training
 from objectfolder.benchmarks.models.actor import Actor
-from objectfolder.benchmarks.models.policy_training import (
-    Figures,
-    PolicyPoint,
-    PolicyTraining,
-    extract_layers,
-    identify,
-    model_settings,
-    train_policy,
-)
 from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.sim.grasp_task import STEPS
 
@@ -80,41 +72,36 @@ def train_trpo(
     purpose: tuple[str, ...],
     validate: Callable[[Actor], float],
     checkpoint: Path,
-    report: Callable[[int, float, float, float], None] = lambda *figures: None,
+    report: Callable[[policy_training.PolicyPoint], None] = lambda point: None,
 ) -> tuple[Actor, list[list[Any]], float]:
     """Train a policy in parts of ``params.updates`` updates.
 
     ``purpose`` names what is trained, for `objectfolder.base.seeding`; ``validate`` returns the success of a
-    policy. Of equally good parts the last one is kept. ``report`` is called after each part with the episodes
-    so far, success in training and in validation, and seconds since the start. For the rest, and the result,
-    see `objectfolder.benchmarks.models.policy_training.train_policy`; its rows hold the same first three.
+    policy. Of equally good parts the last one is kept. ``report`` is called after each part. For the rest,
+    and the result, see `objectfolder.benchmarks.models.policy_training.train_policy`; its rows hold episodes
+    and success in training and in validation.
     """
     envs = StableVector(env)
-    model = TRPO(
-        env=envs,
-        gae_lambda=params.gae,
-        cg_damping=params.damping,
-        target_kl=params.divergence,
-        learning_rate=params.learning_rate,
-        **model_settings(params, seed, purpose),
-    )
+    settings = policy_training.model_settings(params, seed, purpose)
+    settings |= {"gae_lambda": params.gae, "cg_damping": params.damping, "target_kl": params.divergence}
+    model = TRPO(env=envs, learning_rate=params.learning_rate, **settings)
 
     def actor() -> Actor:
-        layers = extract_layers(model.policy)
+        layers = policy_training.extract_layers(model.policy)
         size = layers[0][0].shape[1]
         return Actor(np.zeros(size), np.ones(size), layers)
 
-    def measure(actor: Actor) -> Figures:
+    def measure(actor: Actor) -> policy_training.Figures:
         played: Any = model.ep_info_buffer
         return float(np.mean([episode["r"] for episode in played])), validate(actor)
 
-    def is_finished(curve: list[PolicyPoint]) -> bool:
+    def is_finished(curve: list[policy_training.PolicyPoint]) -> bool:
         # Patience counts from the first of equally good parts.
         best = max(range(len(curve)), key=lambda part: curve[part].figures[1])
         return curve[-1].done >= params.episodes or len(curve) - 1 - best >= params.patience
 
     steps = params.updates * params.rollout * env.num_envs
-    training = PolicyTraining(
+    training = policy_training.PolicyTraining(
         *(model, steps, steps // STEPS),
         learning_rate=lambda done: params.learning_rate,
         actor=actor,
@@ -123,8 +110,4 @@ def train_trpo(
         is_finished=is_finished,
     )
 
-    def tell(point: PolicyPoint) -> None:
-        train, val = point.figures
-        report(point.done, train, val, point.seconds)
-
-    return train_policy(training, identify(params, seed, purpose), checkpoint, tell)
+    return policy_training.train_policy(training, params, seed, purpose, checkpoint, report)

@@ -8,6 +8,7 @@ import numpy as np
 
 from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.models.actor import Actor
+from objectfolder.benchmarks.models.policy_training import PolicyPoint
 from objectfolder.benchmarks.models.settings import GraspPolicyConfig
 from objectfolder.benchmarks.models.trpo import train_trpo
 from objectfolder.benchmarks.reporting.film import mark_outcome, write_gif
@@ -33,22 +34,14 @@ def grasp_policy(job: ObjectJob[GraspPolicyConfig]) -> tuple[dict[str, Any], lis
     others; all policies of a seed start alike. Touch features come from a `TouchBank` during training; the
     test also computes them exactly with the Object File.
 
-    Raises ObjectFolderError if the object does not fit the gripper, or the file lacks touch.
+    The job's ``progress`` receives the files to keep: an animation if an episode can be shown
+    (``episodes.gif``) and the first seed's policy (``model.safetensors``). Raises ObjectFolderError if the
+    object does not fit the gripper, or the file lacks touch.
 
-    Parameters
-    ----------
-    job : ObjectJob
-        ``progress`` receives the files to keep: an animation if an episode can be shown
-        (``episodes.gif``) and the first seed's policy
-        (``model.safetensors``).
-
-    Returns
-    -------
-    dict
-        By policy (`OBSERVED`, ``touch_exact``, ``random`` and ``nothing``) the success ``rate``, its
-        ``interval_95`` over all rollouts (Wilson), and the rates of the ``seeds``; the numbers of
-        ``rollouts`` per seed, of ``episodes`` per training and of ``presses`` in the bank; ``seconds`` of
-        training.
+    Returns scores: by policy (`OBSERVED`, ``touch_exact``, ``random`` and ``nothing``) the success ``rate``,
+    its ``interval_95`` over all rollouts (Wilson), and the rates of the ``seeds``; the numbers of
+    ``rollouts`` per seed, of ``episodes`` per training and of ``presses`` in the bank; ``seconds`` of
+    training.
     """
     params, seed, progress, key = job.params, job.seed, job.progress, job.file.key
     assert job.body is not None
@@ -66,22 +59,20 @@ def grasp_policy(job: ObjectJob[GraspPolicyConfig]) -> tuple[dict[str, Any], lis
         for run in range(params.seeds):
             env = GraspVectorEnv(params.environments, observation=observation, task=task, features=bank)
 
-            def report(
-                done: int, train: float, val: float, took: float, name: str = name, run: int = run
-            ) -> None:
+            def report(point: PolicyPoint, name: str = name, run: int = run) -> None:
+                train, val = (100 * share for share in point.figures)
                 job.report(
-                    f"grasp {key} by {name}, seed {run + 1} of {params.seeds}: {done} of {params.episodes} "
-                    f"episodes, success {100 * train:.0f} % in training, {100 * val:.0f} % in validation, "
-                    f"{took:.0f} s"
+                    f"grasp {key} by {name}, seed {run + 1} of {params.seeds}: {point.done} of "
+                    f"{params.episodes} episodes, success {train:.0f} % in training, {val:.0f} % in "
+                    f"validation, {point.seconds:.0f} s"
                 )
 
             def validate(actor: Actor, observation: str = observation) -> float:
                 return float(rollouts(observation, bank, actor, "val").mean())
 
             purpose = ("grasp_policy", key, name, str(run))
-            actor, rows, took = train_trpo(
-                env, params, seed, purpose, validate, progress / f"{name}_{run}.pt", report
-            )
+            kept = progress / f"{name}_{run}.pt"
+            actor, rows, took = train_trpo(env, params, seed, purpose, validate, kept, report)
             actors[name, run] = actor
             curve += [[name, run, int(row[0]), *row[1:]] for row in rows]
             seconds += took

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, MinLen
 
-from objectfolder.base.settings import Count, NonNegative, Positive, section
+from objectfolder.base.settings import Count, section
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import Table, describe_rows, format_figure, format_interval
 from objectfolder.benchmarks.tasks.task import Task
@@ -34,11 +34,7 @@ class GraspStabilityConfig(TrainingConfig):
     """Section ``grasp_stability`` of ``params.yaml``."""
 
     epochs: Count = 6
-    batch: Annotated[int, Ge(2)] = 32
-    learning_rate: Positive = 0.001
-    weight_decay: NonNegative = 0.01
     patience: Count = 6
-    seeds: Count = 1  #: runs whose mean is the result
     #: Training set sizes in grasps, ascending; sizes beyond the available grasps are replaced by all of them.
     sizes: Annotated[tuple[Annotated[int, Ge(2)], ...], MinLen(1)] = (100, 10_000)
     #: smaller training sets are repeated within an epoch until it has so many grasps

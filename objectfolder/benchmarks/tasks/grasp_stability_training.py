@@ -107,17 +107,13 @@ def grasp_stability(job: Job[GraspStabilityConfig]) -> tuple[dict[str, Any], lis
     Raises ObjectFolderError if all training grasps have the same outcome, a part of the split is empty,
     training diverges, or the encoder is unknown.
 
-    Returns
-    -------
-    dict
-        ``sizes``: by number of training grasps what was ``asked`` for and, by variant (`VARIANTS`,
-        `TRANSFERRED`, `BASELINES`), the ``accuracy`` on test rows,
-        ``wilson_95`` (its interval over grasps of the same objects), the accuracies of the ``seeds`` and
-        their ``interval_95`` (half width, None for one), ``balanced_accuracy`` and ``auc`` (None where all
-        test grasps end alike); under ``compared``, as "A - B" of `COMPARED`, the paired ``difference`` of
-        accuracies and its ``interval_95`` over rows. ``success``: shares in each part of the split; the
-        counts of `Job.without_duplicates`, with equal camera images as duplicates, and ``seconds`` of
-        training.
+    Returns ``sizes``: by number of training grasps what was ``asked`` for and, by variant (`VARIANTS`,
+    `TRANSFERRED`, `BASELINES`), the ``accuracy`` on test rows, ``wilson_95`` (its interval over grasps of the
+    same objects), the accuracies of the ``seeds`` and their ``interval_95`` (half width, None for one),
+    ``balanced_accuracy`` and ``auc`` (None where all test grasps end alike); under ``compared``, as "A - B"
+    of `COMPARED`, the paired ``difference`` of accuracies and its ``interval_95`` over rows. ``success``:
+    shares in each part of the split; the counts of `Job.without_duplicates`, with equal camera images as
+    duplicates, and ``seconds`` of training.
     """
     job, rows = job.without_duplicates(("image",))
     height, width = job.params.touch

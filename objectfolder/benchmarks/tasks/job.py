@@ -61,9 +61,7 @@ class ObjectJob(Generic[_Config]):
     body: "RigidBody | None"  #: of the same object, for a robot
     params: _Config  #: the task's section of ``params.yaml``
     seed: int
-    #: Folder of checkpoints and of files to keep. An interrupted call resumes from it, so it must be empty or
-    #: of a call with the same arguments.
-    progress: Path
+    progress: Path  #: see `Job`
     report: Report = lambda line: None
     threads: int = 1  #: of a simulation; results do not depend on it
     encode: EncodeConfig | None = None  #: of a task that trains nets
@@ -80,8 +78,8 @@ class Job(Generic[_Params]):
     params: _Params  #: the task's section of ``params.yaml``
     encode: EncodeConfig
     seed: int
-    #: Folder of finished parts and checkpoints. An interrupted call resumes from it, so it must be empty or
-    #: of a call with the same arguments.
+    #: Folder of checkpoints, finished parts and files to keep. An interrupted call resumes from it, so it
+    #: must be empty or of a call with the same arguments.
     progress: Path
     weights: Weights | None = None  #: initial weights of encoders; default: random
     device: str | torch.device = "cpu"

@@ -1,7 +1,8 @@
 """Localization of a contact on a known object by touch, by sound, or by both (ObjectFolder Benchmark)."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import fmean
 from typing import Annotated, Any
 
 from annotated_types import Ge, MultipleOf
@@ -20,11 +21,9 @@ class LocalizeConfig(TrainingConfig):
     """Section ``localize`` of ``params.yaml``."""
 
     epochs: Count = 30
-    batch: Annotated[int, Ge(2)] = 32
     learning_rate: Positive = 0.003
     weight_decay: NonNegative = 0.05
     patience: Count = 30
-    seeds: Count = 1  #: runs whose mean is the result
     #: With each object: 80 % to train with, 10 % for validation, 10 % for the test, which need a sequence.
     contacts: Annotated[int, Ge(80), MultipleOf(10)] = 500
 
@@ -47,9 +46,9 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
             )
         if len(found) > 1:
             means = [
-                *(_mean(one["net"][kind] for one in found) for kind in ("mean", "median", "together")),
-                *(_mean(one["nearest"][kind] for one in found) for kind in ("mean", "together")),
-                *(_mean(score[kind] for score in scores.values()) for kind in ("constant", "random")),
+                *(fmean(one["net"][kind] for one in found) for kind in ("mean", "median", "together")),
+                *(fmean(one["nearest"][kind] for one in found) for kind in ("mean", "together")),
+                *(fmean(score[kind] for score in scores.values()) for kind in ("constant", "random")),
             ]
             rows.append((name, f"mean of {len(found)}", *(f"{100 * value:.1f}" for value in means)))
     contacts = next(iter(scores.values()))["contacts"]
@@ -62,11 +61,6 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         "Nearest: the training contact with the most similar input, for eight a belief by similarity. "
         "Constant: the best single answer.",
     )
-
-
-def _mean(values: Iterable[float]) -> float:
-    found = list(values)
-    return sum(found) / len(found)
 
 
 TASK = Task(

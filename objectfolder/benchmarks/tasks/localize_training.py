@@ -44,14 +44,11 @@ def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     nets'; how much touch counts in it is chosen on the validation contacts. ``together`` are the answers
     after `TOGETHER` contacts with known moves between them.
 
-    Returns
-    -------
-    dict
-        Errors as shares of the longest side. By senses (``T``, ``A``, ``TA``): ``net`` and ``nearest``
-        (the training contact with the most similar input), each with ``mean``, ``median`` and ``together``,
-        and ``interval_95`` and ``seeds`` of the net's mean; ``touch_weights`` of ``TA``, by seed.
-        ``random``: a random place; ``constant``: the place with the least mean distance to the training
-        contacts. ``contacts`` by part, and ``seconds``.
+    Returns scores: errors as shares of the longest side. By senses (``T``, ``A``, ``TA``): ``net`` and
+    ``nearest`` (the training contact with the most similar input), each with ``mean``, ``median`` and
+    ``together``, and ``interval_95`` and ``seeds`` of the net's mean; ``touch_weights`` of ``TA``, by seed.
+    ``random``: a random place; ``constant``: the place with the least mean distance to the training contacts.
+    ``contacts`` by part, and ``seconds``.
     """
     points = job.observations.read("point", np.arange(len(job.observations)))
     setting = _Setting.of(job, points)

@@ -10,6 +10,7 @@ import numpy as np
 
 from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.models.actor import Actor
+from objectfolder.benchmarks.models.policy_training import PolicyPoint
 from objectfolder.benchmarks.models.ppo import train_ppo
 from objectfolder.benchmarks.models.settings import ReachConfig
 from objectfolder.benchmarks.reporting.film import mark_outcome, write_gif
@@ -89,24 +90,16 @@ def environment_class(task: str) -> Callable[..., Env]:
 def reach(job: ObjectJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train PPO with one object on the table, and score it on goals not used in training.
 
-    Those of each training seed are others; baselines are scored on those of the first.
+    Those of each training seed are others; baselines are scored on those of the first. The job's task is
+    ``reach``, with a floating hand, or ``metaworld_reach``, with Meta-World's Sawyer arm. Its ``progress``
+    receives the files to keep: an animation of one success and one failure, as far as there are any
+    (``episodes.gif``), and the first training's policy (``model.safetensors``). Raises ObjectFolderError if
+    the object does not fit into the scene.
 
-    Raises ObjectFolderError if the object does not fit into the scene.
-
-    Parameters
-    ----------
-    job : ObjectJob
-        Its task is ``reach``, with a floating hand, or ``metaworld_reach``, with Meta-World's Sawyer arm.
-        ``progress`` receives the files to keep: an animation of one success and one failure, as far as there
-        are any (``episodes.gif``), and the first training's policy (``model.safetensors``).
-
-    Returns
-    -------
-    dict
-        For each of `POLICIES` its success at the ``last`` step and at ``any`` time, both with ``interval_95``
-        (Wilson, over all episodes), mean ``return`` and ``distance`` at the end (m); for PPO the success of
-        each of the ``seeds``. The numbers of ``episodes`` and, for each training, of control ``steps``;
-        ``seconds`` of training.
+    Returns scores: for each of `POLICIES` its success at the ``last`` step and at ``any`` time, both with
+    ``interval_95`` (Wilson, over all episodes), mean ``return`` and ``distance`` at the end (m); for PPO the
+    success of each of the ``seeds``. The numbers of ``episodes`` and, for each training, of control
+    ``steps``; ``seconds`` of training.
     """
     task, body, params, seed, progress = job.task, job.body, job.params, job.seed, job.progress
     assert body is not None
@@ -127,11 +120,11 @@ def reach(job: ObjectJob[ReachConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     actors, curve, steps, seconds = [], [], [], 0.0
     for run in range(params.seeds):
 
-        def report(done: int, figures: tuple[float, ...], elapsed: float, run: int = run) -> None:
-            last, ever = (round(100 * share) for share in figures[:2])
+        def report(point: PolicyPoint, run: int = run) -> None:
+            last, ever = (round(100 * share) for share in point.figures[:2])
             job.report(
-                f"{task} {body.key}, seed {run + 1} of {params.seeds}, {done} of {params.steps} steps: "
-                f"validation success {last} % at the last step, {ever} % at any time, {elapsed:.0f} s"
+                f"{task} {body.key}, seed {run + 1} of {params.seeds}, {point.done} of {params.steps} steps: "
+                f"validation success {last} % at the last step, {ever} % at any time, {point.seconds:.0f} s"
             )
 
         purpose = (task, body.key, str(run))

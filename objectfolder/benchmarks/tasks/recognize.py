@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from annotated_types import Ge, Interval
+from annotated_types import Interval
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.settings import Count, NonNegative, Positive, section
+from objectfolder.base.settings import Count, section
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
@@ -28,11 +28,8 @@ class RecognizeConfig(TrainingConfig):
     """Section ``recognize`` of ``params.yaml``."""
 
     epochs: Count = 5
-    batch: Annotated[int, Ge(2)] = 32
-    learning_rate: Positive = 0.001
-    weight_decay: NonNegative = 0.01
     patience: Count = 2
-    seeds: Count = 3  #: runs whose mean is the result
+    seeds: Count = 3
     fusion_epochs: Count = 1  #: of several modalities together, after each was trained alone
     schedule: Literal["cosine", "one_cycle"] = "cosine"  #: `objectfolder.benchmarks.models.training.train`
     label_smoothing: Annotated[float, Interval(ge=0, lt=1)] = 0.0

@@ -68,18 +68,15 @@ def recognize(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[list[Any]
     Raises ObjectFolderError if a test object is absent from training, a part of the split is empty, training
     diverges, or the encoder is unknown.
 
-    Returns
-    -------
-    dict
-        By combination (``V`` to ``VAT``) the ``accuracy``, its ``interval_95`` (half width over the training
-        seeds, None for one), and the accuracies of the ``seeds``; ``touches`` and ``touches_not_flat``: the
-        same by number of touches, of all and of those with a relief of `FLAT` or more, with their ``bound``
-        (`bound_together`), also of T (`bound_alone`); ``flat``, the share of test touches that are on flat
-        ground or miss the object, and their ``flat_accuracy``, if there are any; ``confusion`` of VAT
-        (K, K), by object and answer, summed over the seeds; ``chance`` (``uniform``: 1/K of the K classes
-        that are learnt, ``majority``: the share of the commonest object in the test rows); `Job.counts`
-        before any row is dropped; ``untested``, by combination the objects without a test row; and
-        ``seconds`` of training.
+    Returns scores: by combination (``V`` to ``VAT``) the ``accuracy``, its ``interval_95`` (half width over
+    the training seeds, None for one), and the accuracies of the ``seeds``; ``touches`` and
+    ``touches_not_flat``: the same by number of touches, of all and of those with a relief of `FLAT` or more,
+    with their ``bound`` (`bound_together`), also of T (`bound_alone`); ``flat``, the share of test touches
+    that are on flat ground or miss the object, and their ``flat_accuracy``, if there are any; ``confusion``
+    of VAT (K, K), by object and answer, summed over the seeds; ``chance`` (``uniform``: 1/K of the K classes
+    that are learnt, ``majority``: the share of the commonest object in the test rows); `Job.counts` before
+    any row is dropped; ``untested``, by combination the objects without a test row; and ``seconds`` of
+    training.
     """
     objects = Objects(job.observations.keys, job.observations.labels)
     check_learnt(job.split, objects)
@@ -94,10 +91,7 @@ def classify_materials(job: Job[RecognizeConfig]) -> tuple[dict[str, Any], list[
     Raises ObjectFolderError if all objects for training are of one material, or none for the test is of a
     material of theirs.
 
-    Returns
-    -------
-    dict
-        As of `recognize`, by material; also the ``materials`` and those ``left_out``.
+    Returns the scores of `recognize`, by material; also the ``materials`` and those ``left_out``.
     """
     observations, split = job.observations, job.split
     materials = [str(observations.records[key]["material"]) for key in observations.keys]

@@ -8,13 +8,7 @@ from annotated_types import Ge, Interval
 
 from objectfolder.base.settings import Count, NonNegative, Positive, section
 from objectfolder.benchmarks.models.settings import TrainingConfig
-from objectfolder.benchmarks.reporting.tables import (
-    NEW_OBJECTS,
-    Table,
-    describe_repeats,
-    format_figure,
-    format_interval,
-)
+from objectfolder.benchmarks.reporting import tables
 from objectfolder.benchmarks.tasks.task import Task
 from objectfolder.workspace.layout import MODALITIES
 
@@ -42,11 +36,8 @@ class ReconstructConfig(TrainingConfig):
     """Section ``reconstruct`` of ``params.yaml``."""
 
     epochs: Count = 6
-    batch: Annotated[int, Ge(2)] = 32
-    learning_rate: Positive = 0.001
-    weight_decay: NonNegative = 0.01
     patience: Count = 5
-    seeds: Count = 3  #: trainings of each variant
+    seeds: Count = 3
     #: In which each encoder learns to name the training objects and then stays as it is; 0: all is learned
     #: together.
     pretrain_epochs: Annotated[int, Ge(0)] = 0
@@ -64,23 +55,23 @@ class ReconstructConfig(TrainingConfig):
     touches: Count = 16  #: of the object that a shape is reconstructed from, as far as its part has so many
 
 
-def _table(split: str, scores: Mapping[str, Any]) -> Table:
+def _table(split: str, scores: Mapping[str, Any]) -> tables.Table:
     rows, counts = [], scores["rows"]
     names = NAMES | KNOWN_SHAPES | {"T": f"{scores['touches']} touches"}
     for kind in [*RECONSTRUCTION, *(name for name in KNOWN_SHAPES if name in scores)]:
         score, paper = scores[kind], RECONSTRUCTION.get(kind)
-        ours = [format_figure(score.get(name)) for name in ("iou", "chamfer_l1", "normal_consistency")]
-        ours[0] += format_interval(score, 1, ".4f") if "interval_95" in score else ""
+        ours = [tables.format_figure(score.get(name)) for name in ("iou", "chamfer_l1", "normal_consistency")]
+        ours[0] += tables.format_interval(score, 1, ".4f") if "interval_95" in score else ""
         papers = " / ".join(f"{value:.4f}" for value in paper) if paper and split == "seen" else "-"
         rows.append((names[kind], *ours, papers))
-    return Table(
+    return tables.Table(
         f"3D reconstruction, {split} objects",
         ("from", "IoU", "Chamfer-L1", "normal consistency", "paper: IoU / Chamfer-L1 / normal consistency"),
         rows,
         f"{counts['train']} rows to train with; of each object the first {scores['views']} for validation "
         f"and for the test, {counts['val']} and {counts['test']} in all; "
-        + describe_repeats(scores, REPEATED)
-        + NEW_OBJECTS * (split == "unseen"),
+        + tables.describe_repeats(scores, REPEATED)
+        + tables.NEW_OBJECTS * (split == "unseen"),
     )
 
 

@@ -53,17 +53,14 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
 
     Raises ObjectFolderError if files or checkpoints are damaged, or training diverges.
 
-    Returns
-    -------
-    dict
-        By variant and baseline the scores of `Truth.scores` over the first ``views`` test rows of each
-        object. Baselines: ``average_shape`` (the mean occupancy of the training objects), ``similar_view``
-        (the training object with the most similar view) and, if no test object is known, ``nearest_shape``
-        (the training object with the highest IoU, found by the truth). Of variants also the ``threshold``,
-        ``epochs`` and ``val_iou``, all as means over the seeds, the IoU of each of the ``seeds`` and its
-        ``interval_95``. Beside them ``perfect``, the surface scores of the truth against itself; the numbers
-        of different ``touches`` and of ``views``; `Job.counts` of these views, before any is dropped;
-        ``untested``, by variant the objects without a test row; and ``seconds``.
+    Returns scores: by variant and baseline the scores of `Truth.scores` over the first ``views`` test rows of
+    each object. Baselines: ``average_shape`` (the mean occupancy of the training objects), ``similar_view``
+    (the training object with the most similar view) and, if no test object is known, ``nearest_shape`` (the
+    training object with the highest IoU, found by the truth). Of variants also the ``threshold``, ``epochs``
+    and ``val_iou``, all as means over the seeds, the IoU of each of the ``seeds`` and its ``interval_95``.
+    Beside them ``perfect``, the surface scores of the truth against itself; the numbers of different
+    ``touches`` and of ``views``; `Job.counts` of these views, before any is dropped; ``untested``, by variant
+    the objects without a test row; and ``seconds``.
     """
     job.check_sizes(MODALITIES)
     repeats = job.repeats(("vision", "audio"))

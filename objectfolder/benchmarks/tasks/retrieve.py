@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Ge
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.settings import Count, NonNegative, Positive, section
+from objectfolder.base.settings import Count, Positive, section
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
@@ -37,10 +37,8 @@ class RetrieveConfig(TrainingConfig):
     """Section ``retrieve`` of ``params.yaml``."""
 
     epochs: Count = 5
-    learning_rate: Positive = 0.001
-    weight_decay: NonNegative = 0.01
     patience: Count = 5
-    seeds: Count = 3  #: runs whose mean is the result
+    seeds: Count = 3
     batch: Annotated[int, Ge(3)] = 32  #: pairs; each batch needs negatives
     margin: Positive = 0.5  #: of the triplet losses, cosine distance
     embedding: Count = 128  #: size of the compared embeddings

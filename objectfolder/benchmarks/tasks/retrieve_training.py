@@ -15,13 +15,8 @@ from objectfolder.benchmarks.models.baselines import find_directions, fit_whiten
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches
 from objectfolder.benchmarks.models.two_stream import TwoStream, cross_sensory_loss, paired_batches
 from objectfolder.benchmarks.scoring.scores import chance_map, mean_average_precision, over_seeds
+from objectfolder.benchmarks.tasks import naming
 from objectfolder.benchmarks.tasks.job import Job, in_chunks
-from objectfolder.benchmarks.tasks.naming import (
-    repeated_objects,
-    score_within,
-    train_namer,
-    validation_gallery,
-)
 from objectfolder.benchmarks.tasks.retrieve import RetrieveConfig, check_objects
 from objectfolder.benchmarks.tasks.task import Objects
 from objectfolder.workspace.layout import MODALITIES
@@ -49,15 +44,11 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
 
     Raises ObjectFolderError if a split cannot be trained on or scored, or a training diverges.
 
-    Returns
-    -------
-    dict
-        ``directions``, such as ``V->A`` (sounds from views) or ``V->V``: ``map`` (mean over the seeds), its
-        ``interval_95``, ``seeds`` (one value each); ``named``, with the same three; ``cca``; ``chance``. Then
-        what was chosen for ``cca``, the counts of `Job.without_duplicates`, with a row dropped for all pairs
-        if both inputs of one repeat, and ``seconds`` of training.
-    list
-        Rows of the training curves, those of the task; ``second`` is empty in pre-training.
+    Returns ``directions``, such as ``V->A`` (sounds from views) or ``V->V``: ``map`` (mean over the seeds),
+    its ``interval_95``, ``seeds`` (one value each); ``named``, with the same three; ``cca``; ``chance``. Then
+    what was chosen for ``cca``, the counts of `Job.without_duplicates`, with a row dropped for all pairs if
+    both inputs of one repeat, and ``seconds`` of training.
+    In rows of the training curves, ``second`` is empty in pre-training.
     """
     check_objects(job.split, Objects(job.observations.keys, job.observations.labels))
     job.check_sizes(MODALITIES)
@@ -73,7 +64,7 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     for checkpoint in job.progress.glob("encoder_*.pt"):
         checkpoint.unlink()
     directions: dict[str, Any] = {}
-    chance, repeated = chance_map(labels, labels), repeated_objects(labels, len(labels))
+    chance, repeated = chance_map(labels, labels), naming.repeated_objects(labels, len(labels))
     chance_within = chance_map(labels, labels[repeated], own=True) if len(repeated) else None
     for direction in sorted({name for baseline in baselines for name in baseline}):
         # A direction within a sense belongs to two pairs.
@@ -141,7 +132,7 @@ def _train(
         return cross_sensory_loss(first, second, targets, params.margin) + classification
 
     def val_score() -> float:
-        return _val_score(job, _embeddings(job, net, pair, validation_gallery(job, "retrieve")))
+        return _val_score(job, _embeddings(job, net, pair, naming.validation_gallery(job, "retrieve")))
 
     steps = params.epochs * count_batches(len(rows), params.batch)
     curve = job.train(
@@ -161,7 +152,7 @@ def _namer(job: Job[RetrieveConfig], modality: str, run: int) -> tuple[nn.Module
         return job.inputs(modality, rows, rng)
 
     epochs, one_cycle = job.params.pretrain_epochs, job.params.schedule == "one_cycle"
-    net, curve = train_namer(job, "retrieve", modality, run, inputs, epochs, one_cycle)
+    net, curve = naming.train_namer(job, "retrieve", modality, run, inputs, epochs, one_cycle)
     return net.encoders[modality], curve
 
 
@@ -173,9 +164,9 @@ def _maps(
     names = [modality[0].upper() for modality in pair]
     crossed = _score_crossed(embeddings, labels, len(labels), cosine)
     maps = dict(zip(("->".join(names), "->".join(names[::-1])), crossed))
-    if len(repeated_objects(labels, len(labels))):
+    if len(naming.repeated_objects(labels, len(labels))):
         maps |= {
-            f"{name}->{name}": score_within(x, labels, len(labels), cosine)
+            f"{name}->{name}": naming.score_within(x, labels, len(labels), cosine)
             for name, x in zip(names, embeddings)
         }
     return maps
@@ -183,7 +174,7 @@ def _maps(
 
 def _val_score(job: Job[RetrieveConfig], embeddings: Sequence[np.ndarray]) -> float:
     """Score embeddings of the `validation_gallery` in two modalities: the mean over both directions."""
-    labels = job.observations.labels[validation_gallery(job, "retrieve")]
+    labels = job.observations.labels[naming.validation_gallery(job, "retrieve")]
     return float(np.mean(_score_crossed(embeddings, labels, len(job.split.val))))
 
 
@@ -227,7 +218,7 @@ def _features(job: Job[RetrieveConfig], modality: str) -> dict[str, np.ndarray]:
     whiten = fit_whitening(train, max(DIMENSIONS))
     return {
         "train": whiten(train),
-        "validation": whiten(pixels(validation_gallery(job, "retrieve"))),
+        "validation": whiten(pixels(naming.validation_gallery(job, "retrieve"))),
         "test": whiten(pixels(job.split.test)),
     }
 

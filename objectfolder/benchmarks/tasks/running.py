@@ -94,18 +94,17 @@ class RunTime:
     cpu_seconds: float  #: of this process
 
 
-class _ProcessorTime:
-    """Processor time of all calls that worked in a progress folder, kept there at each report."""
+def _keep_time(progress: Path) -> Callable[[], float]:
+    """Return a function that writes and returns the processor time of all calls that worked in a folder."""
+    path, start = progress / "processor_seconds.json", time.process_time()
+    before: float = read_json(path) if path.is_file() else 0.0
 
-    def __init__(self, progress: Path):
-        self._path, self._start = progress / "processor_seconds.json", time.process_time()
-        self._before: float = read_json(self._path) if self._path.is_file() else 0.0
-
-    def keep(self) -> float:
-        """Write and return the seconds so far."""
-        seconds = self._before + time.process_time() - self._start
-        write_json(self._path, seconds)
+    def keep() -> float:
+        seconds = before + time.process_time() - start
+        write_json(path, seconds)
         return seconds
+
+    return keep
 
 
 def run_stage(
@@ -116,9 +115,8 @@ def run_stage(
 ) -> None:
     """Run a task as a stage of a build: with the settings and in the folder of the workspace."""
     params, folder = task.params(), Benchmarks()
-    run_benchmark(
-        Run(task=task, training=training, part=part, inputs=inputs, params=params, folder=folder), print
-    )
+    run = Run(task=task, training=training, part=part, inputs=inputs, params=params, folder=folder)
+    run_benchmark(run, print)
 
 
 def run_benchmark(run: Run, report: Report) -> RunTime:
@@ -134,17 +132,17 @@ def run_benchmark(run: Run, report: Report) -> RunTime:
     refuse_links(progress, folder.dir)
     waiting = f"waiting for another process that runs {task.name}, {part}, in {folder.dir}"
     with exclusive(progress, lambda: report(waiting)):  # and then find everything finished
-        spent = _ProcessorTime(progress)
+        spent = _keep_time(progress)
 
         def keep_and_report(line: str) -> None:
-            spent.keep()
+            spent()
             report(line)
 
         scores, curve = run.training(run.job(progress, keep_and_report))
         if not isinstance(run.inputs, KnownObject):
             scores |= {"keys": run.inputs.keys}
         write_results(task, part, folder, progress, scores, curve)
-        cost = RunTime(scores["seconds"], spent.keep())
+        cost = RunTime(scores["seconds"], spent())
     for other in folder.outdated_progress(task.name, part, progress):
         remove_unused(other)
     return cost

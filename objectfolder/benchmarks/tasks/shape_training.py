@@ -22,7 +22,7 @@ from objectfolder.benchmarks.datasets.occupancy import OccupancySamples
 from objectfolder.benchmarks.datasets.splits import Companions
 from objectfolder.benchmarks.models.framing import frame_views
 from objectfolder.benchmarks.models.inputs import encoder_inputs, flip_some
-from objectfolder.benchmarks.models.occupancy_net import EMBEDDING, Reconstructor, SeveralTouches
+from objectfolder.benchmarks.models.occupancy_net import Reconstructor, SeveralTouches
 from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, shape_inputs
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
@@ -65,8 +65,7 @@ class ShapeTraining:
         self.modalities = VARIANTS[variant]
         self.title = f"reconstruct {job.split.name}, {variant}, seed {run + 1} of {job.params.seeds}"
         self._purpose = ("reconstruct", job.split.name, variant, str(run))
-        self._run = run
-        self._labels = job.observations.labels
+        self._run, self._labels = run, job.observations.labels
         self._classes = np.unique(self._labels[job.split.train])
 
     def train(self, parts: Sequence[ShapeModel], best: int) -> tuple[ShapeModel, list[EpochPoint], float]:
@@ -128,24 +127,17 @@ class ShapeTraining:
         @lru_cache(maxsize=1)  # statistics are renewed on the same features
         def encoded(epoch: int) -> dict[str, torch.Tensor]:
             rng = numpy_generator(job.seed, *self._purpose, f"features of epoch {epoch}")
-            return {
-                modality: self._features(net.encoders[modality], modality, rng)
-                for modality in self.modalities
-            }
+            return {name: self._features(net.encoders[name], name, rng) for name in self.modalities}
 
         def epoch_batches(epoch: int) -> Iterator[FeatureBatch]:
             known = encoded(epoch)
             rng = numpy_generator(job.seed, *self._purpose, f"epoch {epoch}")
             for _ in range(POINT_SETS):
                 for some in shuffle(rows, params.batch, rng):
-                    together = (
-                        {"touch": companions.draw(some, params.touches, rng)} if "touch" in known else {}
-                    )
-                    features = [
-                        values[together.get(modality, some[:, None])].mean(1)
-                        for modality, values in known.items()
-                    ]
-                    yield torch.cat(features, 1), *self._points(some, rng)
+                    drawn = companions.draw(some, params.touches, rng) if "touch" in known else some[:, None]
+                    found = [known[name][drawn if name == "touch" else some[:, None]] for name in known]
+                    features = torch.cat([values.mean(1) for values in found], 1)
+                    yield features, *self._points(some, rng)
 
         def batch_loss(batch: FeatureBatch) -> torch.Tensor:
             features, points, inside = batch
@@ -194,14 +186,10 @@ class ShapeTraining:
             rng = numpy_generator(job.seed, *self._purpose, f"epoch {epoch}")
             batches = shuffle(job.split.train, params.batch, rng)
             for rows in islice(batches, None, None, sets // POINT_SETS):
-                inputs = {
-                    modality: self._inputs(
-                        modality,
-                        companions.draw(rows, params.touches, rng) if modality == "touch" else rows,
-                        rng,
-                    )
-                    for modality in self.modalities
-                }
+                inputs = {}
+                for name in self.modalities:
+                    seen = companions.draw(rows, params.touches, rng) if name == "touch" else rows
+                    inputs[name] = self._inputs(name, seen, rng)
                 names = torch.from_numpy(np.searchsorted(self._classes, self._labels[rows])).to(job.device)
                 for given in (inputs, *[None] * (sets - 1)):
                     yield given, names, *self._points(rows, rng)
@@ -285,9 +273,8 @@ def validation_rows(job: Job[ReconstructConfig]) -> np.ndarray:
 
 def read_observed(job: Job[ReconstructConfig], modality: str, rows: np.ndarray) -> np.ndarray:
     """Read the observations of rows of any shape."""
-    return job.observations.read(modality, rows.ravel()).reshape(
-        *rows.shape, *job.observations.shape(modality)
-    )
+    flat = job.observations.read(modality, rows.ravel())
+    return flat.reshape(*rows.shape, *job.observations.shape(modality))
 
 
 def read_variant(
@@ -296,10 +283,7 @@ def read_variant(
     """Read what a variant is validated or scored on; of touches several of each row's object."""
     rng = numpy_generator(job.seed, "reconstruct", job.split.name, "seen")
     touched = Companions(job.split, job.observations.labels).draw(rows, job.params.touches, rng)
-    return {
-        modality: read_observed(job, modality, touched if modality == "touch" else rows)
-        for modality in modalities
-    }
+    return {name: read_observed(job, name, touched if name == "touch" else rows) for name in modalities}
 
 
 def start_from(net: Reconstructor, parts: Sequence[Reconstructor], best: Reconstructor) -> None:
@@ -310,11 +294,7 @@ def start_from(net: Reconstructor, parts: Sequence[Reconstructor], best: Reconst
     net.decoder.load_state_dict(best.decoder.state_dict())
     fusion = best.fusion.state_dict()
     widths = [part.fusion.get_parameter("0.weight").shape[1] for part in parts]
-    fusion["0.weight"] = torch.cat(
-        [
-            fusion["0.weight"] if part is best else torch.zeros(EMBEDDING, width)
-            for part, width in zip(parts, widths)
-        ],
-        1,
-    )
+    own = fusion["0.weight"]
+    columns = [own if part is best else own.new_zeros(len(own), w) for part, w in zip(parts, widths)]
+    fusion["0.weight"] = torch.cat(columns, 1)
     net.fusion.load_state_dict(fusion)

@@ -33,14 +33,11 @@ def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list
     The net learns the mean squared difference. The best epoch is chosen by the pooled PSNR of the validation
     rows.
 
-    Returns
-    -------
-    dict
-        ``net``, ``nearest`` (the touch of the training view that is most similar, of `POOLED` pixels) and
-        ``mean`` (the mean touch of the training rows): ``psnr`` of the mean squared error of each image, at
-        least `ROUNDING`, averaged over images, dB; ``psnr_pooled`` of that of all; ``ssim``. Of the net also
-        the ``seeds`` of the first and its ``interval_95``. Then the counts of `Job.without_duplicates`, and
-        ``seconds``.
+    Returns ``net``, ``nearest`` (the touch of the training view that is most similar, of `POOLED` pixels) and
+    ``mean`` (the mean touch of the training rows): ``psnr`` of the mean squared error of each image, at least
+    `ROUNDING`, averaged over images, dB; ``psnr_pooled`` of that of all; ``ssim``. Of the net also the
+    ``seeds`` of the first and its ``interval_95``. Then the counts of `Job.without_duplicates`, and
+    ``seconds``.
     """
     job, counts = job.without_duplicates(("view",))
     test = job.split.test

@@ -102,14 +102,10 @@ def _without_on_demand(addresses: set[str]) -> set[str]:
     return {address for address in addresses if address.partition("@")[0] not in ON_DEMAND}
 
 
-def _choices(addresses: dict[str, Stage], root: Path) -> list[str]:
+def _suggest(target: str, addresses: dict[str, Stage], root: Path) -> str:
     outputs = (os.path.relpath(out.fs_path, root) for stage in addresses.values() for out in stage.outs)
     parts = (part for address in addresses for part in (address, *address.split("@")))
-    return sorted({*parts, *outputs})
-
-
-def _suggest(target: str, addresses: dict[str, Stage], root: Path) -> str:
-    close = difflib.get_close_matches(target, _choices(addresses, root), n=5)
+    close = difflib.get_close_matches(target, sorted({*parts, *outputs}), n=5)
     if close:
         return f"did you mean {', '.join(close)}?"
     split = (address.partition("@") for address in addresses)

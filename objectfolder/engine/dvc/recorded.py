@@ -1,6 +1,7 @@
 """Files that the lock files describe, in the workspace and in the cache."""
 
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -25,6 +26,7 @@ from objectfolder.engine.dvc.repository import OpenRepository
 
 #: Permissions by which DVC marks a cached object whose hash is known.
 READ_ONLY = 0o444
+KINDS = {Dependency, Output, ParamsDependency}  #: whose state is that of a file or folder
 
 
 @dataclass(frozen=True)
@@ -73,18 +75,18 @@ def other_files(repository: OpenRepository, stages: Iterable[Stage]) -> list[str
         return None
     found = {*repo.config.files.values(), str(Path(dvc.__file__).parents[1])}
     for stage in stages:
-        for item in (*stage.deps, *stage.outs):
-            path = Path(item.fs_path)
-            local = type(item) in (Dependency, Output) or isinstance(item, ParamsDependency)
-            if not (local and item.protocol == "local" and path.is_relative_to(root)):
-                return None
-            if path.relative_to(root).as_posix().startswith("."):
-                return None
+        items = (*stage.deps, *stage.outs)
+        kinds = {ParamsDependency if isinstance(item, ParamsDependency) else type(item) for item in items}
+        if not kinds <= KINDS or any(item.protocol != "local" for item in items):
+            return None
+        paths = [os.path.relpath(path, root) for path in (stage.path, *(item.fs_path for item in items))]
+        if any(path.startswith(".") for path in paths):  # hidden, or not in the workspace
+            return None
         for out in stage.outs:
             if out.use_cache and out.hash_info:
                 tree = out.get_obj() if out.hash_info.isdir else ()
-                inside = [info.value for _, _, info in tree] if isinstance(tree, Tree) else []
-                found |= {out.cache.oid_to_path(oid) for oid in (out.hash_info.value, *inside)}
+                members = [info.value for _, _, info in tree] if isinstance(tree, Tree) else []
+                found |= {out.cache.oid_to_path(oid) for oid in (out.hash_info.value, *members)}
     folders = [repository.cache, *repository.cache.glob("[0-9a-f][0-9a-f]")]  # what is left there goes
     return [*found, *map(str, folders)]
 

@@ -113,10 +113,10 @@ def _with_urls(sources: Mapping[str, MeshSource], urls: Sequence[str]) -> dict[s
         changed[name] = sources[name].model_copy(update={"url": template})
     for name, source in (result := {**sources, **changed}).items():
         if "{model}" not in source.url or not is_web_address(object_url(source.url, "model")):
-            raise ObjectFolderError(
-                f"URL of source {name} is {quoted(source.url)}, expected http:// or https:// and {{model}} "
-                "in place of the object's id; for files on this computer use --from DIR"
-            )
+            wrong = f"URL of source {name} is {quoted(source.url)}"
+            expected = "http:// or https:// and {model} in place of the object's id"
+            advice = "for files on this computer use --from DIR"
+            raise ObjectFolderError(f"{wrong}, expected {expected}; {advice}")
         if not is_web_address(object_url(source.page, "model")):
             wrong = f"page of source {name} is {quoted(source.page)}"
             raise ObjectFolderError(f"{wrong}, expected an address with http:// or https://")
@@ -129,10 +129,9 @@ def comparable_name(name: str) -> str:
 
 
 def select_objects(catalogue: Catalogue, wanted: Sequence[str]) -> list[str]:
-    """Find objects by key, published name or id at the source; case and punctuation are ignored.
+    """Return keys of objects by key, published name or id at the source, whatever case and punctuation.
 
-    Returns their keys, each once, in the given order. Raises ObjectFolderError, which lists similar names, if
-    there is no such object.
+    Each is there once, in the given order. Raises ObjectFolderError, which lists similar names.
     """
     known = {
         comparable_name(name): key

@@ -2,7 +2,7 @@
 
 import difflib
 import shutil
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from objectfolder.base.errors import ObjectFolderError
@@ -63,10 +63,7 @@ def _form(name: str) -> str:
 
 
 def find_mesh(tree: Path, source: MeshSource) -> Path:
-    """Return the mesh at the source's path, otherwise with the source's file name, otherwise the only mesh.
-
-    Raises ObjectFolderError if there is none, or more than one.
-    """
+    """Return the mesh at the source's path, or of its name, or the only one; ObjectFolderError otherwise."""
     files = [path for path in _files(tree) if path.suffix.lower() in FORMATS]
     found = (
         [path for path in files if path.relative_to(tree).match(source.mesh)]
@@ -96,6 +93,8 @@ def collect(mesh: Path, tree: Path, into: Path) -> tuple[Path, dict[str, Path]]:
     try:
         # Lazy: an OBJ's textures are read from the copy of the material file, which comes first.
         for name in references(copy):
+            if ".." in name.parts:  # beside this copy, by chance
+                name = PurePosixPath(name.name)
             beside = mesh.parent / name
             elsewhere = [path for path in _files(tree) if path.name == name.name]
             found = [beside] if beside.is_file() else elsewhere

@@ -46,10 +46,9 @@ def _files(index: Path, url: str, resolution: str) -> dict[str, tuple[str, int, 
     except ObjectFolderError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ObjectFolderError(
-            f"{url} lists no glTF at {resolution} in the format of the Poly Haven API "
-            f"({type(error).__name__}: {error}); check the list, and `resolution` in the catalogue"
-        ) from error
+        absent = f"{url} lists no glTF at {resolution} in the format of the Poly Haven API"
+        advice = f"({type(error).__name__}: {error}); check the list, and `resolution` in the catalogue"
+        raise ObjectFolderError(f"{absent} {advice}") from error
     for name, (address, *_) in result.items():
         if not is_web_address(address):
             raise ObjectFolderError(f"{url}: {name} is at {quoted(address)}, expected http:// or https://")

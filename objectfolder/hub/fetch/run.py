@@ -226,10 +226,9 @@ def check_unchanged(recorded: Mapping[str, str], digests: Mapping[str, str], key
     """Raise ObjectFolderError if a file has another checksum than the recorded one; new ones are accepted."""
     for name, digest in digests.items():
         if recorded.get(name, digest) != digest:
-            raise ObjectFolderError(
-                f"{name} of {key} has changed since it was first used: expected SHA-256 {recorded[name]} "
-                f"({path}), got {digest}; to accept the new file, give --accept-changed"
-            )
+            changed = f"{name} of {key} has changed since it was first used"
+            digests_of = f"expected SHA-256 {recorded[name]} ({path}), got {digest}"
+            raise ObjectFolderError(f"{changed}: {digests_of}; to accept the new file, give --accept-changed")
 
 
 def record_checksums(path: Path, key: str, digests: Mapping[str, str]) -> None:

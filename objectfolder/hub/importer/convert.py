@@ -15,16 +15,8 @@ from objectfolder.base.arrays import read_rows
 from objectfolder.base.checks import finite_number
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import file_digest
+from objectfolder.hub.importer import nets
 from objectfolder.hub.importer.checkpoint import ReleasedDict, read_released
-from objectfolder.hub.importer.nets import (
-    box,
-    configured_net,
-    depth_net,
-    gains_net,
-    image_net,
-    nerf_net,
-    spectrogram_net,
-)
 from objectfolder.nets.released_network import Frame
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sound.released_gains import ReleasedGains
@@ -95,10 +87,12 @@ def convert(path: str | Path, options: ImportOptions = ImportOptions()) -> Objec
         low, high = bounds
         frame = Frame(tuple(((low + high) / 2).tolist()), float((high - low).max()))
     readers: dict[str, Callable[[ReleasedDict], Any]] = {
-        "vision": lambda part: (nerf_net if "network_fn_state_dict" in part else configured_net)(
+        "vision": lambda part: (nets.nerf_net if "network_fn_state_dict" in part else nets.configured_net)(
             part, options.crop
         ),
-        "audio": lambda part: (spectrogram_net if "voxel_vertex" in part else gains_net)(part, frame),
+        "audio": lambda part: (nets.spectrogram_net if "voxel_vertex" in part else nets.gains_net)(
+            part, frame
+        ),
         "touch": lambda part: _touch(part, frame, bounds, sensor, gel),
     }
     header: dict[str, Any] = {
@@ -143,11 +137,11 @@ def _touch(
     part: ReleasedDict, frame: Frame, bounds: np.ndarray | None, sensor: SensorProfile, gel: np.ndarray | None
 ) -> ReleasedImage | ReleasedDepth:
     if "xyz_min" in part or "xyz_max" in part:
-        return depth_net(part, frame, sensor, gel)
+        return nets.depth_net(part, frame, sensor, gel)
     if bounds is None:
         absent = f"{part.path}: {part.name} holds no xyz_min; a file of 1.0 does not contain its bounds"
         raise ObjectFolderError(f"{absent}: pass --bounds or --mesh")
-    return image_net(part, frame, bounds)
+    return nets.image_net(part, frame, bounds)
 
 
 def _gel(path: Path | None) -> np.ndarray | None:
@@ -165,9 +159,9 @@ def _gel(path: Path | None) -> np.ndarray | None:
 def _stored_bounds(checkpoint: ReleasedDict) -> np.ndarray | None:
     """Return the bounds stored in a file of 2.0, or None."""
     with suppress(ObjectFolderError):
-        return np.array(box(checkpoint.part("TouchNet")))
+        return np.array(nets.box(checkpoint.part("TouchNet")))
     with suppress(ObjectFolderError):
-        return np.array(box(checkpoint.part("AudioNet").part("normalizer")))
+        return np.array(nets.box(checkpoint.part("AudioNet").part("normalizer")))
     return None
 
 

@@ -137,8 +137,7 @@ def gains_net(audio: ReleasedDict, frame: Frame) -> ReleasedGains:
     branches = []
     for axis in AXES:
         tensors = network(state.below(f"model_{axis}."), 3, count)
-        for name in ("output.weight", "output.bias"):
-            tensors[name] = tensors[name][heard]
+        tensors |= {name: tensors[name][heard] for name in ("output.weight", "output.bias")}
         branches.append(build_network(tensors, 3))
     config = {"frame": frame.to_dict(), "bounds": box(normalizer)}
     modes = (torch.from_numpy(frequencies), torch.from_numpy(dampings), low, high)

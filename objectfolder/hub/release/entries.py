@@ -51,10 +51,9 @@ def entry_of(
     entry = object_entry(key, dict(values))
     material = own_material(entry.material, root=root).name
     if (file.material, file.scale) != (material, entry.scale):
-        found, wanted = f"{file.material}, {file.scale:g} m", f"{material}, {entry.scale:g} m"
-        raise ObjectFolderError(
-            f"{key}: {build.object_file} is of {found}, params.yaml says {wanted}; {again}"
-        )
+        found = f"{build.object_file} is of {file.material}, {file.scale:g} m"
+        wanted = f"params.yaml says {material}, {entry.scale:g} m"
+        raise ObjectFolderError(f"{key}: {found}, {wanted}; {again}")
     scores = read_json(build.metrics) if build.metrics.is_file() else {}
     if scores and scores.get("file_sha256") != digest:
         other = f"has the scores of another Object File than {build.object_file}"
@@ -81,10 +80,7 @@ def entry_of(
 
 
 def select_keys(chosen: Iterable[str], values: Mapping[str, Any], root: Path = Path()) -> list[str]:
-    """Return the objects to release in the order of labels: those chosen, or all that are built.
-
-    Raises ObjectFolderError if an object is unknown, or none is built.
-    """
+    """Return the objects to release, chosen or all built, by label; ObjectFolderError if unknown or none."""
     known = values["objects"]
     keys = list(chosen) or [key for key in known if Build(key, root).object_file.is_file()]
     if unknown := [key for key in keys if key not in known]:

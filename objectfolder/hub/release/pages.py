@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import median
 
 from objectfolder.base.text import in_markdown
@@ -15,6 +15,7 @@ _PAPER = (
     "R. Gao, Y.-Y. Chang, S. Mall, L. Fei-Fei, J. Wu. ObjectFolder: A Dataset of Objects with Implicit "
     "Visual, Auditory, and Tactile Representations. CoRL, 2021."
 )
+_KEYWORDS = ("multisensory", "3D objects", "impact sound", "touch", "implicit representation", "robotics")
 LICENCES = "licences"  #: folder of the notices
 _ATTRIBUTION = "Name these with what you make from the objects; the Object Files were made from their meshes."
 _INSTANCE = "An instance is one object; none is missing a label: the material is given."
@@ -35,9 +36,7 @@ class Words:
     date: str  #: YYYY-MM-DD
     url: str
     citation: str = _PAPER
-    keywords: Sequence[str] = field(
-        default=("multisensory", "3D objects", "impact sound", "touch", "implicit representation", "robotics")
-    )
+    keywords: Sequence[str] = _KEYWORDS
     making: str = (
         "Simulated from textured meshes by objectfolder: views by path tracing, vibration modes by finite "
         "elements, tactile images by contact with an elastic gel. Nets and a distance grid were fitted to "

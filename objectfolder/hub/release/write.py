@@ -15,8 +15,6 @@ from objectfolder.objectfile.dataset import INDEX, OBJECTS, IndexEntry
 from objectfolder.report.site import write_site
 from objectfolder.workspace.layout import Build
 
-SITE = "site"
-
 
 def write_release(
     out: Path,
@@ -40,9 +38,8 @@ def write_release(
         for entry in entries:
             shutil.copyfile(Build(entry.key, root).object_file, folder / entry.path)
             if file_digest(folder / entry.path) != entry.sha256:
-                raise ObjectFolderError(
-                    f"{entry.key} was built anew while the release was written; run it again after the build"
-                )
+                anew = f"{entry.key} was built anew while the release was written"
+                raise ObjectFolderError(f"{anew}; run it again after the build")
             if not site:
                 on_object(entry.key)
         write_text(folder / INDEX, index_text(entries))
@@ -54,13 +51,8 @@ def write_release(
         for key, notice in notices.items():
             shutil.copyfile(notice.path, folder / LICENCES / f"{key}.txt")
         if site:
-            write_site(
-                [Build(entry.key, root).object_file for entry in entries],
-                folder / SITE,
-                on_object=on_object,
-                costs=False,
-                title=words.name,
-            )
+            built = [Build(entry.key, root).object_file for entry in entries]
+            write_site(built, folder / "site", on_object=on_object, costs=False, title=words.name)
         files = sorted(path for path in folder.rglob("*") if path.is_file())
         sums = [f"{file_digest(path)}  {path.relative_to(folder)}" for path in files]
         write_text(folder / "SHA256SUMS", "\n".join(sums) + "\n")

@@ -77,9 +77,8 @@ def halve_cells(cells: CutCells) -> tuple[CutCells, np.ndarray] | None:
     rules = _halving()
     for corner in _CHILDREN:
         small = np.flatnonzero((cells.width == 1) & (cells.index % 2 == corner).all(1))
-        turned = np.einsum(
-            "eabc,ia,jb,kc->eijk", cells.occupancy[small], *(rules[side] for side in corner), optimize=True
-        )
+        turns = (rules[side] for side in corner)
+        turned = np.einsum("eabc,ia,jb,kc->eijk", cells.occupancy[small], *turns, optimize=True)
         np.add.at(moments, part[small], turned)
     large = np.flatnonzero(cells.width == 2)
     moments[part[large]] = cells.occupancy[large]

@@ -44,10 +44,8 @@ def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object
 
 def solver_checks(report: dict[str, Any]) -> dict[str, bool]:
     """Check that residuals are small and that rigid modes have zero frequency."""
-    return {
-        "residuals_ok": report["residual_max"] < MAX_RESIDUAL,
-        "rigid_modes_ok": max(report["rigid_hz"]) < rigid_limit(report),
-    }
+    rigid = max(report["rigid_hz"]) < rigid_limit(report)
+    return {"residuals_ok": report["residual_max"] < MAX_RESIDUAL, "rigid_modes_ok": rigid}
 
 
 def solver_warning(report: dict[str, Any], name: str) -> str | None:

@@ -314,9 +314,8 @@ def _reference_matrices(material: Material, size: float) -> tuple[np.ndarray, np
     weights = np.einsum("a,b,c->abc", w, w, w).ravel()
     basis = np.stack([legendre.legval(points, unit) for unit in np.eye(DEGREE)], -1)  # (Q, 3, 5)
     norm = (2 * np.arange(DEGREE) + 1) / 2
-    product = np.einsum(
-        "qa,qb,qc,a,b,c->qabc", basis[:, 0], basis[:, 1], basis[:, 2], norm, norm, norm
-    ).reshape(len(points), -1)
+    along = np.moveaxis(basis, 1, 0)
+    product = np.einsum("qa,qb,qc,a,b,c->qabc", *along, norm, norm, norm).reshape(len(points), -1)
     project = (product * weights[:, None]).T
     strain = strain_displacement(shape_gradients(points) * (2 / size))
     stiffness = np.einsum("qik,ij,qjl->qkl", strain, elasticity(material), strain, optimize=True)

@@ -21,6 +21,21 @@ MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
 
 
 @dataclass(frozen=True)
+class Request:
+    """What is asked of a modal analysis of a given solid."""
+
+    material: Material
+    scale: float  #: longest side, metres
+    max_frequency: float  #: Hz
+    max_modes: int
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "Request":
+        """Inverse of `dataclasses.asdict`."""
+        return cls(**{**values, "material": Material(**values["material"])})
+
+
+@dataclass(frozen=True)
 class ModalData:
     """Modes as stored in ``modes.npz``; SI units."""
 
@@ -37,73 +52,73 @@ class ModalData:
 
 
 def modal_analysis(
-    cells: Solid,
-    points: np.ndarray,
-    material: Material,
-    scale: float,
-    max_frequency: float,
-    max_modes: int,
-    name: str = "object",
-    wall: float = np.inf,
+    cells: Solid, points: np.ndarray, request: Request, name: str = "object", wall: float = np.inf
 ) -> ModalData:
     """Compute the modes of a solid and evaluate them at points (P, 3), unit frame.
 
     A mode decays with rate c (`Material.damping`) and rings at sqrt(lambda - c^2). Overdamped and inaudible
-    modes are dropped. The longest side, ``scale``, is in metres, the limit of frequencies in Hz; the
-    thickness of the wall, unit frame, limits the highest resolved frequency.
+    modes are dropped. The thickness of the wall, unit frame, limits the highest resolved frequency.
     """
-    candidate = Discretisation(cells, material, scale)
-    return _modes_at(candidate, points, max_frequency, max_modes, name, wall)
+    return _modes_at(Discretisation(cells, request.material, request.scale), points, request, name, wall)
 
 
 def _modes_at(
-    candidate: Discretisation,
-    points: np.ndarray,
-    max_frequency: float,
-    max_modes: int,
-    name: str,
-    wall: float,
+    candidate: Discretisation, points: np.ndarray, request: Request, name: str, wall: float
 ) -> ModalData:
     cells, material, scale = candidate.solid, candidate.material, candidate.scale
     fem = candidate.vibration.fem
-    modes = candidate.vibration.modes_below(max_frequency, max_modes, name)
-    damping = material.damping(modes.eigenvalues)
-    rings = (modes.eigenvalues > damping**2) & (modes.eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
-    eigenvalues, damping = modes.eigenvalues[rings], damping[rings]
+    modes = candidate.vibration.modes_below(request.max_frequency, request.max_modes, name)
+    rings = is_heard(modes.eigenvalues, material)
+    eigenvalues = modes.eigenvalues[rings]
     nodal = modes.shapes[:, rings].reshape(len(fem.nodes), -1)
     shapes = cells.interpolate(nodal, points).reshape(len(points), 3, -1)
-    frequencies = np.sqrt(eigenvalues) / (2 * np.pi)
     errors = candidate.errors(np.sqrt(modes.eigenvalues[:ESTIMATED_MODES]) / (2 * np.pi))
     report = {
         "element": cells.name,
         "resolution": cells.resolution,
         "elements": cells.elements,
         "degrees_of_freedom": int(fem.stiffness.shape[0]),
-        "material": material.name,
-        "material_properties": material.properties(),
-        "scale_m": scale,
         "mass_kg": float(cells.volume * scale**3 * material.density),
         "volume_error": cells.volume_error,  # before the correction of mass and stiffness
         "dropped_volume_share": cells.dropped_volume,
-        "modes": len(eigenvalues),
-        "modes_below_8_kHz": int((frequencies < 8000).sum()),
         "count_below_max_frequency": modes.count_below,
         "truncated": modes.truncated,
-        "max_frequency_hz": max_frequency,
-        "lowest_hz": frequencies[:8].round(2).tolist(),
         "rigid_hz": modes.rigid_frequencies.round(4).tolist(),
         "residual_max": float(modes.residuals.max(initial=0.0)),
         "discretisation_error": errors,
         "frequency_uncertainty": max(errors, default=0.0) if errors is not None else None,
         "highest_resolved_hz": resolved_frequency(cells, material, scale, wall),
     }
+    return stored_modes(eigenvalues, shapes, modes.residuals[rings], request, report)
+
+
+def is_heard(eigenvalues: np.ndarray, material: Material) -> np.ndarray:
+    """Return which modes ring and are not below hearing, by their eigenvalues (M,), rad^2/s^2."""
+    damped = eigenvalues <= material.damping(eigenvalues) ** 2
+    return ~damped & (eigenvalues > (2 * np.pi * MIN_FREQUENCY) ** 2)
+
+
+def stored_modes(
+    eigenvalues: np.ndarray,
+    shapes: np.ndarray,
+    residuals: np.ndarray,
+    request: Request,
+    report: dict[str, Any],
+) -> ModalData:
+    """Return modes that are heard as they are stored; completes the report by what is said of them."""
+    frequencies, damping = np.sqrt(eigenvalues) / (2 * np.pi), request.material.damping(eigenvalues)
+    report = report | {
+        "material": request.material.name,
+        "material_properties": request.material.properties(),
+        "scale_m": request.scale,
+        "max_frequency_hz": request.max_frequency,
+        "modes": len(eigenvalues),
+        "modes_below_8_kHz": int((frequencies < 8000).sum()),
+        "lowest_hz": frequencies[:8].round(2).tolist(),
+    }
     return ModalData(
-        eigenvalues=eigenvalues,
-        damping=damping,
-        damped_frequency=np.sqrt(eigenvalues - damping**2),
-        shapes=shapes.astype(np.float32),
-        residuals=modes.residuals[rings],
-        report=report | solver_checks(report),
+        *(eigenvalues, damping, np.sqrt(eigenvalues - damping**2)),
+        *(shapes.astype(np.float32), residuals, report | solver_checks(report)),
     )
 
 
@@ -112,18 +127,15 @@ def refined_analysis(
     surface: Mesh,
     fine: FineGrids,
     points: np.ndarray,
-    material: Material,
-    scale: float,
-    max_frequency: float,
-    max_modes: int,
+    request: Request,
     name: str = "object",
 ) -> ModalData:
     """Compute modes as `modal_analysis`, on a finer grid if `refine_grid` chooses one.
 
     The solid is on the first grid; its surface is (V, 3), unit frame, and (F, 3).
     """
-    candidate = refine_grid(solid, surface, fine, material, scale, name)
-    return _modes_at(candidate, points, max_frequency, max_modes, name, wall_thickness(*surface))
+    candidate = refine_grid(solid, surface, fine, request.material, request.scale, name)
+    return _modes_at(candidate, points, request, name, wall_thickness(*surface))
 
 
 def shape_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -138,7 +150,7 @@ def shape_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.ra
     return np.concatenate([kept, sample_surface(vertices, faces, count, rng)])
 
 
-def solved_band(data: ModalData, material: Material, max_frequency: float, max_modes: int) -> list[float]:
+def solved_band(data: ModalData, request: Request) -> list[float]:
     """Return the band of natural frequencies in Hz in which no mode of the object is missing.
 
     `objectfolder.sound.tuning` rescales the modes to other materials and sizes of the same shape; the
@@ -146,11 +158,11 @@ def solved_band(data: ModalData, material: Material, max_frequency: float, max_m
     greatest number of modes. Both ends are equal if the band is empty; the lower is 0 only if no mode was
     dropped.
     """
-    top = max_frequency
+    top, material = request.max_frequency, request.material
     if data.report["truncated"]:
         top = float(np.sqrt(data.eigenvalues[-1])) / (2 * np.pi) if len(data.eigenvalues) else 0.0
     count = data.report["count_below_max_frequency"]
-    if data.report["modes"] == (max_modes if count is None else min(count, max_modes)):
+    if data.report["modes"] == (request.max_modes if count is None else min(count, request.max_modes)):
         return [0.0, top]
     if material.loss_factor:  # it rings, whatever its frequency
         return [MIN_FREQUENCY, max(MIN_FREQUENCY, top)]

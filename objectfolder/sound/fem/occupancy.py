@@ -205,9 +205,8 @@ class _Intervals:
         i, j, _, a, b = self.indices
         steps = np.ceil((self.upper - self.lower) * self.across).astype(np.int64) + 1
         owner = np.repeat(np.arange(len(steps)), steps)
-        share = (np.arange(len(owner)) - np.repeat(np.cumsum(steps) - steps, steps)) / np.maximum(
-            steps - 1, 1
-        )[owner]
+        place_in = np.arange(len(owner)) - np.repeat(np.cumsum(steps) - steps, steps)
+        share = place_in / np.maximum(steps - 1, 1)[owner]
         z = self.lower[owner] + share * (self.upper - self.lower)[owner]
         return np.stack([(i + place[a, b])[owner], (j + place[b, a])[owner], z], 1), owner
 

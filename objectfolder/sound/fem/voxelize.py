@@ -33,9 +33,8 @@ def voxelize(surface: Mesh, solid: Mesh, config: VoxelizeConfig, name: str = "me
     itself, or is too thin for its grid.
     """
     certificates = [check_winding(*mesh, name) for mesh in (solid, surface)]
-    cells = discretize(
-        *solid, config.element, config.resolutions, config.subdivisions, config.max_degrees_of_freedom, name
-    )
+    limits = config.subdivisions, config.max_degrees_of_freedom
+    cells = discretize(*solid, config.element, config.resolutions, *limits, name)
     grid = fit_grid(*surface, config.sdf_resolution, name)
     report = {
         "cells": {

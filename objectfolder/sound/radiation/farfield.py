@@ -98,14 +98,9 @@ def _packed(field: FarField, codes: int) -> dict[str, np.ndarray]:
     values = field.coefficients
     largest = np.maximum(abs(values.real).max(1, initial=0), abs(values.imag).max(1, initial=0))
     steps = np.where(largest > 0, largest / codes, 1).astype(np.float32)
-    rounded = np.stack(
-        [np.rint(part / steps[:, None]).astype(np.int8) for part in (values.real, values.imag)]
-    )
+    rounded = np.rint(np.stack([values.real, values.imag]) / steps[:, None]).astype(np.int8)
     of_degree = degrees(int(np.sqrt(values.shape[1])) - 1)
     kept = [rounded[:, mode, of_degree <= order].tobytes() for mode, order in enumerate(field.orders)]
     stream = lzma.compress(b"".join(kept), filters=_FILTERS)
-    return {
-        "orders": field.orders.astype(np.uint8),
-        "steps": steps,
-        "coefficients": np.frombuffer(stream, np.uint8),
-    }
+    coefficients = np.frombuffer(stream, np.uint8)
+    return {"orders": field.orders.astype(np.uint8), "steps": steps, "coefficients": coefficients}

@@ -121,9 +121,8 @@ def radiate_motion(
         found = add(wavenumber, boundary.pressure(wavenumber, slopes[:, modes]), modes, weights)
         differences[modes] += (weights - rough)[:, None] * found
     # Cavities resonate in narrow bands, which nodes do not resolve.
-    doubtful = dense & (
-        (abs(differences) ** 2).sum(1) > _MAX_INTERPOLATION_ERROR**2 * (abs(coefficients) ** 2).sum(1)
-    )
+    errors, powers = ((abs(each) ** 2).sum(1) for each in (differences, coefficients))
+    doubtful = dense & (errors > _MAX_INTERPOLATION_ERROR**2 * powers)
     coefficients[doubtful], power[doubtful] = 0, 0
     for modes in _alike(k, _SHARED_SPAN / radius, ~short & ~dense | doubtful):
         wavenumber = float(k[modes].mean())

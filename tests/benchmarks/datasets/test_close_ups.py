@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 from brick import felt_by
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets import close_ups
 from objectfolder.benchmarks.datasets.close_ups import (
     close_up_request,
@@ -25,16 +25,18 @@ def bell():
 
 @pytest.mark.slow
 def test_the_same_folder_again_and_not_for_another_request(bell, tmp_path):
-    for name in ("one", "two"):
-        sample_close_ups(bell, 20, SIZE, 3, tmp_path / name)
-    for path in (tmp_path / "one").iterdir():
-        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
-    assert has_close_ups(close_up_request(bell, 20, SIZE, 3), tmp_path / "one")
-    assert not has_close_ups(close_up_request(bell, 20, SIZE, 4), tmp_path / "one")
-    assert not has_close_ups(close_up_request(bell, 20, SIZE, 3), tmp_path / "three")
-    (tmp_path / "two" / "view.npy").unlink()
-    assert not has_close_ups(close_up_request(bell, 20, SIZE, 3), tmp_path / "two")
-    table = CloseUps({"bell": tmp_path / "one"})
+    one, two, request = tmp_path / "one", tmp_path / "two", close_up_request(bell, 20, SIZE, 3)
+    for folder in (one, two):
+        assert not has_close_ups(request, folder)
+        sample_close_ups(bell, 20, SIZE, 3, folder)
+        assert has_close_ups(request, folder)
+    assert {path.name: path.read_bytes() for path in one.iterdir()} == {
+        path.name: path.read_bytes() for path in two.iterdir()
+    }
+    assert not has_close_ups(close_up_request(bell, 20, SIZE, 4), one)
+    (two / "view.npy").unlink()
+    assert not has_close_ups(request, two)
+    table = CloseUps({"bell": one})
     assert table.shape("view") == table.shape("touch") == (*SIZE, 3)
     assert len(table) == 20
 
@@ -79,21 +81,19 @@ def test_cameras_stand_where_the_gel_comes_from(bell, monkeypatch):
     )
     expected = np.minimum(close_ups.CLEAR * bell.scale * free, close_ups.FARTHEST)
     np.testing.assert_allclose(distances, expected, atol=1e-4)
-    cameras = []
+    seen = []
 
     def view(file, camera, **options):
-        cameras.append(camera)
+        seen.append(camera)
         return np.zeros((1, 16, 12, 3))
 
     monkeypatch.setattr(ObjectFile, "view", view)
     close_views(bell, points, distances, SIZE)
-    np.testing.assert_allclose(np.stack(cameras)[:, :3, 2], outward, atol=1e-6)
-    away = np.stack(cameras)[:, :3, 3] * bell.scale - points
-    np.testing.assert_allclose(away, distances[:, None] * outward, atol=1e-6)
-
-
-def test_cameras_stand_in_the_open(bell):
-    _, distances = open_points(bell, 60, seed=0)
+    cameras = np.stack(seen)
+    np.testing.assert_allclose(cameras[:, :3, 2], outward, atol=1e-6)
+    np.testing.assert_allclose(
+        cameras[:, :3, 3] * bell.scale - points, distances[:, None] * outward, atol=1e-6
+    )
     assert distances.min() >= close_ups.NEAREST
     assert distances.max() <= close_ups.FARTHEST
     assert distances.min() < 0.6 * close_ups.FARTHEST  # inside the bell
@@ -101,11 +101,9 @@ def test_cameras_stand_in_the_open(bell):
 
 def test_an_object_without_room_is_refused(bell, monkeypatch):
     monkeypatch.setattr(close_ups, "NEAREST", 0.2)
-    with pytest.raises(ObjectFolderError, match="bell: 0 of 40 random points leave 20 cm for a camera"):
-        open_points(bell, 10, seed=0)
+    refused("bell: 0 of 40 random points leave 20 cm for a camera", open_points, bell, 10, seed=0)
 
 
 @pytest.mark.parametrize("size", [(10, 12), (12, 10), (161, 120)])
 def test_sizes_that_cannot_be_scored_or_felt_are_refused(bell, size):
-    with pytest.raises(ObjectFolderError, match=rf"bell: encode.touch is \[{size[0]}, {size[1]}\], expected"):
-        close_up_request(bell, 10, size, 0)
+    refused(rf"bell: encode.touch is \[{size[0]}, {size[1]}\], expected", close_up_request, bell, 10, size, 0)

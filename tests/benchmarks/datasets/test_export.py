@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import soundfile
 from PIL import Image
+from refusals import refused
 from typer.testing import CliRunner
 
 from objectfolder.base.arrays import wav_bytes
@@ -120,21 +121,21 @@ def test_datasets_gives_back_every_observation(observations, tmp_path, name, mon
             check(observations, row, vision, sample["audio"]["bytes"], touch)
 
 
-@pytest.mark.parametrize("write", [write_webdataset, write_datasets])
-def test_the_same_observations_give_the_same_bytes(observations, tmp_path, write, monkeypatch):
+@pytest.fixture(params=[write_webdataset, write_datasets])
+def write(request):
+    return request.param
+
+
+def test_the_same_observations_give_the_same_bytes_in_a_new_folder(
+    observations, tmp_path, write, monkeypatch
+):
     write(observations, split_of(observations), tmp_path / "first")
     monkeypatch.setattr("time.time", lambda: 2e9)
     write(observations, split_of(observations), tmp_path / "second")
     assert content(tmp_path / "first") == content(tmp_path / "second")
+    refused(f"{tmp_path} exists already", write, observations, split_of(observations), tmp_path)
 
 
-@pytest.mark.parametrize("write", [write_webdataset, write_datasets])
-def test_existing_folder_is_refused(observations, tmp_path, write):
-    with pytest.raises(ObjectFolderError, match=f"{tmp_path} exists already"):
-        write(observations, split_of(observations), tmp_path)
-
-
-@pytest.mark.parametrize("write", [write_webdataset, write_datasets])
 @pytest.mark.parametrize("key", ["../own", "<b>", "a\x1b[2J"])
 def test_a_record_with_another_key_than_a_name_is_refused(root, tmp_path, write, key):
     """Keys name files of archives, and stand in the card."""
@@ -147,7 +148,6 @@ def test_a_record_with_another_key_than_a_name_is_refused(root, tmp_path, write,
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("write", [write_webdataset, write_datasets])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left on device")])
 def test_what_is_broken_off_leaves_nothing(observations, tmp_path, write, error, monkeypatch):
     def fail(sound, rate):
@@ -160,21 +160,13 @@ def test_what_is_broken_off_leaves_nothing(observations, tmp_path, write, error,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_progress_is_reported(observations, tmp_path):
-    heard = []
-    write_datasets(
-        observations, split_of(observations), tmp_path / "a", lambda done, total: heard.append((done, total))
+def test_progress_is_reported(observations, tmp_path, write):
+    heard, more = [], {"shard": 4} if write is write_webdataset else {}
+    write(
+        *(observations, split_of(observations), tmp_path / "a"),
+        **{"report": lambda done, total: heard.append((done, total)), **more},
     )
-    assert heard == [(24, 30), (27, 30), (30, 30)]
-    heard.clear()
-    write_webdataset(
-        observations,
-        split_of(observations),
-        tmp_path / "b",
-        4,
-        lambda done, total: heard.append((done, total)),
-    )
-    assert heard == [(done, 30) for done in range(1, 31)]
+    assert heard == [(done, 30) for done in (range(1, 31) if more else (24, 27, 30))]
 
 
 def test_png_and_wav_are_what_other_readers_expect():
@@ -185,21 +177,25 @@ def test_png_and_wav_are_what_other_readers_expect():
     assert (info.format, info.subtype, info.samplerate, info.frames) == ("WAV", "FLOAT", 16000, 3)
 
 
-@pytest.mark.parametrize("library", ["webdataset", "datasets"])
-def test_commands(root, tmp_path, library):
-    out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["export", library, str(out), str(root)])
+def run(*words):
+    return CliRunner().invoke(app, ["export", *map(str, words)])
+
+
+@pytest.mark.parametrize(
+    ("library", "given", "said"),
+    [
+        ("webdataset", [""], "24 samples to train, 3 to validate, 3 to test"),
+        ("datasets", [""], "24 samples to train, 3 to validate, 3 to test"),
+        ("webdataset", KEYS[:2], "9 samples to train, 1 to validate, 10 to test"),
+    ],
+)
+def test_commands_take_folders_of_one_or_more_objects(root, tmp_path, library, given, said):
+    split = ["--split", "unseen"] if len(given) > 1 else []
+    result = run(library, tmp_path / "out", *(root / name for name in given), *split)
     assert result.exit_code == 0, result.output
-    assert "3 objects" in result.output
-    assert "24 samples to train, 3 to validate, 3 to test" in result.output
-    assert content(out)
-
-
-def test_commands_take_single_folders(root, tmp_path):
-    folders = [str(root / key) for key in KEYS[:2]]
-    arguments = ["export", "webdataset", str(tmp_path / "out"), *folders, "--split", "unseen"]
-    result = CliRunner().invoke(app, arguments)
-    assert "9 samples to train, 1 to validate, 10 to test" in result.output
+    assert f"{2 if split else 3} objects" in result.output
+    assert said in result.output
+    assert content(tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -207,15 +203,14 @@ def test_commands_take_single_folders(root, tmp_path):
     [(["--split", "other"], "split 'other' is unknown"), (["{tmp}"], "contains no observations")],
 )
 def test_commands_say_what_is_wrong(root, tmp_path, arguments, message):
-    filled = [argument.format(tmp=tmp_path) for argument in arguments]
-    result = CliRunner().invoke(app, ["export", "datasets", str(tmp_path / "out"), str(root), *filled])
+    result = run("datasets", tmp_path / "out", root, *(word.format(tmp=tmp_path) for word in arguments))
     assert isinstance(result.exception, ObjectFolderError)
     assert message in str(result.exception)
 
 
 def test_library_that_is_not_there_is_named(root, tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    result = CliRunner().invoke(app, ["export", "webdataset", str(tmp_path / "out"), str(root)])
+    result = run("webdataset", tmp_path / "out", root)
     assert f"webdataset is not installed; this needs: {install_command('hub')}" in str(result.exception)
 
 
@@ -224,5 +219,4 @@ def test_folders_are_found_at_any_depth_and_once(root, tmp_path):
     copy = tmp_path / "copy"
     copy.mkdir()
     (copy / "observations.json").write_bytes((root / KEYS[0] / "observations.json").read_bytes())
-    with pytest.raises(ObjectFolderError, match=f"{KEYS[0]}: both .* hold its observations; pass only one"):
-        find_folders([root, copy])
+    refused(f"{KEYS[0]}: both .* hold its observations; pass only one", find_folders, [root, copy])

@@ -1,4 +1,5 @@
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -6,17 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brick import felt_by, with_images
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets import grasp_data
-from objectfolder.benchmarks.datasets.grasp_data import (
-    FORCES,
-    GraspDataConfig,
-    collect_grasps,
-    draw_attempts,
-    grasp_request,
-    is_collected,
-)
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, Grasps
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.body import rigid_body, rotation
@@ -24,7 +18,7 @@ from objectfolder.sim.fingers import Presses
 from objectfolder.sim.grasp_scene import GraspScene, Physics, lowest_hand
 from objectfolder.sim.hulls import convex_hulls
 
-WANTED = GraspDataConfig(grasps=10, perturbations=1, image=24, touch=(16, 12), timestep=0.002)
+WANTED = grasp_data.GraspDataConfig(grasps=10, perturbations=1, image=24, touch=(16, 12), timestep=0.002)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +42,7 @@ def surface(brick):
 @pytest.fixture(scope="module")
 def collected(brick, body, surface, tmp_path_factory):
     folder = tmp_path_factory.mktemp("grasps") / "brick"
-    collect_grasps(brick, body, WANTED, 0, folder, surface)
+    grasp_data.collect_grasps(brick, body, WANTED, 0, folder, surface)
     return folder
 
 
@@ -67,7 +61,7 @@ def test_what_is_collected(brick, collected):
     # It is 3, 6 and 10 cm thick; jaws may close on a corner of it.
     assert ((width > 0.028) & (width < 0.11)).all()
     assert set(np.round(2 * soft).astype(int)) <= {0, 1, 2}
-    assert ((force > 0.5 * FORCES[0]) & (force < 1.5 * FORCES[1])).all()
+    assert ((force > 0.5 * grasp_data.FORCES[0]) & (force < 1.5 * grasp_data.FORCES[1])).all()
     offset = grasps.read("offset", rows)
     assert np.linalg.norm(offset, axis=1).max() < 0.06
     # The truth here is the stored surface itself, on which both then agree.
@@ -97,112 +91,100 @@ def test_poses_are_enough_to_run_grasps_again(brick, body, collected):
 def test_interrupted_and_threaded_collections_are_the_same(
     brick, body, surface, collected, tmp_path, monkeypatch
 ):
-    class Interrupted(Exception):
-        pass
+    folder = tmp_path / "brick"
+    request = grasp_data.grasp_request(brick, body, WANTED, 0, surface)
 
     def stop(done, total):
-        raise Interrupted
+        raise KeyboardInterrupt
 
-    with pytest.raises(Interrupted):
-        collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, report=stop)
-    assert not (tmp_path / "brick" / "record.json").exists()
-    assert not is_collected(grasp_request(brick, body, WANTED, 0, surface), tmp_path / "brick")
-    tried = []
-    first = grasp_data.label_grasps
+    with pytest.raises(KeyboardInterrupt):
+        grasp_data.collect_grasps(brick, body, WANTED, 0, folder, surface, report=stop)
+    assert not (folder / "record.json").exists()
+    assert not grasp_data.is_collected(request, folder)
+    tried, first = [], grasp_data.label_grasps
     monkeypatch.setattr(grasp_data, "label_grasps", lambda *args: tried.append(0) or first(*args))
-    collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface, threads=2)
-    assert contents(tmp_path / "brick") == contents(collected)
+    grasp_data.collect_grasps(brick, body, WANTED, 0, folder, surface, threads=2)
+    assert contents(folder) == contents(collected)
+    assert grasp_data.is_collected(request, folder)
+    grasp_data.collect_grasps(brick, body, WANTED, 0, folder, surface)
     assert len(tried) == 1  # of two batches the first was there
-    assert is_collected(grasp_request(brick, body, WANTED, 0, surface), tmp_path / "brick")
-    collect_grasps(brick, body, WANTED, 0, tmp_path / "brick", surface)
-    assert len(tried) == 1
+    shutil.copytree(collected, tmp_path / "copy")
+    for damage in (lambda path: path.write_bytes(path.read_bytes()[:-1]), Path.unlink):
+        damage(tmp_path / "copy" / "touch.npy")
+        assert not grasp_data.is_collected(request, tmp_path / "copy")
 
 
 def test_starts_are_free_and_forces_spread(body):
     scene = GraspScene(body)
     rests = scene.rests(np.random.default_rng(0), 8)
-    attempts, drawn = draw_attempts(scene, rests, 40, np.random.default_rng(1))
+    attempts, drawn = grasp_data.draw_attempts(scene, rests, 40, np.random.default_rng(1))
     assert drawn >= 40
     assert scene.free(attempts.objects, attempts.hands).all()
     assert attempts.hands[:, 2].min() >= lowest_hand()
-    assert FORCES[0] <= attempts.forces.min() < 3
-    assert 15 < attempts.forces.max() <= FORCES[1]
+    assert grasp_data.FORCES[0] <= attempts.forces.min() < 3
+    assert 15 < attempts.forces.max() <= grasp_data.FORCES[1]
     # All rest on the table, whichever way they are turned.
     points = body.hulls[0].vertices
     lowest = [(points @ rotation(pose[3:]).T + pose[:3])[:, 2].min() for pose in attempts.objects]
     assert np.abs(lowest).max() < 0.001
 
 
-def test_a_file_without_touch_is_refused(brick, body, tmp_path):
-    header = {name: value for name, value in brick.header.items() if name != "touch"}
-    with pytest.raises(ObjectFolderError, match="brick: the Object File holds no touch"):
-        collect_grasps(ObjectFile(header, brick.tensors), body, WANTED, 0, tmp_path)
-    assert list(tmp_path.iterdir()) == []
+def without_touch(brick):
+    return ObjectFile({name: value for name, value in brick.header.items() if name != "touch"}, brick.tensors)
 
 
-def test_a_rigid_gel_is_refused(brick, body, tmp_path):
-    with pytest.raises(
-        ObjectFolderError, match="brick: the gel of sensor 'tacto_digit' is rigid and bears no"
-    ):
-        collect_grasps(felt_by(brick, "tacto_digit"), body, WANTED, 0, tmp_path)
+@pytest.mark.parametrize(
+    ("changed", "turned", "message"),
+    [
+        (
+            without_touch,
+            None,
+            "the Object File holds no touch; grasps need geometry, vision and touch: leave",
+        ),
+        (lambda brick: felt_by(brick, "tacto_digit"), None, "the gel of sensor 'tacto_digit' is rigid and"),
+        (lambda brick: brick, [2, 0, 1], "the true surface reaches .* another object or build"),
+        (lambda brick: with_images(brick, 0.001, 0.0), [0, 1, 2], "its touch net knows one press alone"),
+    ],
+    ids=["no touch", "rigid gel", "another surface", "a net of images"],
+)
+def test_what_cannot_be_grasped_is_refused(brick, body, surface, tmp_path, changed, turned, message):
+    truth = None if turned is None else (surface[0][:, turned], surface[1])
+    refused(f"brick: {message}", grasp_data.collect_grasps, changed(brick), body, WANTED, 0, tmp_path, truth)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_net_that_knows_no_turned_sensor_is_refused(brick, body, tmp_path, monkeypatch):
     monkeypatch.setattr("objectfolder.sim.fingers.DepthMapSense", type(brick.touch_sense))
     with pytest.raises(ObjectFolderError, match=r"brick: the touch net of an imported 2\.0 file knows no"):
-        collect_grasps(brick, body, WANTED, 0, tmp_path)
+        grasp_data.collect_grasps(brick, body, WANTED, 0, tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_surface_of_another_object_is_refused(brick, body, surface, tmp_path):
-    vertices, faces = surface
-    with pytest.raises(
-        ObjectFolderError, match=r"brick: the true surface reaches .* another object or build"
-    ):
-        collect_grasps(brick, body, WANTED, 0, tmp_path, (vertices[:, [2, 0, 1]], faces))
-
-
-def test_a_net_of_images_has_no_truth_to_compare_with(brick, body, surface, tmp_path):
-    with pytest.raises(ObjectFolderError, match="brick: its touch net knows one press alone"):
-        collect_grasps(with_images(brick, 0.001, 0.0), body, WANTED, 0, tmp_path, surface)
 
 
 def test_what_is_flatter_than_pads_reach_is_said(brick, tmp_path):
     crumb = ObjectFile(brick.header | {"key": "crumb", "scale": 0.003}, brick.tensors)
     tiny = rigid_body(crumb, convex_hulls(crumb.to_mesh()))
     with pytest.raises(ObjectFolderError, match=r"crumb: both pads touch it in none of \d+ .* 4 mm over"):
-        collect_grasps(crumb, tiny, WANTED, 0, tmp_path)
+        grasp_data.collect_grasps(crumb, tiny, WANTED, 0, tmp_path)
 
 
-def test_other_hulls_are_another_collection(brick, body, surface, collected):
-    assert is_collected(grasp_request(brick, body, WANTED, 0, surface), collected)
-    moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
-    assert not is_collected(grasp_request(brick, moved, WANTED, 0, surface), collected)
-    assert not is_collected(grasp_request(brick, body, WANTED, 0, None), collected)
+def test_another_request_is_another_collection(brick, body, surface, collected):
     vertices, faces = surface
-    assert not is_collected(grasp_request(brick, body, WANTED, 0, (vertices + 1e-5, faces)), collected)
+    moved = replace(body, hulls=tuple(hull.copy().apply_scale(1.01) for hull in body.hulls))
+    assert grasp_data.is_collected(grasp_data.grasp_request(brick, body, WANTED, 0, surface), collected)
+    for other in (
+        (moved, WANTED, 0, surface),
+        (body, replace(WANTED, timestep=0.001), 0, surface),
+        (body, WANTED, 1, surface),
+        (body, WANTED, 0, None),
+        (body, WANTED, 0, (vertices + 1e-5, faces)),
+    ):
+        assert not grasp_data.is_collected(grasp_data.grasp_request(brick, *other), collected)
 
 
-def test_another_time_step_is_another_collection(brick, body, surface, collected, tmp_path, monkeypatch):
-    finer = replace(WANTED, timestep=0.001)
-    assert not is_collected(grasp_request(brick, body, finer, 0, surface), collected)
-    asked = []
-
+def test_the_time_step_is_that_of_the_simulation(brick, body, tmp_path, monkeypatch):
     def scene(body, physics, threads):
-        asked.append(physics)
-        raise ObjectFolderError("enough")
+        raise ObjectFolderError(repr(physics))
 
     monkeypatch.setattr(grasp_data, "GraspScene", scene)
-    with pytest.raises(ObjectFolderError, match="enough"):
-        collect_grasps(brick, body, finer, 0, tmp_path, surface)
-    assert asked == [Physics(timestep=0.001)]
-
-
-@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-1])])
-def test_a_collection_that_lacks_an_array_is_not_complete(brick, body, surface, collected, tmp_path, damage):
-    shutil.copytree(collected, tmp_path / "brick")
-    request = grasp_request(brick, body, WANTED, 0, surface)
-    assert is_collected(request, tmp_path / "brick")
-    damage(tmp_path / "brick" / "touch.npy")
-    assert not is_collected(request, tmp_path / "brick")
+    with pytest.raises(ObjectFolderError, match=re.escape(repr(Physics(timestep=0.001)))):
+        grasp_data.collect_grasps(brick, body, replace(WANTED, timestep=0.001), 0, tmp_path)

@@ -31,15 +31,19 @@ def test_each_frame_is_the_answer_from_its_camera_under_its_light(brick, path):
             np.testing.assert_array_equal(np.asarray(image), unpremultiply(answer.rgba[0]))
 
 
+def projected(points, frame, described):
+    """Rows and columns of points, by the pinhole of the format."""
+    world_to_camera = np.linalg.inv(frame["transform_matrix"])
+    x, y, z = (points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]).T
+    return described["fl_y"] * -y / -z + described["cy"], described["fl_x"] * x / -z + described["cx"]
+
+
 def test_the_pose_projects_the_object_where_it_is_drawn(brick, path):
     """By the pinhole of the format: the surface covers the same rectangle as the picture."""
     described = json.loads(path.read_text())
     points = brick.surface.vertices
     for frame in described["frames"]:
-        world_to_camera = np.linalg.inv(frame["transform_matrix"])
-        x, y, z = (points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]).T
-        column = described["fl_x"] * x / -z + described["cx"]
-        row = described["fl_y"] * -y / -z + described["cy"]
+        row, column = projected(points, frame, described)
         with Image.open(path.parent / frame["file_path"]) as image:
             drawn = np.argwhere(np.asarray(image)[..., 3] > 127)
         low, high = drawn.min(0), drawn.max(0) + 1
@@ -112,14 +116,8 @@ def test_nerfstudio_reads_cameras_and_pictures(path, parsed):
     assert found.mask_filenames is None
     truth = np.array([frame["transform_matrix"] for frame in frames])[:, :3]
     np.testing.assert_allclose(found.cameras.camera_to_worlds, truth, atol=1e-6)
-    for field, name in {
-        "fx": "fl_x",
-        "fy": "fl_y",
-        "cx": "cx",
-        "cy": "cy",
-        "width": "w",
-        "height": "h",
-    }.items():
+    names = {"fx": "fl_x", "fy": "fl_y", "cx": "cx", "cy": "cy", "width": "w", "height": "h"}
+    for field, name in names.items():
         np.testing.assert_allclose(getattr(found.cameras, field), described[name], rtol=1e-6)
     assert (found.cameras.camera_type == CameraType.PERSPECTIVE.value).all()
     assert not found.cameras.distortion_params.any()
@@ -155,10 +153,7 @@ def test_nerfstudio_projects_known_points_where_the_format_does(brick, path, par
     points = brick.surface.vertices[:: len(brick.surface.vertices) // 50]
     frames = sorted(described["frames"], key=lambda frame: frame["file_path"])
     for k, frame in enumerate(frames):
-        world_to_camera = np.linalg.inv(frame["transform_matrix"])
-        x, y, z = (points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]).T
-        column = described["fl_x"] * x / -z + described["cx"]
-        row = described["fl_y"] * -y / -z + described["cy"]
+        row, column = projected(points, frame, described)
         coords = torch.from_numpy(np.float32(np.stack([row, column], 1)))
         rays = found.cameras.generate_rays(camera_indices=k, coords=coords)
         away = points - rays.origins.numpy()

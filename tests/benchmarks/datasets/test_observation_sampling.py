@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from brick import with_images
+from refusals import refused
 
 from objectfolder.base import disk as space
 from objectfolder.base.errors import ObjectFolderError
@@ -263,8 +264,7 @@ def test_object_file_that_lacks_a_part_is_refused(brick, tmp_path, part):
 
 @pytest.mark.parametrize(("count", "resolution", "message"), [(15, 8, "15 obser"), (10, 0, "views of 0 pix")])
 def test_wrong_numbers_are_refused(brick, tmp_path, count, resolution, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        sample_observations(brick, count, resolution, 7, tmp_path)
+    refused(message, sample_observations, brick, count, resolution, 7, tmp_path)
 
 
 def test_small_disk_is_refused_before_any_work(brick, tmp_path, monkeypatch):
@@ -273,8 +273,7 @@ def test_small_disk_is_refused_before_any_work(brick, tmp_path, monkeypatch):
     monkeypatch.setattr(space.shutil, "disk_usage", lambda path: usage._replace(free=needed - 1))
     folder = tmp_path / "folder"
     message = f"brick: observations: no space in {folder}: at least {needed:,} bytes needed, {needed - 1:,} f"
-    with pytest.raises(ObjectFolderError, match=message):
-        sample_observations(brick, COUNT, SIDE, 7, folder)
+    refused(message, sample_observations, brick, COUNT, SIDE, 7, folder)
     assert not list(folder.iterdir())
 
 

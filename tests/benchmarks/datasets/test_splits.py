@@ -4,10 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from ruamel.yaml import YAML
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.splits import (
+    Companions,
     Split,
     label_order,
     named_split,
@@ -68,13 +70,8 @@ def test_the_hundred_procedural_objects_keep_the_shares_of_the_splits():
 
 
 def test_label_order_is_that_of_the_list_then_by_key():
-    assert label_order(["zebra", "tall_mug", "ant", "mug", "espresso_mug"]) == (
-        "espresso_mug",
-        "tall_mug",
-        "mug",
-        "ant",
-        "zebra",
-    )
+    expected = ("espresso_mug", "tall_mug", "mug", "ant", "zebra")
+    assert label_order(["zebra", "tall_mug", "ant", "mug", "espresso_mug"]) == expected
 
 
 def test_own_objects_are_split_by_their_key_alone_in_about_the_shares_of_the_list():
@@ -102,10 +99,8 @@ def test_seen_splits_the_first_observations_the_same_way_whatever_their_number()
 
 
 def test_seen_repeats_after_five_hundred_observations():
-    test = per_sample(["a", "b"], 1000).test
-    assert (np.flatnonzero(np.isin(np.arange(500), test)) + 500).tolist() == test[
-        (test >= 500) & (test < 1000)
-    ].tolist()
+    first, second, *_ = np.split(np.isin(np.arange(2000), per_sample(["a", "b"], 1000).test), 4)
+    assert np.array_equal(first, second)
 
 
 def test_unseen_keeps_test_and_validation_objects_out_of_training():
@@ -129,28 +124,20 @@ def test_unseen_without_a_validation_object_validates_with_what_seen_keeps_back(
 
 @pytest.mark.parametrize(("keys", "lacking"), [(TRAIN, "test"), (TEST + VAL, "train")])
 def test_unseen_says_which_objects_are_lacking(keys, lacking):
-    with pytest.raises(ObjectFolderError, match=f"of {', '.join(keys)} none is a {lacking} object; add one"):
-        per_object(keys, 20)
+    refused(f"of {', '.join(keys)} none is a {lacking} object; add one", per_object, keys, 20)
 
 
-@pytest.mark.parametrize("name", ["seen", "unseen"])
-@pytest.mark.parametrize("keys", [[], ["mug"]])
-def test_one_object_is_too_few(name, keys):
-    with pytest.raises(ObjectFolderError, match=f"objects: {(keys or ['none'])[0]}; .* needs two"):
-        named_split(name, keys, 10)
-
-
-@pytest.mark.parametrize("count", [0, -10, 15])
-def test_observations_come_in_tens(count):
-    with pytest.raises(
-        ObjectFolderError, match=f"{count} observations per object, expected a multiple of 10"
-    ):
-        named_split("seen", ["a", "b"], count)
-
-
-def test_unknown_split_is_refused():
-    with pytest.raises(ObjectFolderError, match="'sen' is unknown, expected one of seen, unseen"):
-        named_split("sen", ["a", "b"], 10)
+@pytest.mark.parametrize(
+    ("name", "keys", "count", "message"),
+    [
+        *((name, [], 10, "objects: none; .* needs two") for name in ("seen", "unseen")),
+        *((name, ["mug"], 10, "objects: mug; .* needs two") for name in ("seen", "unseen")),
+        *(("seen", "ab", n, f"{n} observations per object, expected a multiple of 10") for n in (0, -10, 15)),
+        ("sen", "ab", 10, "'sen' is unknown, expected one of seen, unseen"),
+    ],
+)
+def test_splits_that_cannot_be_made_are_refused(name, keys, count, message):
+    refused(message, named_split, name, keys, count)
 
 
 class Table:
@@ -198,3 +185,33 @@ def test_something_is_left_to_test():
     split = Split("seen", rows(0, 1), rows(2), rows(3))
     with pytest.raises(ObjectFolderError, match="split seen: every test row repeats an input of its object"):
         without_rows(split, np.array([False, False, False, True]))
+
+
+LABELS, TESTED = np.repeat([0, 1], 10), np.array([9, 18, 19])
+SMALL = Split("seen", np.array([0, 1, 2, 3, 10, 11, 12, 13]), np.array([4, 14]), TESTED)
+
+
+def test_companions_are_of_the_same_object_and_part():
+    companions, rng = Companions(SMALL, LABELS), np.random.default_rng(0)
+    rows = np.concatenate([SMALL.train, SMALL.val, TESTED])
+    drawn = companions.draw(rows, 50, rng)
+    assert np.array_equal(drawn[:, 0], rows)
+    for row, group in zip(rows, drawn):
+        part = next(part for part in (SMALL.train, SMALL.val, TESTED) if row in part)
+        others = {other for other in part if LABELS[other] == LABELS[row]} - {row}
+        assert set(group[1:]) == (others or {row})
+
+
+def test_no_companion_is_drawn_twice_while_there_are_others():
+    labels = np.zeros(40, int)
+    companions = Companions(Split("seen", np.arange(20), np.arange(20, 24), np.arange(24, 40)), labels)
+    drawn = companions.draw(np.arange(24, 40), 16, np.random.default_rng(0))
+    assert np.array_equal(np.sort(drawn, 1), np.tile(np.arange(24, 40), (16, 1)))
+    assert len(np.unique(drawn[:, 1])) > 5, "in random order"
+    drawn = companions.draw([20, 23], 10, np.random.default_rng(0))
+    counts = [np.bincount(row, minlength=24)[20:].tolist() for row in drawn]
+    assert counts == [[1, 3, 3, 3], [3, 3, 3, 1]]
+
+
+def test_one_row_is_itself():
+    assert Companions(SMALL, LABELS).draw(TESTED, 1, np.random.default_rng(0)).tolist() == [[9], [18], [19]]

@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 import torch
+from made_up import observations
+from refusals import refused
 from torch import nn
 
 from objectfolder.base.errors import ObjectFolderError
@@ -89,21 +91,15 @@ def test_half_of_the_pictures_are_mirrored_left_to_right():
 
 @pytest.mark.parametrize("modality", ["vision", "audio", "touch"])
 def test_rows_do_not_depend_on_each_other(rng, modality):
-    raw = {
-        "vision": rng.integers(256, size=(3, 64, 64, 3), dtype=np.uint8),
-        "audio": rng.standard_normal((3, 32000)).astype(np.float32),
-        "touch": rng.integers(256, size=(3, 160, 120, 3), dtype=np.uint8),
-    }[modality]
+    raw = observations(rng, 3)[modality]
     together = encoder_inputs(modality, raw, SIZES)
     alone = torch.cat([encoder_inputs(modality, raw[i : i + 1], SIZES) for i in range(3)])
     torch.testing.assert_close(alone, together, rtol=0, atol=1e-6)
 
 
 def test_observations_smaller_than_the_sizes_are_refused(rng):
-    with pytest.raises(
-        ObjectFolderError, match="views of 48 x 64 pixels are smaller than the encoder's image 56"
-    ):
-        encoder_inputs("vision", np.zeros((1, 48, 64, 3), np.uint8), SIZES)
+    message = "views of 48 x 64 pixels are smaller than the encoder's image 56"
+    refused(message, encoder_inputs, "vision", np.zeros((1, 48, 64, 3), np.uint8), SIZES)
     with pytest.raises(ObjectFolderError, match="touch of 60 x 48 is smaller than the encoder's 64 x 48"):
         encoder_inputs("touch", np.zeros((1, 60, 48, 3), np.uint8), SIZES)
 

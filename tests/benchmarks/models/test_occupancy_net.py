@@ -117,11 +117,8 @@ def test_the_decoder_of_one_shape_normalizes_no_point_twice(monkeypatch):
 def test_fusion_takes_one_modality_or_both():
     image, sound = Mean(3, 512), Mean(1, 512)
     inputs = {"vision": torch.randn(2, 3, 8, 8), "audio": torch.randn(2, 1, 6, 5)}
-    for encoders, features in (
-        ({"vision": image}, 512),
-        ({"audio": sound}, 512),
-        ({"vision": image, "audio": sound}, 1024),
-    ):
+    both = {"vision": image, "audio": sound}
+    for encoders, features in (({"vision": image}, 512), ({"audio": sound}, 512), (both, 1024)):
         net = randomised(Reconstructor(encoders, width=16, blocks=1))
         assert tuple(net.fusion[0].weight.shape) == (256, features)
         assert tuple(net.fusion[2].weight.shape) == (256, 256)

@@ -9,22 +9,8 @@ from objectfolder.benchmarks.models.trpo import train_trpo
 from objectfolder.sim.grasp_task import STEPS
 
 PARAMS = GraspPolicyConfig(
-    seeds=1,
-    episodes=4000,
-    environments=50,
-    rollout=8,
-    updates=2,
-    patience=20,
-    batch=100,
-    learning_rate=3e-3,
-    discount=0.95,
-    gae=0.97,
-    damping=0.01,
-    divergence=0.01,
-    width=16,
-    log_deviation=-0.7,
-    rollouts=100,
-    presses=1,
+    **{"seeds": 1, "episodes": 4000, "environments": 50, "rollout": 8, "patience": 20, "batch": 100},
+    **{"learning_rate": 3e-3, "width": 16, "rollouts": 100, "presses": 1},
 )
 
 
@@ -49,14 +35,8 @@ def one_thread():
 @pytest.mark.parametrize(("shown", "low", "high"), [(True, 0.9, 1.0), (False, 0.2, 0.4)])
 def test_trpo_learns_to_go_where_it_sees_the_goal(one_thread, tmp_path, shown, low, high):
     """Blind policies cannot beat one that stays, which succeeds in 30 % of the episodes."""
-    actor, curve, _ = train_trpo(
-        Follow(PARAMS.environments, shown),
-        PARAMS,
-        0,
-        ("follow",),
-        lambda actor: float(success(actor, shown)),
-        tmp_path / "trpo.pt",
-    )
+    env, score = Follow(PARAMS.environments, shown), lambda actor: float(success(actor, shown))
+    actor, curve, _ = train_trpo(env, PARAMS, 0, ("follow",), score, tmp_path / "trpo.pt")
     assert low <= success(actor, shown) <= high
     if shown:
         assert curve[-1][1] > curve[0][1] + 0.2  # success in training rises

@@ -10,6 +10,11 @@ ROWS = {
 }
 
 
+def rate(accuracy, half=None, seeds=None, **more):
+    """What recognition says of one combination."""
+    return {"accuracy": accuracy, "interval_95": half, "seeds": seeds or [accuracy], **more}
+
+
 def score_table(task, split, scores):
     (shown,) = list_tasks()[task].tables({split: scores})
     return shown
@@ -21,8 +26,7 @@ def cells(shown):
 
 def test_recognition_in_percent_with_its_interval_beside_chance_and_the_paper():
     scores = {
-        "V": {"accuracy": 0.75, "interval_95": 0.125, "seeds": [0.5, 1.0]},
-        "VAT": {"accuracy": 1.0, "interval_95": None, "seeds": [1.0]},
+        **{"V": rate(0.75, 0.125, [0.5, 1.0]), "VAT": rate(1.0)},
         "chance": {"uniform": 0.5, "majority": 0.625},
         **ROWS,
     }
@@ -43,15 +47,11 @@ def test_recognition_in_percent_with_its_interval_beside_chance_and_the_paper():
 
 
 def test_several_touches_stand_below_the_modalities_with_their_bound():
-    one = {"accuracy": 0.5, "interval_95": None, "seeds": [0.5]}
     scores = {
-        **{"T": one | {"bound": 0.625}, "V": one, "flat": 0.25, "flat_accuracy": 0.5},
-        "touches": {  # in the order of a sorted JSON file
-            "1": one | {"bound": 0.75},
-            "16": one | {"accuracy": 0.75, "bound": 1.0},
-            "4": one | {"accuracy": 0.625, "bound": 0.875},
-        },
-        "touches_not_flat": {"1": one | {"accuracy": 0.75, "bound": 1.0}},
+        **{"T": rate(0.5, bound=0.625), "V": rate(0.5), "flat": 0.25, "flat_accuracy": 0.5},
+        # In the order of a sorted JSON file.
+        "touches": {"1": rate(0.5, bound=0.75), "16": rate(0.75, bound=1), "4": rate(0.625, bound=0.875)},
+        "touches_not_flat": {"1": rate(0.75, bound=1.0)},
         "chance": {"uniform": 0.5, "majority": 0.625},
         **ROWS,
     }
@@ -68,9 +68,8 @@ def test_several_touches_stand_below_the_modalities_with_their_bound():
 
 
 def test_materials_stand_beside_the_commonest_and_the_published():
-    one = {"accuracy": 0.5, "interval_95": None, "seeds": [0.5]}
     scores = {
-        **dict.fromkeys(("V", "VA", "VAT"), one),
+        **dict.fromkeys(("V", "VA", "VAT"), rate(0.5)),
         **{"materials": ["wood", "steel", "gold"], "left_out": ["gold"]},
         "chance": {"uniform": 0.25, "majority": 0.625},
         **ROWS,
@@ -89,14 +88,8 @@ def test_materials_stand_beside_the_commonest_and_the_published():
 
 def test_published_figures_of_retrieval_stand_beside_their_split():
     names = ("V->A", "V->T", "A->V", "A->T", "T->V", "T->A", "V->V")
-    score = {
-        "map": 0.5,
-        "interval_95": None,
-        "seeds": [0.5],
-        "named": {"map": 0.75, "interval_95": None},
-        "cca": 0.25,
-        "chance": 0.125,
-    }
+    score = {"map": 0.5, "interval_95": None, "seeds": [0.5], "cca": 0.25, "chance": 0.125}
+    score["named"] = {"map": 0.75, "interval_95": None}
     scores = {"directions": dict.fromkeys(names, score), **ROWS}
     ours = ("0.500", "0.750", "0.250", "0.125")
     seen, unseen = (cells(score_table("retrieve", split, scores)) for split in ("seen", "unseen"))
@@ -132,18 +125,10 @@ def held(rate, low, high, *seeds):
 def test_grasp_stability_by_number_of_grasps():
     few = {"V": held(0.5, 0.25, 0.75), "VT": held(0.625, 0.4, 0.8), "majority": held(0.5, 0.25, 0.75)}
     many = {"V": held(0.75, 0.5, 0.875), "VT": held(1.0, 0.875, 1.0), "majority": held(0.5, 0.25, 0.75)}
-    differences = [
-        {"VT - V": {"difference": value, "interval_95": half}}
-        for value, half in ((-0.125, None), (0.25, 0.1))
-    ]
-    scores = {
-        "sizes": {
-            "1600": {"asked": 10000, "compared": differences[1], **many},
-            "200": {"asked": 200, "compared": differences[0], **few},
-        },
-        "success": {"train": 0.5, "val": 0.5, "test": 0.25},
-        **ROWS,
-    }
+    few["compared"] = {"VT - V": {"difference": -0.125, "interval_95": None}}
+    many["compared"] = {"VT - V": {"difference": 0.25, "interval_95": 0.1}}
+    sizes = {"1600": {"asked": 10000, **many}, "200": {"asked": 200, **few}}
+    scores = {"sizes": sizes, "success": {"train": 0.5, "val": 0.5, "test": 0.25}, **ROWS}
     shown = score_table("grasp_stability", "unseen", scores)
     assert shown.columns == ("from", "200", "all 1,600 (of 10,000)", "balanced accuracy", "AUC")
     assert cells(shown) == {

@@ -2,10 +2,10 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy import stats
 from sklearn.metrics import average_precision_score
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.scoring import scores
 from objectfolder.benchmarks.scoring.scores import (
     accuracy,
@@ -30,11 +30,8 @@ def by_definition(relevant):
 
 def test_accuracy_counts_the_right_ones():
     assert accuracy(np.array([2, 0, 1, 1]), np.array([2, 1, 1, 0])) == 0.5
-    assert accuracy(np.array([3]), np.array([3])) == 1
-    with pytest.raises(ObjectFolderError, match="expected equal"):
-        accuracy(np.array([1, 2]), np.array([1]))
-    with pytest.raises(ObjectFolderError, match="not empty"):
-        accuracy(np.array([], int), np.array([], int))
+    for predicted, labels, message in (([1, 2], [1], "expected equal"), ([], [], "not empty")):
+        refused(message, accuracy, np.array(predicted, int), np.array(labels, int))
 
 
 def test_interval_is_students():
@@ -65,31 +62,18 @@ def test_hand_computed_ranking():
     assert both == pytest.approx((expected + other) / 2, rel=1e-12)
 
 
-def test_only_the_angle_counts():
-    rng = np.random.default_rng(1)
-    queries, gallery = rng.normal(size=(9, 4)), rng.normal(size=(20, 4))
-    query_labels, labels = rng.integers(0, 3, 9), np.arange(20) % 3
-    plain = mean_average_precision(queries, query_labels, gallery, labels)
-    stretched = mean_average_precision(
-        queries * rng.uniform(1e-200, 1, (9, 1)),
-        query_labels,
-        gallery * rng.uniform(1e-3, 1e200, (20, 1)),
-        labels,
-    )
-    assert stretched == pytest.approx(plain, rel=1e-12)
-    assert mean_average_precision(-queries, query_labels, gallery, labels) != pytest.approx(plain, rel=1e-3)
-
-
 @pytest.mark.parametrize("seed", range(5))
-def test_agrees_with_scikit_learn_without_ties(seed):
+def test_agrees_with_scikit_learn_without_ties_whatever_the_lengths(seed):
     rng = np.random.default_rng(seed)
     queries, gallery = rng.normal(size=(15, 3)), rng.normal(size=(31, 3))
     query_labels = rng.integers(0, 4, 15)
     labels = np.append(rng.integers(0, 4, 27), np.arange(4))
     cosines = queries @ gallery.T / np.linalg.norm(gallery, axis=1)
     expected = [average_precision_score(labels == l, row) for l, row in zip(query_labels, cosines)]
-    value = mean_average_precision(queries, query_labels, gallery, labels)
-    assert value == pytest.approx(np.mean(expected), rel=1e-12)
+    longer = queries * rng.uniform(1e-200, 1, (15, 1)), gallery * rng.uniform(1e-3, 1e200, (31, 1))
+    for asked, ranked in ((queries, gallery), longer):
+        value = mean_average_precision(asked, query_labels, ranked, labels)
+        assert value == pytest.approx(np.mean(expected), rel=1e-12)
 
 
 def test_no_query_finds_itself():
@@ -105,8 +89,7 @@ def test_no_query_finds_itself():
     assert value == pytest.approx(np.mean(expected), rel=1e-12)
     chances = [chance_map(labels[other], labels[i : i + 1]) for i, other in enumerate(others)]
     assert chance_map(labels, labels[:7], own=True) == pytest.approx(np.mean(chances), rel=1e-12)
-    with pytest.raises(ObjectFolderError, match="label 9"):
-        mean_average_precision(rows[:1], [9], rows[:3], [9, 1, 1], own=True)
+    refused("label 9", mean_average_precision, rows[:1], [9], rows[:3], [9, 1, 1], own=True)
 
 
 def test_ties_score_the_mean_over_all_their_orders():
@@ -183,39 +166,20 @@ def test_chance_is_the_mean_over_all_rankings():
         assert chance_map(labels.astype(int), [1]) == pytest.approx(np.mean(every), rel=1e-12)
 
 
-def test_chance_by_simulation():
-    # As in the benchmark: 20 objects with 8 test rows each.
-    labels = np.repeat(np.arange(20), 8)
-    rng = np.random.default_rng(4)
-    values = [by_definition(rng.permutation(labels) == 0) for _ in range(3000)]
-    exact = chance_map(labels, labels)
-    assert exact == pytest.approx(np.mean(values), abs=4 * stats.sem(values))
-    assert 8 / 160 < exact < 0.09  # above R/N: a relevant row counts itself
-
-
 def test_chance_averages_over_queries():
     labels = np.array([0, 1, 1, 1])
-    assert chance_map(labels, [0, 1]) == pytest.approx(
-        (chance_map(labels, [0]) + chance_map(labels, [1])) / 2
-    )
+    assert chance_map(labels, [0, 1]) == pytest.approx(np.mean([chance_map(labels, [i]) for i in (0, 1)]))
     assert chance_map(labels, [0]) == pytest.approx((1 + 1 / 2 + 1 / 3 + 1 / 4) / 4)
-
-
-def test_random_embeddings_score_chance():
-    rng = np.random.default_rng(5)
-    labels = np.repeat(np.arange(10), 40)
-    value = mean_average_precision(rng.normal(size=(400, 32)), labels, rng.normal(size=(400, 32)), labels)
-    assert value == pytest.approx(chance_map(labels, labels), abs=0.01)
 
 
 def test_refused():
     one, labels = np.ones((1, 2)), np.array([0])
-    with pytest.raises(ObjectFolderError, match="relevant to queries of label 7"):
-        mean_average_precision(one, np.array([7]), one, labels)
-    with pytest.raises(ObjectFolderError, match="gallery embedding 0 is not finite"):
-        mean_average_precision(one, labels, one * np.nan, labels)
-    with pytest.raises(ObjectFolderError, match="no query"):
-        chance_map(labels, np.array([], int))
+    for query, gallery, message in (
+        (7, one, "relevant to queries of label 7"),
+        (0, one * np.nan, "gallery embedding 0 is not finite"),
+    ):
+        refused(message, mean_average_precision, one, np.array([query]), gallery, labels)
+    refused("no query", chance_map, labels, np.array([], int))
 
 
 def by_wilson(share, count, z=1.959963984540054):

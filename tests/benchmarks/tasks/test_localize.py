@@ -7,9 +7,9 @@ import torch
 from brick import with_images
 from encoding import encoding
 from made_up import MadeUp, hum
+from refusals import refused
 
 from objectfolder.base.arrays import write_npz
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.datasets.contacts import contact_split, sample_contacts
 from objectfolder.benchmarks.models.localizer import SOFTNESS, add_beliefs, choose_likeliest
 from objectfolder.benchmarks.models.settings import InputSizes
@@ -122,8 +122,7 @@ def test_contacts_are_touched_and_struck_at_the_same_points():
 
 @pytest.mark.parametrize("count", [70, 85, 0])
 def test_too_few_contacts_for_a_sequence(count):
-    with pytest.raises(ObjectFolderError, match=f"localize.contacts is {count}"):
-        contact_split(count)
+    refused(f"localize.contacts is {count}", contact_split, count)
 
 
 def test_every_contact_is_in_one_part():

@@ -5,6 +5,7 @@ import pytest
 import torch
 from encoding import encoding
 from made_up import MadeUp, hum, picture
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import read_json
@@ -264,7 +265,5 @@ def test_fusion_starts_from_the_sum_of_its_parts_logits():
 def test_objects_that_are_never_learnt_are_refused(tmp_path):
     table = Table(10)
     split = per_object(table.keys, table.count)
-    with pytest.raises(
-        ObjectFolderError, match=r"split unseen: test class .* is absent from training; use --split seen"
-    ):
-        _run(table, tmp_path, split)
+    message = r"split unseen: test class .* is absent from training; use --split seen"
+    refused(message, _run, table, tmp_path, split)

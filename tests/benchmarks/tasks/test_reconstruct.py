@@ -9,23 +9,15 @@ import torch
 from encoding import encoding
 from made_up import Linear, MadeUp, hum, picture
 from PIL import Image
+from refusals import refused
 from solids import box, sphere
 from torch import nn
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.seeding import seeded
 from objectfolder.benchmarks.datasets.occupancy import HALF_SIDE, sample_occupancy
 from objectfolder.benchmarks.datasets.splits import Split, per_sample
-from objectfolder.benchmarks.models import encoders
+from objectfolder.benchmarks.models import encoders, shape_model
 from objectfolder.benchmarks.models.settings import InputSizes
-from objectfolder.benchmarks.models.shape_model import (
-    Setup,
-    ShapeModel,
-    load_model,
-    new_net,
-    save_model,
-    shape_inputs,
-)
 from objectfolder.benchmarks.scoring import truth
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
 from objectfolder.benchmarks.scoring.truth import Truth, best_level
@@ -78,6 +70,8 @@ class Observed(MadeUp):
 
 
 LABELS = Observed().labels
+BALL, BLOCK, SLAB, CUBE = (np.flatnonzero(i == LABELS) for i in range(4))
+UNSEEN = Split("unseen", np.concatenate([BALL, SLAB]), BLOCK, CUBE)
 
 
 def make_job(progress, split=SPLIT, observed=None, **changes):
@@ -128,7 +122,7 @@ def test_every_variant_beats_the_average_shape(occupancy, tmp_path, pretrain_epo
     first = {variant: next(row for row in curves if row[0] == variant) for variant in VARIANTS}
     assert len([row for row in curves if row[0] == "VA"]) == PARAMS.epochs / 2
     assert first["VA"][3] < 0.9 * first["V"][3]  # it starts from what the others learnt
-    assert load_model(tmp_path / "model.safetensors").setup.modalities == ("vision",)
+    assert shape_model.load_model(tmp_path / "model.safetensors").setup.modalities == ("vision",)
     with Image.open(tmp_path / "sheet.png") as page:
         assert page.size[0] > page.size[1] / 2 > 200
 
@@ -155,12 +149,12 @@ def test_touches_of_a_row_are_of_its_object_and_encoded_as_one_by_one(occupancy,
     np.testing.assert_array_equal(touches[:, 0], Observed().read("touch", rows))
     colours = touches.mean((2, 3)).round(-2)
     assert (colours == colours[:, :1]).all()
-    net = new_net(training.train([], 0)[0].setup)
+    net = shape_model.new_net(training.train([], 0)[0].setup)
     encoder, rng = net.eval().encoders["touch"], np.random.default_rng(0)
     few = SPLIT.train[:3]
     one_by_one = training._encode(encoder, "touch", few, rng)
     with torch.no_grad():
-        together = encoder(shape_inputs("touch", read_observed(job, "touch", few[None]), SIZES))
+        together = encoder(shape_model.shape_inputs("touch", read_observed(job, "touch", few[None]), SIZES))
     torch.testing.assert_close(one_by_one.mean(0, keepdim=True), together)
     whole = training._features(encoder, "touch", rng)
     assert whole[SPLIT.train].any()
@@ -191,7 +185,7 @@ def test_what_no_epoch_changes_is_encoded_once(occupancy, tmp_path):
         asked.clear()
     crops = training._views(rows[:3], np.random.default_rng(1))
     raw = Observed().read("vision", rows[:3])
-    assert torch.equal(crops, shape_inputs("vision", raw, SIZES, np.random.default_rng(1)))
+    assert torch.equal(crops, shape_model.shape_inputs("vision", raw, SIZES, np.random.default_rng(1)))
     other = ShapeTraining(job, occupancy, "A", 1, tmp_path / "none.pt")
     other._features(encoder, "audio", rng)  # another seed has other encoders
     assert sum(asked) == len(rows)
@@ -216,19 +210,16 @@ def test_selection_is_the_first_rows_of_each_object():
 
 
 def test_of_objects_without_validation_rows_training_rows_help_to_choose(tmp_path):
-    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
-    seen = per_sample(tuple(SOLIDS), COUNT)
-    unseen = Split("unseen", np.concatenate([ball, slab]), block, cube)
-    for split, rows in ((seen, seen.val), (unseen, np.concatenate([block[:2], ball[:2], slab[:2]]))):
-        job = make_job(tmp_path, split)
-        assert validation_rows(job).tolist() == rows.tolist()
+    # Not those of an object whose own validation rows are all repeated.
+    silent = replace(SPLIT, val=SPLIT.val[LABELS[SPLIT.val] > 0])
+    others = np.concatenate([BLOCK[:2], BALL[:2], SLAB[:2]])
+    for split, rows in ((SPLIT, SPLIT.val), (silent, silent.val), (UNSEEN, others)):
+        assert validation_rows(make_job(tmp_path, split)).tolist() == rows.tolist()
 
 
 def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
     """A net that knows the training objects by heart and nothing else has learnt nothing."""
-    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
-    split = Split("unseen", np.concatenate([ball, slab]), block, cube)
-    job = make_job(tmp_path, split)
+    job = make_job(tmp_path, UNSEEN)
     training = ShapeTraining(job, occupancy, "V", 0, tmp_path / "none.pt")
     labels = LABELS[validation_rows(job)]
 
@@ -243,16 +234,9 @@ def test_epochs_are_chosen_on_objects_that_are_not_learnt(occupancy, tmp_path):
     assert validated(by_heart) == pytest.approx(expected)
 
 
-def test_an_object_without_validation_rows_is_not_validated_on_what_it_learnt(tmp_path):
-    seen = per_sample(tuple(SOLIDS), COUNT)
-    silent = replace(seen, val=seen.val[LABELS[seen.val] > 0])
-    job = make_job(tmp_path, silent)
-    assert validation_rows(job).tolist() == silent.val.tolist()
-
-
-def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hearing_alone(
-    occupancy, tmp_path, monkeypatch
-):
+@pytest.fixture
+def untrained(monkeypatch, tmp_path):
+    """Lists which objects' rows each variant is tested with, instead of training it."""
     tested = {}
 
     def finished(jobs, truth, variant, run):
@@ -263,10 +247,16 @@ def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hear
     (tmp_path / "V_0.safetensors").touch()
     monkeypatch.setattr(reconstruct_training, "_train_once", finished)
     monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
+    return tested
+
+
+def test_counts_are_of_the_scored_rows_and_a_silent_object_is_lost_to_hearing_alone(
+    occupancy, tmp_path, untrained
+):
     silent = Observed()
     silent.arrays["audio"][LABELS == 1] = 0
     scores, _ = reconstruct(make_job(tmp_path, observed=silent, views=1))
-    assert tested == {"V": [1] * 4, "A": [1, 0, 1, 1], "T": [1] * 4, "VA": [1] * 4}
+    assert untrained == {"V": [1] * 4, "A": [1, 0, 1, 1], "T": [1] * 4, "VA": [1] * 4}
     assert scores["rows"] == {"train": 64, "val": 4, "test": 4}
     assert scores["duplicates"]["audio"] == {"val": 1, "test": 1}
     assert scores["untested"] == {"A": ["block"]}
@@ -275,17 +265,8 @@ def test_counts_are_those_of_the_scored_rows_and_a_silent_object_is_lost_to_hear
     assert "nearest_shape" not in scores  # the objects themselves are known
 
 
-def test_unknown_objects_are_compared_with_known_ones(occupancy, tmp_path, monkeypatch):
-    ball, block, slab, cube = (np.arange(COUNT) + i * COUNT for i in range(4))
-    unseen = Split("unseen", np.concatenate([ball, slab]), block, cube)
-
-    def finished(jobs, truth, variant, run):
-        return {"scores": {"iou": 0.5}, "curve": [], "seconds": 0.0}
-
-    (tmp_path / "V_0.safetensors").touch()
-    monkeypatch.setattr(reconstruct_training, "_train_once", finished)
-    monkeypatch.setattr(reconstruct_training, "_sheet", lambda *_: np.zeros((1, 1, 3), np.uint8))
-    scores, _ = reconstruct(make_job(tmp_path, unseen))
+def test_unknown_objects_are_compared_with_known_ones(occupancy, tmp_path, untrained):
+    scores, _ = reconstruct(make_job(tmp_path, UNSEEN))
     inside = occupancy.score_inside
     to_cube = [(inside[i] & inside[3]).sum() / (inside[i] | inside[3]).sum() for i in (0, 2)]
     assert to_cube[0] != to_cube[1]
@@ -324,19 +305,19 @@ def test_best_level_by_hand():
 
 
 def test_model_file_keeps_everything_and_refuses_what_it_is_not(occupancy, tmp_path, brick_path):
-    setup = Setup(("vision",), "linear", SIZES, 16, 8, 1, 2, 8, tuple(SOLIDS), 0.45)
+    setup = shape_model.Setup(("vision",), "linear", SIZES, 16, 8, 1, 2, 8, tuple(SOLIDS), 0.45)
     with seeded(0, "model"):
-        net = new_net(setup).eval()
+        net = shape_model.new_net(setup).eval()
     nn.init.normal_(net.decoder.blocks[0].norm1.beta.weight)  # not 0: the embedding counts
     path = tmp_path / "model.safetensors"
-    save_model(path, ShapeModel(setup, net))
-    model = load_model(path)
+    shape_model.save_model(path, shape_model.ShapeModel(setup, net))
+    model = shape_model.load_model(path)
     assert model.setup == setup
-    save_model(tmp_path / "copy.safetensors", model)
+    shape_model.save_model(tmp_path / "copy.safetensors", model)
     assert (tmp_path / "copy.safetensors").read_bytes() == path.read_bytes()
     view = Observed().read("vision", np.array([9, 30]))
     embedding = model.embed({"vision": view})
-    torch.testing.assert_close(embedding[1:], load_model(path).embed({"vision": view[1:]}))
+    torch.testing.assert_close(embedding[1:], shape_model.load_model(path).embed({"vision": view[1:]}))
     points = occupancy.score_points
     inside = model.is_inside(embedding, points)
     probability = torch.from_numpy(model.logits(embedding, points)).double().sigmoid().numpy()
@@ -349,21 +330,19 @@ def test_model_file_keeps_everything_and_refuses_what_it_is_not(occupancy, tmp_p
     inner = (np.abs(vertices) < HALF_SIDE).all(1)  # the rest closes the surface outside
     there = model.logits(embedding[:1], vertices[inner].astype(np.float32))
     assert np.median(np.abs(there - level)) < 0.1 * np.ptp(model.logits(embedding[:1], points))
-    with pytest.raises(ObjectFolderError, match="no reconstruction model"):
-        load_model(brick_path)
-    with pytest.raises(ObjectFolderError, match="does not exist"):
-        load_model(tmp_path / "none.safetensors")
+    refused("no reconstruction model", shape_model.load_model, brick_path)
+    refused("does not exist", shape_model.load_model, tmp_path / "none.safetensors")
     broken = replace(model, setup=replace(model.setup, width=25))
-    save_model(tmp_path / "wrong.safetensors", broken)
-    with pytest.raises(ObjectFolderError, match="damaged"):
-        load_model(tmp_path / "wrong.safetensors")
+    shape_model.save_model(tmp_path / "wrong.safetensors", broken)
+    refused("damaged", shape_model.load_model, tmp_path / "wrong.safetensors")
 
 
 def test_encoders_start_from_given_weights(tmp_path):
     weights = encoders.Weights(tmp_path, Linear(3).state_dict())
     ones = {name: torch.ones_like(value) for name, value in weights.items()}
-    net = new_net(
-        Setup(("vision",), "linear", SIZES, 16, 8, 1, 0, 8, ("ball",)), encoders.Weights(tmp_path, ones)
+    net = shape_model.new_net(
+        shape_model.Setup(("vision",), "linear", SIZES, 16, 8, 1, 0, 8, ("ball",)),
+        encoders.Weights(tmp_path, ones),
     )
     assert all((value == 1).all() for value in net.encoders["vision"].state_dict().values())
 
@@ -371,5 +350,4 @@ def test_encoders_start_from_given_weights(tmp_path):
 def test_an_object_file_of_another_object_is_named(brick_path):
     vertices = reconstruct_training._surface(brick_path, "brick").vertices
     assert np.array_equal(vertices, ObjectFile.load(brick_path).surface.vertices)
-    with pytest.raises(ObjectFolderError, match=f"{brick_path} holds brick, expected mug"):
-        reconstruct_training._surface(brick_path, "mug")
+    refused(f"{brick_path} holds brick, expected mug", reconstruct_training._surface, brick_path, "mug")

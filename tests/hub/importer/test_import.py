@@ -20,18 +20,9 @@ from objectfolder import ObjectFile
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
 from objectfolder.hub.importer import convert as converter
+from objectfolder.hub.importer import nets
 from objectfolder.hub.importer.checkpoint import ReleasedDict, read_released
 from objectfolder.hub.importer.convert import ImportOptions, convert
-from objectfolder.hub.importer.nets import (
-    by_number,
-    by_octave,
-    configured_net,
-    depth_net,
-    gains_net,
-    image_net,
-    nerf_net,
-    spectrogram_net,
-)
 from objectfolder.nets.positional import append_octaves
 from objectfolder.nets.released_network import Frame
 from objectfolder.objectfile.query_files import sample_presses
@@ -69,10 +60,10 @@ def saved(obj, tmp_path):
     return ObjectFile.load(tmp_path / "out.safetensors")
 
 
-@pytest.mark.parametrize("order", [by_octave, by_number])
+@pytest.mark.parametrize("order", [nets.by_octave, nets.by_number])
 def test_channels_are_put_in_our_order(rng, order):
     x = rng.normal(size=(4, 3))
-    theirs = {by_octave: released.encode, by_number: released.kilo_encode}[order](x, 5)
+    theirs = {nets.by_octave: released.encode, nets.by_number: released.kilo_encode}[order](x, 5)
     ours = append_octaves(torch.from_numpy(x), 5, 1.0).numpy()
     np.testing.assert_allclose(theirs[:, order(3, 5)], ours, rtol=1e-12)
 
@@ -218,9 +209,9 @@ def test_every_missing_key_is_named(tmp_path, quick_gel, make):
     torch.save(make(1, 4), tmp_path / "file.pth")
     whole, first = read_released(tmp_path / "file.pth").values, make is released.released_1
     readers = {
-        "VisionNet": (nerf_net if first else configured_net, ()),
-        "AudioNet": (spectrogram_net if first else gains_net, (Frame(),)),
-        "TouchNet": (image_net, (Frame(), BOUNDS)) if first else (depth_net, (Frame(), SENSOR)),
+        "VisionNet": (nets.nerf_net if first else nets.configured_net, ()),
+        "AudioNet": (nets.spectrogram_net if first else nets.gains_net, (Frame(),)),
+        "TouchNet": (nets.image_net, (Frame(), BOUNDS)) if first else (nets.depth_net, (Frame(), SENSOR)),
     }
     needed = [p for p in leaves(whole) if not any(name in key for key in p for name in UNUSED)]
     assert len(needed) > 20

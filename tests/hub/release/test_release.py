@@ -6,6 +6,7 @@ import pickle
 import shutil
 import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from folders import contents
@@ -162,15 +163,10 @@ def fetched(built):
     return built
 
 
-def test_the_meshs_own_licence_counts(fetched):
-    release("out", "cup", "--no-site", "--category", "cup=vessels")
+def test_the_meshs_own_licence_counts_and_attributions_are_passed_on(fetched):
+    release("out", "cup", "mug", "--no-site", "--category", "cup=vessels", *OPTIONS)
     entry = Dataset("out").entry("cup")
-    assert (entry.licence, entry.source) == ("CC-BY-4.0", "YCB, https://a.b")
-    assert entry.category == "vessels"
-
-
-def test_attributions_are_passed_on(fetched):
-    release("out", "cup", "mug", "--no-site", *OPTIONS)
+    assert (entry.licence, entry.source, entry.category) == ("CC-BY-4.0", "YCB, https://a.b", "vessels")
     assert (fetched / "out/licences/cup.txt").read_text() == NOTICE
     assert "licences/cup.txt" in (fetched / "out/SHA256SUMS").read_text()
     for page in ("README.md", "DATASHEET.md"):
@@ -188,34 +184,35 @@ def test_pages_say_what_is_so(dataset):
     assert "small gaps between bodies may be filled" in text
 
 
-def test_a_licence_that_contradicts_the_notice_is_refused(fetched):
-    contradicted = r"cup=CC0-1\.0: .*cup/SOURCE\.txt states CC BY 4\.0"
-    refused(contradicted, release, "out", "cup", "--no-site", "--licence", "cup=CC0-1.0")
-    assert not (fetched / "out").exists()
+def check_refused(message, *arguments):
+    """A release is refused, and nothing is written; returns the whole message."""
+    error = refused(message, release, "out", "--no-site", *arguments)
+    assert not Path("out").exists()
+    return error
 
 
 def test_a_mesh_that_is_not_here_may_have_a_licence(fetched):
     """As in a clone that has pulled Object Files alone."""
     shutil.rmtree(fetched / "data/objects/cup")
-    absent = r"glb is not here.*`dvc pull data/objects/cup\.dvc`"
     for licence in ("CC0-1.0", "cup=CC0-1.0"):
-        refused(absent, release, "out", "cup", "--no-site", "--licence", licence)
-    assert not (fetched / "out").exists()
+        absent = r"glb is not here.*`dvc pull data/objects/cup\.dvc`"
+        check_refused(absent, "cup", "--licence", licence)
 
 
 @pytest.mark.parametrize("line", ["License: CC BY-NC 4.0", "licence:CC BY-NC 4.0", " LICENCE : CC BY-NC 4.0"])
-def test_spellings_of_the_word_licence_are_one(fetched, line):
+def test_a_licence_that_contradicts_the_notice_in_any_spelling_is_refused(fetched, line):
     path = fetched / "data/objects/cup/SOURCE.txt"
     path.write_text(NOTICE.replace("Licence: CC BY 4.0 (https://c.d)", line))
     assert read_notice(path).licence == "CC BY-NC 4.0"
-    refused(r"states CC BY-NC 4\.0", release, "out", "cup", "--no-site", "--licence", "cup=CC0-1.0")
+    stated = r"cup=CC0-1\.0: .*cup/SOURCE\.txt states CC BY-NC 4\.0"
+    check_refused(stated, "cup", "--licence", "cup=CC0-1.0")
 
 
 def test_a_notice_without_a_licence_is_refused_unless_it_is_given(fetched):
     path = fetched / "data/objects/cup/SOURCE.txt"
     path.write_text("Mesh and textures: a friend\n")
     unknown = r"cup: .*SOURCE\.txt states no licence; add a line `Licence"
-    refused(unknown, release, "out", "cup", "--no-site", "--licence", "CC0-1.0")
+    check_refused(unknown, "cup", "--licence", "CC0-1.0")
     release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0", "--category", "cup=vessels")
     assert Dataset("out").entry("cup").licence == "CC0-1.0"
 
@@ -279,8 +276,7 @@ def test_objects_without_scores_are_named(built, capsys):
 def test_an_object_of_earlier_parameters_is_not_released(built, change):
     path = built / "params.yaml"
     path.write_text(path.read_text().replace(*change))
-    refused(r"is of ceramic, 0\.112 m, params\.yaml says .* build mug", release, "out", *OPTIONS)
-    assert not (built / "out").exists()
+    check_refused(r"is of ceramic, 0\.112 m, params\.yaml says .* build mug", *OPTIONS)
 
 
 @pytest.mark.parametrize(
@@ -290,7 +286,7 @@ def test_damaged_parameters_are_named(built, old, new):
     path = built / "params.yaml"
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
-    refused(r"params\.yaml: (objects|procedural)\.mug", release, "out", *OPTIONS)
+    check_refused(r"params\.yaml: (objects|procedural)\.mug", *OPTIONS)
 
 
 def test_an_object_that_is_built_anew_meanwhile_is_not_released(built, monkeypatch):
@@ -299,15 +295,13 @@ def test_an_object_that_is_built_anew_meanwhile_is_not_released(built, monkeypat
         return {}
 
     monkeypatch.setattr("objectfolder.hub.release.entries.notices_of", built_anew)
-    refused("die was built anew while the release was written", release, "out", "--no-site", *OPTIONS)
-    assert not (built / "out").exists()
+    check_refused("die was built anew while the release was written", *OPTIONS)
 
 
 def test_scores_of_an_earlier_file_are_not_released(built):
     """As after a build that ended between `pack` and `evaluate`."""
     write_json(Build("mug").metrics, SCORES | {"file_sha256": file_digest(sample_path("die"))})
-    refused(r"mug\.json has the scores of another .* build mug", release, "out", *OPTIONS)
-    assert not (built / "out").exists()
+    check_refused(r"mug\.json has the scores of another .* build mug", *OPTIONS)
 
 
 @pytest.mark.slow

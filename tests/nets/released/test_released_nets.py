@@ -63,10 +63,8 @@ def test_views_of_1_0_are_the_released_rendering(saved, width):
     values = released.released_1(1 if width == 16 else 8, width, density=-1.0)
     net = again(nerf_net(saved(values).part("VisionNet")))
     assert isinstance(net, ReleasedNerf)
-    states = {
-        "coarse": values["VisionNet"]["network_fn_state_dict"],
-        "fine": values["VisionNet"]["network_fine_state_dict"],
-    }
+    names = {"coarse": "network_fn_state_dict", "fine": "network_fine_state_dict"}
+    states = {which: values["VisionNet"][name] for which, name in names.items()}
     size = SIZE if width == 16 else 3
     image, alpha, depth = released.rendered(
         lambda which, *x: released.nerf(states[which], *x), released.pose(CAMERA), LIGHT, size, FOCAL

@@ -29,11 +29,8 @@ def fine(size, max_error):
 
 def frame():
     """Two boards on a third, with inner edges."""
-    return join(
-        box((1, 0.5, 0.1), (0, 0, 0.45)),
-        box((0.1, 0.5, 0.8), (-0.4, 0, 0.0)),
-        box((0.1, 0.5, 0.8), (0.4, 0, 0.0)),
-    )
+    sides = [box((0.1, 0.5, 0.8), (x, 0, 0.0)) for x in (-0.4, 0.4)]
+    return join(box((1, 0.5, 0.1), (0, 0, 0.45)), *sides)
 
 
 def refine(surface, fine=FINE, resolution=8):
@@ -112,9 +109,8 @@ def test_refining_brings_the_frequencies_nearer():
     solid = frame()
     finer, coarse = refine(solid, fine(10**6, 1e-9)), cut_cells(*solid, 8, 4)
     assert finer.resolution == 16
-    found = [
-        Discretisation(c, STUFF, 1.0).lowest_frequencies() for c in (coarse, finer, cut_cells(*solid, 32, 4))
-    ]
+    grids = coarse, finer, cut_cells(*solid, 32, 4)
+    found = [Discretisation(cells, STUFF, 1.0).lowest_frequencies() for cells in grids]
     errors = [np.abs(f / found[2] - 1).max() for f in found[:2]]
     assert errors[1] < 0.5 * errors[0]
 

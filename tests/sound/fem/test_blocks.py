@@ -34,9 +34,8 @@ def test_displacements_are_continuous_where_sizes_meet(merged, rng):
     """From both sides of a face between a large element and a small one."""
     values = rng.standard_normal((merged.degrees_of_freedom // 3, 2))
     large = merged.index[merged.width == 2]
-    face = (large[:, None] + np.concatenate([rng.random((20, 2)) * 2, np.full((20, 1), 2.0)], 1)).reshape(
-        -1, 3
-    )
+    on_top = np.concatenate([rng.random((20, 2)) * 2, np.full((20, 1), 2.0)], 1)
+    face = (large[:, None] + on_top).reshape(-1, 3)
     places = face * merged.cell_size + merged.lower
     step = np.array([0, 0, 1e-9])
     below, above = merged.interpolate(values, places - step), merged.interpolate(values, places + step)

@@ -9,7 +9,7 @@ from objectfolder.base.materials import material
 from objectfolder.sound.fem import modal
 from objectfolder.sound.fem.certainty import solver_warning, uncertainty_warning
 from objectfolder.sound.fem.cutcell import cut_cells
-from objectfolder.sound.fem.modal import modal_analysis, shape_points
+from objectfolder.sound.fem.modal import Request, modal_analysis, shape_points
 
 SOLID = box((1, 0.5, 0.2))
 
@@ -20,7 +20,7 @@ def cells():
 
 
 def analyse(cells, stuff, max_frequency=20000.0, count=40, scale=0.1):
-    return modal_analysis(cells, SOLID[0], stuff, scale, max_frequency, count, "slab")
+    return modal_analysis(cells, SOLID[0], Request(stuff, scale, max_frequency, count), "slab")
 
 
 def test_rayleigh_damping_and_damped_frequency(cells):

@@ -12,13 +12,8 @@ from objectfolder.sound.fem.settings import VoxelizeConfig
 from objectfolder.sound.fem.voxelize import voxelize
 
 SIDES = (1.0, 0.5, 0.25)
-CONFIG = VoxelizeConfig(
-    element="cut_cell_hex20",
-    resolutions=(8, 6),
-    subdivisions=4,
-    max_degrees_of_freedom=10**6,
-    sdf_resolution=48,
-)
+GRIDS = {"resolutions": (8, 6), "subdivisions": 4, "max_degrees_of_freedom": 10**6, "sdf_resolution": 48}
+CONFIG = VoxelizeConfig(element="cut_cell_hex20", **GRIDS)
 
 
 def test_report_states_what_both_grids_hold():

@@ -168,12 +168,9 @@ def test_an_even_surface_is_closed_and_keeps_its_size(shape):
 def test_interpolation_is_exact_for_rigid_motions_and_on_the_flat(rng):
     points = rng.uniform(-1, 1, (500, 3))
     points[:250, 2] = 0
-    turn = np.cross(points, [0.3, -0.2, 0.5]) + np.array([1.0, 2.0, 3.0])
     places = rng.uniform(-0.5, 0.5, (40, 3)) * [1, 1, 0]
-    found = interpolate_motion(points, turn, places)
-    np.testing.assert_allclose(
-        found, np.cross(places, [0.3, -0.2, 0.5]) + np.array([1.0, 2.0, 3.0]), atol=0.02
-    )
+    turn, expected = (np.cross(at, [0.3, -0.2, 0.5]) + np.array([1.0, 2.0, 3.0]) for at in (points, places))
+    np.testing.assert_allclose(interpolate_motion(points, turn, places), expected, atol=0.02)
 
 
 def test_a_coarse_surface_carries_all_of_the_flow_on_its_own_side(rng):
