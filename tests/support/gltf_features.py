@@ -139,17 +139,22 @@ def put_sand(scene, picture_path, uri):
     return scene.data
 
 
-@row("file names that are percent-encoded, with backslashes, of either form of Unicode")
+@row("file names that are percent-encoded, with backslashes, of either form of Unicode or case; addresses")
 def _(scene, folder):
     composed, apart = (unicodedata.normalize(form, "größe") for form in ("NFC", "NFD"))
     names = {f"{quote(composed)}%201.png": f"{apart} 1.png", f"t\\{apart}.png": f"t/{composed}.png"}
-    names |= {"100%25.png": "100%.png", "as%20written.png": "as%20written.png"}
+    names |= {
+        "100%25.png": "100%.png",
+        "as%20written.png": "as%20written.png",
+        "Skin.PNG": "skin.png",
+        "https://a.org/t/web%201.png": "web 1.png",
+    }
     for uri, name in names.items():
         put_sand(scene, folder / name, uri)
 
     def check(mesh):
-        assert len(mesh.faces) == 48
-        np.testing.assert_allclose(colors_at(mesh), np.tile(SAND, (48, 1)))
+        assert len(mesh.faces) == 72
+        np.testing.assert_allclose(colors_at(mesh), np.tile(SAND, (72, 1)))
         assert {str(path) for path in references(folder / "scene.gltf")} == {*names.values()}
 
     return None, check
@@ -331,7 +336,7 @@ def _(scene):
     scene.document["nodes"][0]["extras"] = {"visible": True, "hide_select": True, "hidden": "no"}
 
 
-@noted("nodes of scale 0, with which animations hide")
+@noted("nodes and copies of scale 0, with which animations hide")
 def _(scene):
     put_box(scene, at=(9, 0, 0), scale=[0, 0, 0], translation=[99, 0, 0])
 

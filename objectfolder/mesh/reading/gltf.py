@@ -84,11 +84,12 @@ class _Reader:
         meshes: dict[Any, list[tuple[MeshPart, Influences | None]]] = {}
         elements = 0
         for one in placed:
-            key = one.mesh, one.weights
+            key = one.mesh, one.weights, one.joints is not None
             if key not in meshes:
                 meshes[key] = self._shapes(*key)
-            copies = 1 if one.joints is not None else len(one.transforms)
-            elements += copies * sum(len(shape.vertices) + shape.faces.size for shape, _ in meshes[key])
+            elements += len(one.transforms) * sum(
+                len(shape.vertices) + shape.faces.size for shape, _ in meshes[key]
+            )
             self._check_size(elements)
             for shape, influences in meshes[key]:
                 if one.joints is not None and influences is not None:
@@ -109,8 +110,10 @@ class _Reader:
                 "its nodes repeat; simplify it"
             )
 
-    def _shapes(self, mesh: int, morphs: tuple[float, ...]) -> list[tuple[MeshPart, Influences | None]]:
-        """Return the primitives of a mesh, in its own frame, and the joints that move them."""
+    def _shapes(
+        self, mesh: int, morphs: tuple[float, ...], skinned: bool
+    ) -> list[tuple[MeshPart, Influences | None]]:
+        """Return the primitives of a mesh, in its own frame, and if it is skinned the joints of each."""
         shapes: list[tuple[MeshPart, Influences | None]] = []
         for primitive in self.document["meshes"][mesh]["primitives"]:
             self.file.note_extensions(primitive, {DRACO})
@@ -119,7 +122,8 @@ class _Reader:
             elif "POSITION" not in primitive.get("attributes", {}):
                 self.left_out["faces without positions left out"] += 1
             else:
-                shapes.append((self._shape(primitive, morphs), self._influences(primitive)))
+                influences = self._influences(primitive) if skinned else None
+                shapes.append((self._shape(primitive, morphs), influences))
                 self._check_size(sum(len(shape.vertices) + shape.faces.size for shape, _ in shapes))
         return shapes
 

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.mesh.reading.files import MAX_NAME, read_image, read_referenced
+from objectfolder.mesh.reading.files import MAX_NAME, find_referenced, read_image, read_referenced
 
 DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -56,11 +56,16 @@ class GltfFile:
     def accessor(
         self, index: int, width: int | None, expected: int | None = None, fractions: bool = False
     ) -> np.ndarray:
-        """Values (count, width) of an accessor; scaled to [-1, 1] if normalized, or integer ``fractions``."""
+        """Values (count, width) of an accessor; scaled to [-1, 1] if normalized, or integer ``fractions``.
+
+        Without a width, that of colours: 3 or 4.
+        """
         accessor = self.document["accessors"][index]
         dtype, columns, count = DTYPES[accessor["componentType"]], WIDTHS[accessor["type"]], accessor["count"]
-        if width not in (None, columns):
-            raise ObjectFolderError(f"{self.path}: accessor {index} has {columns} columns, expected {width}")
+        if columns != width and (width is not None or columns not in (3, 4)):
+            raise ObjectFolderError(
+                f"{self.path}: accessor {index} has {columns} columns, expected {width or '3 or 4'}"
+            )
         if expected not in (None, count):
             raise ObjectFolderError(
                 f"{self.path}: accessor {index} has {shortened(count)} values for {expected} vertices; "
@@ -120,7 +125,8 @@ class GltfFile:
             header, _, content = uri.partition(",")
             data = unquote_to_bytes(content)
             return base64.b64decode(data + b"==") if header.lower().endswith(";base64") else data
-        return read_referenced(self.path, file_name(self.path, uri))
+        name = find_referenced(self.path, file_name(self.path, uri), any_case=True)
+        return read_referenced(self.path, name)
 
     def _view(self, index: int, offset: int, dtype: np.dtype, count: int, columns: int) -> np.ndarray:
         view = self.document["bufferViews"][index]
@@ -141,8 +147,11 @@ def is_data(uri: str) -> bool:
 
 
 def file_name(path: Path, uri: str) -> str:
-    """Return the file name that a URI of a glTF file stands for; as written if only that file exists."""
-    name = unquote(uri)
+    """Return the file name that a URI of a glTF file stands for; as written if only that file exists.
+
+    Of an absolute address, it is the last name, for a file beside the mesh.
+    """
+    name = unquote(uri.rpartition("/")[2] if "://" in uri else uri)
     if name == uri or len(uri.encode(errors="replace")) > MAX_NAME:
         return name
     return uri if (path.parent / uri).is_file() and not (path.parent / name).is_file() else name
@@ -163,7 +172,8 @@ def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
     version, least = asset.get("version", "2.0"), asset.get("minVersion", "2.0")
     if not str(version).startswith("2.") or least != "2.0":
         raise ObjectFolderError(
-            f"{path} cannot be read as a mesh: glTF version {shortened(version)}, expected 2.0"
+            f"{path} cannot be read as a mesh: glTF version {shortened(version)}, expected 2.0; export it "
+            "again"
         )
     return document, binary
 
@@ -173,7 +183,9 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
         raise ObjectFolderError(f"{path} cannot be read as a mesh: it has no binary glTF header")
     version, length, size, kind = struct.unpack("<III4s", data[4:20])
     if version != 2:
-        raise ObjectFolderError(f"{path} cannot be read as a mesh: glTF version {version}, expected 2")
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: glTF version {version}, expected 2; export it again"
+        )
     if len(data) < length or kind != b"JSON" or 20 + size > length:
         raise ObjectFolderError(
             f"{path} cannot be read as a mesh: it holds {len(data)} bytes, its header says {length}: cut off?"

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -55,21 +56,24 @@ def place_meshes(file: GltfFile) -> tuple[list[Placed], list[str]]:
         if "mesh" not in node:
             continue
         mesh = document["meshes"][node["mesh"]]
-        if "skin" in node and node["skin"] not in skins:
-            skins[node["skin"]] = _joints(file, node["skin"], worlds)
-        joints = skins.get(node.get("skin"))
         reason = hidden[index] or (INVISIBLE if _hides(mesh) else "")
-        if not reason and not (world if joints is None else joints)[..., :3, :3].any():
-            reason = FLAT
         if reason:
             file.left_out[reason] += 1
             continue
-        transforms = [world]
-        if INSTANCING in node.get("extensions", {}):
-            transforms = [world @ copy for copy in _copies(file, node["extensions"][INSTANCING])]
-            file.left_out["copies of a skinned mesh left out"] += joints is not None
+        if "skin" in node and node["skin"] not in skins:
+            skins[node["skin"]] = _joints(file, node["skin"], worlds)
+        joints = skins.get(node.get("skin"))
+        copies = _copies(file, node, world)
+        if joints is None:
+            transforms = [copy for copy in copies if copy[:3, :3].any()]
+        else:
+            file.left_out["copies of a skinned mesh left out"] += len(copies) - 1
+            copies = [world]
+            transforms = copies if joints[:, :3, :3].any() else []
+        file.left_out[FLAT] += len(copies) - len(transforms)
         weights = tuple(node.get("weights", mesh.get("weights", ())))
-        placed.append(Placed(node["mesh"], weights, transforms, joints))
+        if transforms:
+            placed.append(Placed(node["mesh"], weights, transforms, joints))
     _note_rest(file)
     return placed, notes
 
@@ -81,13 +85,8 @@ def _note_rest(file: GltfFile) -> None:
     file.left_out["mesh of no node left out"] += unused
     file.left_out["animation left out"] += len(document.get("animations", []))
     file.left_out["camera left out"] += sum("camera" in node for node in nodes)
-    for item in (
-        document,
-        document["asset"],
-        *document.get("scenes", []),
-        *nodes,
-        *document.get("meshes", []),
-    ):
+    parts = (document.get(name, []) for name in ("scenes", "nodes", "meshes"))
+    for item in (document.get("asset", {}), *chain(*parts)):
         file.note_extensions(item)
 
 
@@ -159,12 +158,15 @@ def _joints(file: GltfFile, index: int, worlds: dict[int, np.ndarray]) -> np.nda
     return joints @ inverse[: len(joints)]
 
 
-def _copies(file: GltfFile, extension: dict[str, Any]) -> list[np.ndarray]:
-    """Return the transforms (4, 4) of ``EXT_mesh_gpu_instancing`` in the frame of its node."""
-    names = [name for name in ("TRANSLATION", "ROTATION", "SCALE") if name in extension["attributes"]]
-    columns = [file.accessor(extension["attributes"][name], None) for name in names]
+def _copies(file: GltfFile, node: dict[str, Any], world: np.ndarray) -> list[np.ndarray]:
+    """Return the transforms (4, 4) of a node's mesh to the scene: its own, or those of its copies."""
+    attributes = node.get("extensions", {}).get(INSTANCING, {}).get("attributes", {})
+    widths = {name: 4 if name == "ROTATION" else 3 for name in ("TRANSLATION", "ROTATION", "SCALE")}
+    names = [name for name in widths if name in attributes]
+    columns = [file.accessor(attributes[name], widths[name]) for name in names]
     keys = [name.lower() for name in names]
-    return [_transform(dict(zip(keys, row))) for row in zip(*columns, strict=True)] or [np.eye(4)]
+    copies = (_transform(dict(zip(keys, row))) for row in zip(*columns, strict=True))
+    return [world @ copy for copy in copies] if names else [world]
 
 
 def move(part: MeshPart, transform: np.ndarray) -> MeshPart:
@@ -184,7 +186,8 @@ def bend(part: MeshPart, influences: Influences, joints: np.ndarray) -> MeshPart
     As in other readers, a vertex without weights follows its first joint.
     """
     weights = influences.weights.copy()
-    weights[~(weights.sum(1) > 0), :1] = 1
+    without = ~(weights.sum(1) > 0)
+    weights[without] = np.eye(weights.shape[1])[0]
     weights /= weights.sum(1, keepdims=True)
     matrix = np.zeros((len(weights), 3, 4))
     for index, weight in zip(influences.joints.T, weights.T):

@@ -206,4 +206,4 @@ def references(mesh: Path) -> Iterator[PurePosixPath]:
             yield find_referenced(mesh, name, any_case=True)
     elif suffix in (".gltf", ".glb"):
         for uri in uris(mesh):
-            yield find_referenced(mesh, uri)
+            yield find_referenced(mesh, uri, any_case=True)

@@ -541,6 +541,12 @@ def cycle(document, scene):
         ),
         (lambda d, s: d["textures"][0].update(source=None), "texture 0 has no image"),
         (cut, "reaches beyond buffer view"),
+        (
+            lambda d, s: d["meshes"][0]["primitives"][0]["attributes"].update(
+                COLOR_0=s.accessor(np.ones((16, 2)))
+            ),
+            "has 2 columns, expected 3 or 4",
+        ),
         (cycle, "node 0 has two parents"),
         (lambda d, s: d["asset"].update(version="1.0"), "glTF version 1.0, expected 2.0"),
         (lambda d, s: d.update(accessors=7), "not valid glTF"),

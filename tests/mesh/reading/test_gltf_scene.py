@@ -227,6 +227,16 @@ def test_what_hides_a_node_hides_those_below(tmp_path):
     assert mesh.source["notes"] == ["invisible mesh left out (1)"]
 
 
+def test_a_copy_of_scale_zero_is_hidden_and_so_is_a_broken_skin_of_a_hidden_mesh(tmp_path):
+    scene = Scene()
+    scale = scene.accessor([[1, 1, 1], [0, 0, 0], [2, 2, 2]])
+    put_box(scene, extensions={"EXT_mesh_gpu_instancing": {"attributes": {"SCALE": scale}}})
+    put_box(scene, skin=5, extras={"hidden": True})
+    mesh = load_mesh(scene.write(tmp_path / "m.gltf"), "z")
+    assert len(mesh.faces) == 24
+    assert mesh.source["notes"] == ["invisible mesh left out (1)", "mesh of scale 0 left out (1)"]
+
+
 def test_a_scene_that_shows_nothing_says_what_is_hidden(tmp_path):
     scene = Scene()
     put_box(scene, extras={"visible": False})
