@@ -193,7 +193,9 @@ def test_a_curve_leaves_the_clock_out(tmp_path):
     assert texts == {"step,train_loss,val_loss\n10,0.5,0.25\n"}
 
 
-def test_png(tmp_path, rng):
+def test_png_and_digest(tmp_path, rng):
+    (tmp_path / "a").write_bytes(b"abc")
+    assert file_digest(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     image = rng.integers(0, 256, (5, 7, 3), dtype=np.uint8)
     write_png(tmp_path / "a.png", image)
     with Image.open(tmp_path / "a.png") as back:
@@ -209,11 +211,6 @@ def test_every_path_lies_in_the_workspace(tmp_path):
         assert path.is_relative_to(tmp_path)
     assert build.metrics == tmp_path / "metrics" / "mug.json"
     assert build.views("train") == tmp_path / "build/mug/views/train.npz"
-
-
-def test_digest(tmp_path):
-    (tmp_path / "a").write_bytes(b"abc")
-    assert file_digest(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
 @pytest.mark.parametrize("links", [True, False])

@@ -92,7 +92,7 @@ def test_aliases_and_nesting_within_reason_are_read(path):
     assert values["c"] == {"b": 1, "d": {"b": 1}}
 
 
-def test_values_in_messages_are_short():
+def test_values_in_messages_are_short(path):
     nested = []
     for _ in range(200):
         nested = [nested]
@@ -101,9 +101,6 @@ def test_values_in_messages_are_short():
     assert quoted({"b": 1, "a": ["x", None]}) == "{'a': ['x', None], 'b': 1}"
     assert len(str(ObjectFolderError("m" * 10**6))) < MAX_MESSAGE + 10
     assert str(ObjectFolderError("a message")) == "a message"
-
-
-def test_a_long_value_of_a_wrong_parameter_is_shortened(path):
     path.write_text(f"objects: {{a: {{mesh: {'m' * 1900}}}}}\nprocedural: {{}}\n")
     values = params.read(path)
     assert len(refused(r"objects\.a: material", params.object_entry, "a", values, path)) < 1000

@@ -54,13 +54,8 @@ _WHOLE = re.compile("[0-9]{1,19}")
 _NUMBER = re.compile(r"-?[0-9]{1,30}(\.[0-9]{0,30})?([eE][-+]?[0-9]{1,3})?")
 #: Least and greatest value of the columns of numbers.
 _RANGES = {
-    "size": (1e-12, 1e6),
-    "modes": (0, 10**6),
-    "lowest_hz": (1e-6, 1e9),
-    "vision_psnr": (-1000.0, 1000.0),
-    "gain_error": (0.0, 1e9),
-    "touch_psnr": (-1000.0, 1000.0),
-    "bytes": (1, MAX_BYTES),
+    **{"size": (1e-12, 1e6), "modes": (0, 10**6), "lowest_hz": (1e-6, 1e9), "bytes": (1, MAX_BYTES)},
+    **{"vision_psnr": (-1000.0, 1000.0), "gain_error": (0.0, 1e9), "touch_psnr": (-1000.0, 1000.0)},
 }
 MAX_TEXT, MAX_CATEGORY = 1000, 100  #: characters
 _MAX_NAME = 255  # bytes of a file's name
@@ -126,15 +121,9 @@ class Dataset(Sequence[ObjectFile]):
     def __getitem__(self, which: Any) -> Any:
         """Read an object by number or key; return a dataset of a slice, a list or array of these, or a mask.
 
-        Raises
-        ------
-        IndexError
-            If there is no object of a number, or a mask is of another length.
-        TypeError
-            If it is none of these.
-        ObjectFolderError
-            If there is no object of a key, or its file is missing, damaged, or of another object or material
-            than the index says.
+        Raises IndexError if there is no object of a number, or a mask is of another length; TypeError if it
+        is none of these; and ObjectFolderError if there is no object of a key, or its file is missing,
+        damaged, or of another object or material than the index says.
         """
         if isinstance(which, slice):
             return self._with(self.entries[which])
@@ -167,10 +156,7 @@ class Dataset(Sequence[ObjectFile]):
     def index(self, value: ObjectFile | str, start: int = 0, stop: int | None = None) -> int:
         """Return the number of an object, given by itself or its key; no file is read.
 
-        Raises
-        ------
-        ObjectFolderError
-            A ValueError, if it is not in the dataset, or not from ``start`` to ``stop``.
+        Raises ObjectFolderError, a ValueError, if it is not in the dataset from ``start`` to ``stop``.
         """
         key = _key(value)
         if value in self and start == 0 and stop is None:
@@ -216,14 +202,8 @@ class Dataset(Sequence[ObjectFile]):
     ) -> "Dataset":
         """Return the objects of some categories, materials and splits; None: of all.
 
-        Raises
-        ------
-        ObjectFolderError
-            If no object of the release has one of the values: it is probably misspelt.
-
-        Notes
-        -----
-        A mask chooses by anything else: ``dataset[[entry.size < 0.1 for entry in dataset.entries]]``.
+        A mask chooses by anything else: ``dataset[[entry.size < 0.1 for entry in dataset.entries]]``. Raises
+        ObjectFolderError if no object of the release has one of the values: it is probably misspelt.
         """
         kept = self.entries
         for name, values in (("category", category), ("material", material), ("split", split)):
@@ -248,10 +228,7 @@ class Dataset(Sequence[ObjectFile]):
     def verify(self) -> None:
         """Compare every Object File with its digest in the index.
 
-        Raises
-        ------
-        ObjectFolderError
-            If one is missing or differs; the message names all of them.
+        Raises ObjectFolderError if one is missing or differs; the message names all of them.
         """
         wrong = [
             entry.key
@@ -297,11 +274,8 @@ def _key(item: object) -> Any:
 def read_index(path: Path) -> tuple[IndexEntry, ...]:
     """Read the index of a release.
 
-    Raises
-    ------
-    ObjectFolderError
-        If it is missing, damaged or empty, or a row breaks a rule of its columns, has the key of another, or
-        names a file outside the release; the message names the row.
+    Raises ObjectFolderError if it is missing, damaged or empty, or a row breaks a rule of its columns, has
+    the key of another, or names a file outside the release; the message names the row.
     """
     inside = _Inside(path.parent)
     inside.check(path.name, "the index")

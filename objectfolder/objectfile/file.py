@@ -103,11 +103,7 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
     def load(cls, path: str | Path, device: Device = "cpu") -> "ObjectFile":
         """Read an Object File and check its header. Its parts are unpacked when a query first needs them.
 
-        Parameters
-        ----------
-        path : path
-        device : str or torch.device, optional
-            Where nets are evaluated, such as "cuda".
+        Nets are evaluated on the device, such as "cuda".
 
         Raises
         ------
@@ -122,12 +118,9 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
 
     @classmethod
     def sample(cls, name: str) -> "ObjectFile":
-        """Return an Object File that comes with the package: mug, die or bell.
+        """Return an Object File that comes with the package, mug, die or bell.
 
-        Raises
-        ------
-        ObjectFolderError
-            If there is none of this name.
+        Raises ObjectFolderError if there is none of this name.
         """
         return cls.load(sample_path(name))
 
@@ -139,20 +132,14 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
     def check(self) -> None:
         """Read all parts of the file, which queries otherwise do on demand.
 
-        Raises
-        ------
-        ObjectFolderError
-            If a part is damaged.
+        Raises ObjectFolderError if a part is damaged.
         """
         self._parts.check()
 
     def require(self, *parts: str) -> None:
         """Check that the file holds some parts, such as "audio", without reading them.
 
-        Raises
-        ------
-        ObjectFolderError
-            If it lacks one, or this version does not know its kind.
+        Raises ObjectFolderError if it lacks one, or this version does not know its kind.
         """
         for part in parts:
             described_part(self._header, part)
@@ -192,12 +179,8 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
     def sample_surface(self, count: int, seed: int | np.random.Generator | None = 0) -> np.ndarray:
         """Draw random surface points, uniform by area; (count, 3), object frame, metres.
 
-        Parameters
-        ----------
-        count : int
-        seed : int, numpy Generator or None
-            The same number draws the same points each time; a generator goes on to others, and None draws
-            others in every call.
+        The same number as seed draws the same points each time; a generator goes on to others, and None draws
+        others in every call.
 
         Raises
         ------
@@ -211,12 +194,7 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
 
     @usual_modes()
     def nearest(self, points: Rows) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest surface points.
-
-        Parameters
-        ----------
-        points : (N, 3) array
-            Object frame, metres.
+        """Return the surface points nearest to points (N, 3), object frame, metres.
 
         Returns
         -------
@@ -237,12 +215,8 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
         import trimesh
 
         surface = self.surface
-        return trimesh.Trimesh(
-            surface.vertices * self.scale,
-            surface.faces.copy(),
-            vertex_normals=surface.normals.copy(),
-            process=False,
-        )
+        vertices, faces, normals = surface.vertices * self.scale, surface.faces.copy(), surface.normals.copy()
+        return trimesh.Trimesh(vertices, faces, vertex_normals=normals, process=False)
 
     @usual_modes()
     def voice(
@@ -250,12 +224,7 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
     ) -> "Voice":
         """Return the modes of the object, or of one of its shape, for sounds that go on; see docs/senses.md.
 
-        Parameters
-        ----------
-        sample_rate : float
-            Hz. Modes at or above half of it are left out.
-        material, scale
-            As in `impact`.
+        Modes at or above half the sample rate, Hz, are left out; material and scale are as in `impact`.
 
         Raises
         ------
@@ -274,15 +243,7 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
     def torch(self, dtype: "torch.dtype | None" = None) -> "Answers":
         """Return modules whose answers carry gradients, the same at each call; see docs/gradients.md.
 
-        Parameters
-        ----------
-        dtype : torch.dtype, optional
-            float32, the default, or float64.
-
-        Raises
-        ------
-        ObjectFolderError
-            If the type is another.
+        Raises ObjectFolderError if the type is another than float32, the default, or float64.
         """
         answers = import_module("objectfolder.objectfile.gradient")  # as in `voice`
         made: Answers = answers.Answers(self._parts, dtype)

@@ -95,11 +95,8 @@ class StoredParts:
     def _net(self, part: str) -> StoredNet:
         described_part(self.header, part)
         start = f"{part}."
-        tensors = {
-            name[len(start) :]: checked_tensor(self.key, self.tensors, name)
-            for name in self.tensors
-            if name.startswith(start)
-        }
+        names = [name for name in self.tensors if name.startswith(start)]
+        tensors = {name[len(start) :]: checked_tensor(self.key, self.tensors, name) for name in names}
         surface = replace(self.surface, box=trained_box(self.header[part]))
         return StoredNet(part, self.header, tensors, surface, self.device)
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -75,9 +76,8 @@ def require_room(turntable: Turntable, objects: int) -> None:
     samples = math.ceil(turntable.seconds) * turntable.sample_rate * objects
     require_memory(f"{samples:,} samples of sound", _BYTES_PER_SAMPLE * samples, "ask for fewer seconds")
     size, count = turntable.size, turntable.contacts * objects
-    require_memory(
-        f"a picture of {size} x {size} pixels", _BYTES_PER_PIXEL * size**2, "ask for a smaller one"
-    )
+    picture = f"a picture of {size} x {size} pixels"
+    require_memory(picture, _BYTES_PER_PIXEL * size**2, "ask for a smaller one")
     require_memory(f"{count:,} tactile images", _BYTES_PER_CONTACT * count, "ask for fewer contacts")
 
 
@@ -163,11 +163,7 @@ def _heard(file: ObjectFile, turntable: Turntable, contact: Contact, seconds: fl
         lasting = min(max(seconds, 1 / SAMPLE_RATE), DURATION)
         stored = file.impact(*strike, SAMPLE_RATE, lasting)[0]
         return resample_poly(stored, turntable.sample_rate, SAMPLE_RATE)
-    radiates = "radiation" in file.header
-    return file.impact(
-        *strike,
-        turntable.sample_rate,
-        min(RINGS, seconds),
-        response="displacement" if radiates else "acceleration",
-        listener=turntable.camera(contact.second)[None] * file.scale if radiates else None,
-    )[0]
+    heard: dict[str, Any] = {"response": "acceleration"}
+    if "radiation" in file.header:
+        heard = {"listener": turntable.camera(contact.second)[None] * file.scale}
+    return file.impact(*strike, turntable.sample_rate, min(RINGS, seconds), **heard)[0]

@@ -82,11 +82,9 @@ def union(parts: Sequence[PaintedPart]) -> manifold3d.Manifold:
 
 
 def assemble(
-    solid: manifold3d.Manifold | Sequence[manifold3d.Manifold],
-    parts: Sequence[PaintedPart],
-    look: Look,
+    solid: manifold3d.Manifold | Sequence[manifold3d.Manifold], parts: Sequence[PaintedPart], look: Look,
     texture_size: int,
-) -> TexturedMesh:
+) -> TexturedMesh:  # fmt: skip
     """Chart, paint and bake the surface of a solid made from parts by Boolean operations.
 
     A chart is a connected piece of one part's surface, projected along the part's axis that it faces.

@@ -98,11 +98,9 @@ def describe_motion(body: RigidBody) -> dict[str, Any]:
     """Return mass, centre of mass and inertia as both extensions describe them, y up."""
     moments, axes = body.principal(y_up(np.eye(3)).T)  # turned from z up to y up
     return {
-        "mass": body.mass,
-        "centerOfMass": y_up(body.centre[None])[0].tolist(),
-        "inertiaDiagonal": moments.tolist(),
-        "inertiaOrientation": axes.as_quat().tolist(),
-    }
+        "mass": body.mass, "centerOfMass": y_up(body.centre[None])[0].tolist(),
+        "inertiaDiagonal": moments.tolist(), "inertiaOrientation": axes.as_quat().tolist(),
+    }  # fmt: skip
 
 
 def _modal_model(

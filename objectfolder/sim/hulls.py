@@ -61,13 +61,11 @@ def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[tri
 def write_hulls(path: str | Path, hulls: Sequence[trimesh.Trimesh], source: str = "") -> None:
     """Write hulls as ``.npz``; ``source`` is the digest of object and settings, for `cached_hulls`."""
     write_npz(
-        path,
-        vertices=np.concatenate([hull.vertices for hull in hulls]),
+        path, vertices=np.concatenate([hull.vertices for hull in hulls]),
         faces=np.concatenate([hull.faces for hull in hulls]).astype(np.int32),
         vertex_counts=np.array([len(hull.vertices) for hull in hulls], np.int32),
-        face_counts=np.array([len(hull.faces) for hull in hulls], np.int32),
-        source=np.array(source),
-    )
+        face_counts=np.array([len(hull.faces) for hull in hulls], np.int32), source=np.array(source),
+    )  # fmt: skip
 
 
 def read_hulls(path: str | Path) -> tuple[trimesh.Trimesh, ...]:

@@ -151,10 +151,8 @@ def fit_sensor_lights(
     if circles is None:
         circles = [find_imprint(picture - rest, name) for picture, name in zip(observed, names)]
     check_circles(circles, rest.shape, names)
-    discs = [
-        lightfit.circle_mask(circle, rest.shape) & ~imprint.find_overflow(of)
-        for of, circle in zip(observed, circles)
-    ]
+    within = (lightfit.circle_mask(circle, rest.shape) for circle in circles)
+    discs = [disc & ~imprint.find_overflow(of) for of, disc in zip(observed, within)]
     for disc, name in zip(discs, names):
         if disc.sum() < _MIN_PIXELS:
             raise ObjectFolderError(
@@ -162,10 +160,8 @@ def fit_sensor_lights(
                 f"{_MIN_PIXELS}; give a larger --circle, or leave the picture out"
             )
     model = BallModel(profile, radius)
-    photographs = [
-        Photograph(picture, disc, np.array([*circle[:2], model.depth_of(*circle)]))
-        for picture, disc, circle in zip(observed, discs, circles)
-    ]
+    poses = [np.array([*circle[:2], model.depth_of(*circle)]) for circle in circles]
+    photographs = list(map(Photograph, observed, discs, poses))
     fitted = lightfit.starting_lights(profile, count)
     for _ in range(_ALTERNATIONS):
         fitted = lightfit.fit_lights(model, rest, photographs, fitted)
@@ -224,10 +220,8 @@ def _solve(
         return np.stack(columns, axis=1)
 
     for factor in _REFINEMENTS[model.profile.gel]:
-        slopes, limits = (
-            partial(jacobian, steps=factor * steps),
-            {"max_nfev": _MAX_ROUNDS, "xtol": 1e-4, "ftol": 1e-6},
-        )
+        slopes = partial(jacobian, steps=factor * steps)
+        limits = {"max_nfev": _MAX_ROUNDS, "xtol": 1e-4, "ftol": 1e-6}
         found = least_squares(lambda x: residuals(changes(x)), start, slopes, x_scale=steps, **limits)
         start = found.x
     free = found.fun.size - found.x.size

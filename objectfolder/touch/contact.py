@@ -6,7 +6,6 @@ from functools import cache, lru_cache
 import numpy as np
 import torch
 
-from objectfolder.base.checks import refuse_rows
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.touch.arrays import Array, array_library
@@ -226,11 +225,17 @@ def _pixels(profile: SensorProfile, scale: float) -> tuple[np.ndarray, np.ndarra
 def _check_contacts(
     points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray, profile: SensorProfile
 ) -> None:
-    for name, array in {"points": points, "normals": normals, "angles": angles[:, None]}.items():
-        refuse_rows(name, ~np.isfinite(array).all(axis=1), array, ", expected finite numbers")
-    most = profile.max_indentation
-    expected = f" m, expected 0 to {most:g} m, the maximal indentation of sensor {profile.name!r}"
-    refuse_rows("depths", ~((depths >= 0) & (depths <= most)), depths, expected)
+    for name, array in {"point": points, "normal": normals, "angle": angles[:, None]}.items():
+        rows = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        if rows.size:
+            given = f"contact {rows[0]}: {name} {array[rows[0]].tolist()}"
+            raise ObjectFolderError(f"{given} must be finite ({rows.size} of {len(array)} are not)")
+    rows = np.flatnonzero(~((depths >= 0) & (depths <= profile.max_indentation)))
+    if rows.size:
+        raise ObjectFolderError(
+            f"contact {rows[0]}: press depth {depths[rows[0]]:g} m must be from 0 to "
+            f"{profile.max_indentation:g} m, the maximal indentation of sensor {profile.name!r}"
+        )
 
 
 def _enclosed(caster: RayCaster, points: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+from torch.nn.functional import grid_sample
 
 from objectfolder.touch.camera import gel_depth
 from objectfolder.touch.gel import GAP, deform, double, halve, within_reach
@@ -122,12 +123,9 @@ def _at(images: np.ndarray, places: np.ndarray) -> np.ndarray:
     shape = images.shape[-2:]
     # From -1 to 1, columns first; in float64, so that pixels are exact.
     rows, columns = (axis.astype(np.float64) * (2 / (size - 1)) - 1 for axis, size in zip(places, shape))
-    found = torch.nn.functional.grid_sample(
-        torch.from_numpy(images.reshape(1, -1, *shape)).double(),
-        torch.from_numpy(np.stack([columns, rows], -1)[None]),
-        padding_mode="border",
-        align_corners=True,
-    )
+    of = torch.from_numpy(images.reshape(1, -1, *shape)).double()
+    at = torch.from_numpy(np.stack([columns, rows], -1)[None])
+    found = grid_sample(of, at, padding_mode="border", align_corners=True)
     return found.float().numpy().reshape(images.shape)
 
 

@@ -49,12 +49,8 @@ def score_images(images: np.ndarray, contacts: dict[str, np.ndarray]) -> dict[st
         errors[i] = squared.mean()
         if counts and mask.sum() >= MIN_PIXELS:
             contact.append(squared[mask])
-    scores = {
-        "psnr": float(psnr(errors.mean())),
-        "psnr_median": float(np.median(psnr(errors))),
-        "obstructed_fraction": float(1 - free.mean()),
-        "contacts": len(images),
-    }
+    scores = {"psnr": float(psnr(errors.mean())), "psnr_median": float(np.median(psnr(errors)))}
+    scores |= {"obstructed_fraction": float(1 - free.mean()), "contacts": len(images)}
     if free.any():
         scores["psnr_unobstructed"] = float(psnr(errors[free].mean()))
         scores["psnr_median_unobstructed"] = float(np.median(psnr(errors[free])))

@@ -11,6 +11,7 @@ from objectfolder.touch.image_net import ImageTouch
 from objectfolder.touch.net_settings import ImageConfig, TouchConfig
 from objectfolder.touch.profiles import SensorProfile
 
+Split = dict[str, np.ndarray]
 VAL_SAMPLES = 1 << 14
 _PART = 1 << 12  # pixels whose activations are kept for a gradient
 # Largest difference of depths (metres) or angles (radians) that is attributed to rounding.
@@ -31,12 +32,7 @@ def train(
 
 
 def train_image(
-    train: dict[str, np.ndarray],
-    val: dict[str, np.ndarray],
-    scale: float,
-    sensor: str,
-    config: ImageConfig,
-    session: Session,
+    train: Split, val: Split, scale: float, sensor: str, config: ImageConfig, session: Session
 ) -> tuple[ImageTouch, list[CurvePoint]]:
     """Fit an `ImageTouch` to contacts, as returned by `objectfolder.touch.truth.render_contacts`.
 
@@ -55,7 +51,7 @@ def train_image(
         mean = train["images"].mean((0, 1, 2), dtype=np.float64) / 127.5 - 1
         net.network.output.bias.data = torch.from_numpy(mean).float()
 
-    def gather(contacts: dict[str, np.ndarray]) -> tuple[torch.Tensor, torch.Tensor]:
+    def gather(contacts: Split) -> tuple[torch.Tensor, torch.Tensor]:
         points = torch.from_numpy((contacts["points"] / scale).astype(np.float32))
         return points.to(device), torch.from_numpy(contacts["images"]).flatten(1, 2).to(device)
 
@@ -74,17 +70,14 @@ def train_image(
     loss, val_loss = loss_of(*known), loss_of(*held_out)
     checked = draw(held_out[1].shape, VAL_SAMPLES)
     part = choose_part_size(_PART, config.batch, device)
-    curve = fit_papers_net(
-        net,
-        lambda: sum_in_parts(loss, part, *draw(known[1].shape, config.batch)),
-        lambda: val_loss(*checked).item(),
-        config,
-        session,
-    )
-    return net, curve
+
+    def batch_loss() -> torch.Tensor:
+        return sum_in_parts(loss, part, *draw(known[1].shape, config.batch))
+
+    return net, fit_papers_net(net, batch_loss, lambda: val_loss(*checked).item(), config, session)
 
 
-def _one_value(name: str, *splits: dict[str, np.ndarray]) -> float:
+def _one_value(name: str, *splits: Split) -> float:
     values = np.concatenate([contacts[name] for contacts in splits])
     if np.ptp(values) > _ALIKE:
         field = {"depths": "depth", "angles": "angle"}[name]

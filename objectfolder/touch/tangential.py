@@ -186,10 +186,8 @@ def _transformed(traction: np.ndarray, shape: tuple[int, ...], pitch: float, lay
     height, width = traction.shape[1:]
     wholes = period(shape, round(SPACING * layer.thickness / pitch))
     # Between the pixels of a part there are few shifts, for which smaller transforms do.
-    rows, columns = (
-        min(whole, scipy.fft.next_fast_len(2 * part - 1, real=True))
-        for whole, part in zip(wholes, traction.shape[1:])
-    )
+    fast = (scipy.fft.next_fast_len(2 * part - 1, real=True) for part in traction.shape[1:])
+    rows, columns = map(min, wholes, fast)
     right, mixed, up = _compliances(rows, columns, wholes, pitch, layer)
     waves = scipy.fft.rfft2(traction, (rows, columns))
     moved = np.empty_like(waves)

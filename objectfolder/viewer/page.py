@@ -23,11 +23,8 @@ def viewer_page(objects: Mapping[str, bytes], title: str = "Object File") -> str
 
 def page_parts(objects: Mapping[str, bytes], title: str) -> dict[str, str]:
     """Return what `fill_page` puts into page.html, but for the program."""
-    return {
-        "title": in_html(title),
-        "settings": _settings(),
-        "objects": "\n".join(_embedded(name, content) for name, content in objects.items()),
-    }
+    embedded = "\n".join(_embedded(name, content) for name, content in objects.items())
+    return {"title": in_html(title), "settings": _settings(), "objects": embedded}
 
 
 def fill_page(name: str, parts: Mapping[str, str]) -> str:

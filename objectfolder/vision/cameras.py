@@ -95,19 +95,11 @@ class Intrinsics:
 
     @classmethod
     def from_matrix(cls, matrix: np.ndarray, width: int, height: int) -> "Intrinsics":
-        """Return the intrinsics of a calibration matrix K.
+        """Return the intrinsics of a calibration matrix K: ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``, pixels.
 
-        Parameters
-        ----------
-        matrix : (3, 3) array
-            ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]``, pixels. If positions are measured from the centre of
-            the upper left pixel, as in OpenCV, add 0.5 to ``cx`` and ``cy`` first.
-        width, height : int
-
-        Raises
-        ------
-        ObjectFolderError
-            If the matrix has another shape, skew, or another last row, or the size is not positive.
+        If positions are measured from the centre of the upper left pixel, as in OpenCV, add 0.5 to ``cx`` and
+        ``cy`` first. Raises ObjectFolderError if the matrix has another shape, skew, or another last row, or
+        the size is not positive.
         """
         k = real_array("camera matrix", matrix)
         if k.shape != (3, 3) or not np.isfinite(k).all():

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
@@ -25,9 +26,9 @@ _BYTES_PER_PIXEL = 64  # outside of the silhouette; more inside, for the net's g
 class Seen:
     """Views with gradients."""
 
-    images: torch.Tensor  #: (N, H, W, 3) sRGB on white, in [0, 1]
-    radiance: torch.Tensor  #: (N, H, W, 3) linear; 0 outside of the silhouette
-    inside: torch.Tensor  #: (N, H, W) bool, whether the ray through the pixel's centre meets the object
+    images: Tensor  #: (N, H, W, 3) sRGB on white, in [0, 1]
+    radiance: Tensor  #: (N, H, W, 3) linear; 0 outside of the silhouette
+    inside: Tensor  #: (N, H, W) bool, whether the ray through the pixel's centre meets the object
 
 
 class View(AnswerModule):
@@ -53,8 +54,8 @@ class View(AnswerModule):
 
     def forward(
         self,
-        camera: torch.Tensor,
-        light: torch.Tensor,
+        camera: Tensor,
+        light: Tensor,
         resolution: int | None = None,
         intrinsics: Intrinsics | None = None,
     ) -> Seen:
@@ -71,9 +72,7 @@ class View(AnswerModule):
         shown = srgb.encode(radiance.clamp(0, 1))
         return Seen(torch.where(inside[..., None], shown, 1), radiance, inside)
 
-    def _picture(
-        self, frame: torch.Tensor, light: torch.Tensor, seen_by: Intrinsics
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def _picture(self, frame: Tensor, light: Tensor, seen_by: Intrinsics) -> tuple[Tensor, Tensor]:
         """Return linear radiance (H, W, 3) and which pixels see the object (H, W)."""
         radiance = torch.zeros(seen_by.height * seen_by.width, 3, dtype=self._dtype)
         inside = torch.zeros(seen_by.height * seen_by.width, dtype=torch.bool)
@@ -95,18 +94,13 @@ class View(AnswerModule):
         radiance = radiance.index_copy(0, place, color)
         return radiance.view(*shape, 3), inside.index_fill(0, place, True).view(shape)
 
-    def _nothing(self, seen_by: Intrinsics) -> tuple[torch.Tensor, torch.Tensor]:
+    def _nothing(self, seen_by: Intrinsics) -> tuple[Tensor, Tensor]:
         empty = torch.zeros(0, seen_by.height, seen_by.width, 3, dtype=self._dtype)
         return empty, empty[..., 0].bool()
 
 
 def intersect_planes(
-    surface: Isosurface,
-    frame: torch.Tensor,
-    ways: torch.Tensor,
-    face: np.ndarray,
-    light: torch.Tensor,
-    dtype: torch.dtype,
+    surface: Isosurface, frame: Tensor, ways: Tensor, face: np.ndarray, light: Tensor, dtype: torch.dtype
 ) -> SurfaceSamples:
     """Return the points in which rays meet the planes of known triangles, with gradients.
 
@@ -130,14 +124,14 @@ def intersect_planes(
     return SurfaceSamples(row, points, normals, views, distance[:, 0], lit, corners, weights)
 
 
-def centre_directions(seen_by: Intrinsics, row: np.ndarray, column: np.ndarray) -> torch.Tensor:
+def centre_directions(seen_by: Intrinsics, row: np.ndarray, column: np.ndarray) -> Tensor:
     """Return directions (S, 3) through the centres of pixels, in the camera's frame, of depth 1; float64."""
     x = (column + 0.5 - seen_by.cx) / seen_by.fx
     y = (seen_by.cy - row - 0.5) / seen_by.fy
     return torch.from_numpy(np.stack([x, y, -np.ones_like(x)], 1))
 
 
-def look_at_origin(positions: torch.Tensor) -> torch.Tensor:
+def look_at_origin(positions: Tensor) -> Tensor:
     """Return `objectfolder.vision.cameras.look_at` of the origin, with gradients; (N, 4, 4)."""
     backward = normalize_rows(positions)
     up = torch.from_numpy(up_directions(backward.detach().numpy()))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from objectfolder.mesh.grid import ascent
 from objectfolder.mesh.gridcodec import BOUND
@@ -50,12 +50,12 @@ class ScatteringFunction(nn.Module):
         # Start dense everywhere: where the density is zero, its ReLU passes no gradient.
         nn.init.constant_(self.density.bias, 1.0)
 
-    def forward(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def forward(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate the density (N,), and the hidden layer (N, width) for `scattered`, at (N, 3) points."""
         hidden = self.trunk(append_octaves(points, self.octaves[0], 1.0))
         return torch.relu(self.density(hidden))[:, 0], hidden
 
-    def scattered(self, hidden: torch.Tensor, incoming: torch.Tensor, outgoing: torch.Tensor) -> torch.Tensor:
+    def scattered(self, hidden: Tensor, incoming: Tensor, outgoing: Tensor) -> Tensor:
         """Evaluate the fraction of light scattered between unit directions that leave the point; (N, 3).
 
         The sigmoid is scaled so that it can reach black and white.
@@ -77,7 +77,7 @@ class OsfNet(nn.Module):
     sample instead of midway.
     """
 
-    hull: torch.Tensor | None
+    hull: Tensor | None
 
     def __init__(self, coarse_samples: int, fine_samples: int, hull_cells: int = 0, **shape: int):
         super().__init__()
@@ -95,8 +95,8 @@ class OsfNet(nn.Module):
         return "osf" if self.hull is None else "osf_hull"
 
     def forward(
-        self, rays: Rays, light: torch.Tensor, generator: torch.Generator | None = None
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+        self, rays: Rays, light: Tensor, generator: torch.Generator | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Render rays through the cube on white with the coarse and the fine net; (N, 3) each, linear.
 
         The light is (N, 3), unit frame. A generator jitters the samples, as in training.
@@ -106,8 +106,8 @@ class OsfNet(nn.Module):
         return coarse, fine + 1 - alpha[:, None]
 
     def _sample(
-        self, rays: Rays, generator: torch.Generator | None, light: torch.Tensor | None = None
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+        self, rays: Rays, generator: torch.Generator | None, light: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Return distances for the fine net (N, S), ascending, and what the coarse one sees, if lit."""
         distance = sample_strata(rays.near, rays.far, self.samples[0], generator)
         weights, radiance = self._march(self.coarse, rays, distance, light)
@@ -115,16 +115,14 @@ class OsfNet(nn.Module):
         more = resample(rays.intervals(distance), weights.detach(), self.samples[1], generator)
         return torch.cat([distance, more], 1).sort(1).values, seen
 
-    def _look(
-        self, rays: Rays, distance: torch.Tensor, light: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def _look(self, rays: Rays, distance: Tensor, light: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return radiance (N, 3), alpha (N,) and mean distance times alpha (N,) of the fine net."""
         weights, radiance = self._march(self.fine, rays, distance, light)
         return radiance, weights.sum(1), (weights * distance).sum(1)
 
     def _march(
-        self, field: ScatteringFunction, rays: Rays, distance: torch.Tensor, light: torch.Tensor | None
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+        self, field: ScatteringFunction, rays: Rays, distance: Tensor, light: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
         """Return the weights of samples at distances (N, S), and the radiance (N, 3), 0 without a light.
 
         A point light, (N, 3) or (3,), is scattered with inverse-square falloff.
@@ -144,19 +142,17 @@ class OsfNet(nn.Module):
         colors = fraction.new_zeros(weights.numel(), 3).index_copy(0, seen, fraction / squared)
         return weights, torch.einsum("ns,nsc->nc", weights, colors.view(*weights.shape, 3))
 
-    def _evaluated(
-        self, field: ScatteringFunction, points: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def _evaluated(self, field: ScatteringFunction, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return the density (N,) at points, which ones (K,) are in the hull, and their hidden layer."""
         computed = self._within(points)
         density, hidden = field(points[computed])
         return density.new_zeros(len(points)).index_copy(0, computed, density), computed, hidden
 
-    def _density(self, points: torch.Tensor) -> torch.Tensor:
+    def _density(self, points: Tensor) -> Tensor:
         """Return the density of the fine net; (N, 3) to (N,)."""
         return self._evaluated(self.fine, points)[0]
 
-    def _within(self, points: torch.Tensor) -> torch.Tensor:
+    def _within(self, points: Tensor) -> Tensor:
         """Return which (N, 3) points are in cells of the hull; (K,), ascending."""
         if self.hull is None:
             return torch.arange(len(points), device=points.device)

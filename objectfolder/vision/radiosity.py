@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from objectfolder.base.recent import Recent
@@ -38,9 +39,7 @@ class Radiosity:
     reflectance (P, 3), linear.
     """
 
-    def __init__(
-        self, surface: Isosurface, reflectance: Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
-    ):
+    def __init__(self, surface: Isosurface, reflectance: Callable[[Tensor, Tensor], Tensor]):
         from scipy.spatial import cKDTree
 
         rng = np.random.default_rng(0)
@@ -64,9 +63,9 @@ class Radiosity:
         self._involved = np.flatnonzero(sees | (np.bincount(self._seen.indices, minlength=PATCHES) > 0))
         involved = (torch.from_numpy(v[self._involved]) for v in (points, normals))
         self._points, self._normals = map(column_major, involved)
-        self._solved: Recent[tuple[torch.Tensor, torch.Tensor]] = Recent(CACHED_LIGHTS)
+        self._solved: Recent[tuple[Tensor, Tensor]] = Recent(CACHED_LIGHTS)
 
-    def gather(self, samples: SurfaceSamples, light: torch.Tensor) -> torch.Tensor:
+    def gather(self, samples: SurfaceSamples, light: Tensor) -> Tensor:
         """Return the diffuse light of the surface that a white Lambertian one reflects at samples; (S, 3).
 
         Float32 radiance on the device of the light, see `objectfolder.vision.lighting.toward`: a white
@@ -75,9 +74,7 @@ class Radiosity:
         gathered, _ = self._under(light)
         return self._at(gathered, samples.nearest_corner.cpu()).to(light.device)
 
-    def mirror(
-        self, samples: SurfaceSamples, normals: torch.Tensor, light: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def mirror(self, samples: SurfaceSamples, normals: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
         """Return the diffuse light of the surface that a mirror with normals (S, 3) reflects at samples.
 
         The indices (K,) of samples whose mirrored rays hit the surface, and the radiance (K, 3) that these
@@ -95,7 +92,7 @@ class Radiosity:
         shown = self._at(outgoing, nearest_corners(corners, torch.from_numpy(weights)))
         return some[torch.from_numpy(ray)].to(normals.device), shown.to(normals.device)
 
-    def _under(self, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _under(self, light: Tensor) -> tuple[Tensor, Tensor]:
         """Return light gathered by each patch, as if it were white, and its radiosity; (P, 3) each."""
         if light.requires_grad or light.dtype == torch.float64:
             return self._solve(light)
@@ -104,21 +101,21 @@ class Radiosity:
 
     @torch.inference_mode(False)  # what is kept may serve a gradient later
     @torch.no_grad()
-    def _solve_to_keep(self, lamp: tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+    def _solve_to_keep(self, lamp: tuple[float, ...]) -> tuple[Tensor, Tensor]:
         return self._solve(lamp)
 
-    def _solve(self, light: torch.Tensor | tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor]:
-        where = light if isinstance(light, torch.Tensor) else torch.tensor(light, dtype=torch.float32)
+    def _solve(self, light: Tensor | tuple[float, ...]) -> tuple[Tensor, Tensor]:
+        where = light if isinstance(light, Tensor) else torch.tensor(light, dtype=torch.float32)
         lit = is_lit(self._surface, self._points, self._normals, where.detach().float()).nonzero()[:, 0]
         to_light = toward(where, take_rows(self._points, lit))
         cosine = (to_light * take_rows(self._normals, lit)).sum(1).clamp(min=0)
         place = torch.from_numpy(self._involved).index_select(0, lit)
         falling = cosine / to_light.square().sum(1) ** 1.5
         received = falling.new_zeros(PATCHES).index_copy(0, place, falling)
-        found: tuple[torch.Tensor, torch.Tensor] = Bounced.apply(received, self._seen, self._reflectance)
+        found: tuple[Tensor, Tensor] = Bounced.apply(received, self._seen, self._reflectance)
         return found
 
-    def _at(self, values: torch.Tensor, vertex: torch.Tensor) -> torch.Tensor:
+    def _at(self, values: Tensor, vertex: Tensor) -> Tensor:
         """Interpolate values (P, C) of patches at vertices (S,); (S, C)."""
         rows, weights = (table.index_select(0, vertex) for table in (self._patches, self._weights))
         return column_major(weighted_rows(values, rows, weights.to(values.dtype)))
@@ -145,8 +142,8 @@ class Bounced(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, received: torch.Tensor, seen: "sp.csr_matrix", reflectance: np.ndarray
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+        ctx: Any, received: Tensor, seen: "sp.csr_matrix", reflectance: np.ndarray
+    ) -> tuple[Tensor, Tensor]:
         """Return what patches gather, as if they were white, and give off; (P, 3) each.
 
         Of received light (P,), form factors (P, P) and reflectance (3, P).
@@ -162,7 +159,7 @@ class Bounced(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *gradients: Any) -> tuple[torch.Tensor, None, None]:
+    def backward(ctx: Any, *gradients: Any) -> tuple[Tensor, None, None]:
         """Return the gradient of the received light, by the transposed bounces in reverse order."""
         seen, reflectance = ctx.patches
         of_gathered, of_given = (g.numpy().T for g in gradients)

@@ -10,6 +10,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from objectfolder.mesh import srgb
 from objectfolder.mesh.grid import ascent
@@ -49,14 +50,14 @@ class March:
         if (self.more and self.samples < 4) or not 0 <= self.pixel <= 1:
             raise ValueError(f"{self.samples} samples to refine, rays at {self.pixel}")
 
-    def distances(self) -> torch.Tensor:
+    def distances(self) -> Tensor:
         """Return the distances of the first pass; (samples,)."""
         t = _even(self.samples)
         if self.inverse:
             return 1 / (1 / self.near * (1 - t) + 1 / self.far * t)
         return self.near * (1 - t) + self.far * t
 
-    def refined(self, distance: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    def refined(self, distance: Tensor, weights: Tensor) -> Tensor:
         """Add samples to distances (N, S) by importance sampling of their weights (N, S); ascending.
 
         A sample's weight is spread between the midpoints to its neighbours; the first and the last sample are
@@ -77,15 +78,13 @@ class March:
 class Field(Protocol):
     """Density and colour that a ray marches through."""
 
-    def occupied(self, points: torch.Tensor) -> torch.Tensor:
+    def occupied(self, points: Tensor) -> Tensor:
         """Return a mask of the (N, 3) points that may have density; (N,) bool."""
 
-    def density(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate the density (N,), at least 0, and hidden layer (N, W) for `color`, at (N, 3) points."""
 
-    def color(
-        self, points: torch.Tensor, hidden: torch.Tensor, view: torch.Tensor, light: torch.Tensor
-    ) -> torch.Tensor:
+    def color(self, points: Tensor, hidden: Tensor, view: Tensor, light: Tensor) -> Tensor:
         """Evaluate encoded colours (N, 3) for unit directions from the camera and light positions (N, 3)."""
 
 
@@ -96,17 +95,15 @@ class Network:
         self.net = net
         self.crop = math.inf if crop is None else crop
 
-    def occupied(self, points: torch.Tensor) -> torch.Tensor:
+    def occupied(self, points: Tensor) -> Tensor:
         """Return a mask of the points inside the crop cube; (N,) bool."""
         return (points.abs() <= self.crop).all(1)
 
-    def density(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate the density and the hidden layer."""
         return self.net(points)
 
-    def color(
-        self, points: torch.Tensor, hidden: torch.Tensor, view: torch.Tensor, light: torch.Tensor
-    ) -> torch.Tensor:
+    def color(self, points: Tensor, hidden: Tensor, view: Tensor, light: Tensor) -> Tensor:
         """Evaluate encoded colours."""
         return self.net.scattered(hidden, light, view)
 
@@ -161,9 +158,7 @@ class ReleasedVision:
         size = intrinsics.height, intrinsics.width
         return Picture(*(x.view(*size, *x.shape[1:]).cpu().numpy() for x in (rgba, depth, normals)))
 
-    def _look(
-        self, origin: torch.Tensor, ways: torch.Tensor, light: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def _look(self, origin: Tensor, ways: Tensor, light: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return blended colour (N, 3), alpha (N,) and mean distance times alpha (N,)."""
         length = torch.linalg.vector_norm(ways, dim=1, keepdim=True)
         distance = self.march.distances().to(ways).expand(len(ways), -1)
@@ -231,7 +226,7 @@ class ReleasedNerf(ReleasedVision):
 
 
 def build_scattering(
-    state: dict[str, torch.Tensor], point_octaves: int, direction_octaves: int
+    state: dict[str, Tensor], point_octaves: int, direction_octaves: int
 ) -> ScatteringFunction:
     """Build the `ScatteringFunction` described by tensors.
 
@@ -250,9 +245,7 @@ def build_scattering(
     return fill(net, state).requires_grad_(False)
 
 
-def _rays(
-    camera_to_world: np.ndarray, intrinsics: Intrinsics, place: float
-) -> tuple[torch.Tensor, torch.Tensor]:
+def _rays(camera_to_world: np.ndarray, intrinsics: Intrinsics, place: float) -> tuple[Tensor, Tensor]:
     """Return the origin (3,), and directions (H W, 3) with unit component along the optical axis."""
     rows, columns = np.mgrid[: intrinsics.height, : intrinsics.width] + place
     x, y = (columns - intrinsics.cx) / intrinsics.fx, (intrinsics.cy - rows) / intrinsics.fy
@@ -261,27 +254,27 @@ def _rays(
     return torch.from_numpy(camera_to_world[:3, 3].astype(np.float32)), torch.from_numpy(directions)
 
 
-def _even(count: int) -> torch.Tensor:
+def _even(count: int) -> Tensor:
     """Return evenly spaced numbers from 0 to 1; (count,) float32, on the CPU."""
     return torch.linspace(0.0, 1.0, count, dtype=torch.float32, device="cpu")
 
 
-def _points(origin: torch.Tensor, ways: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:
+def _points(origin: Tensor, ways: Tensor, distance: Tensor) -> Tensor:
     """Return the points at (N, S) distances along (N, 3) directions; (N S, 3)."""
     return (origin + ways[:, None] * distance[..., None]).flatten(0, 1)
 
 
-def _everywhere(field: Field) -> Callable[[torch.Tensor], torch.Tensor]:
+def _everywhere(field: Field) -> Callable[[Tensor], Tensor]:
     """Return a function for the density (N,) at (N, 3) points; zero outside occupied space."""
 
-    def density(points: torch.Tensor) -> torch.Tensor:
+    def density(points: Tensor) -> Tensor:
         held = field.occupied(points).nonzero()[:, 0]
         return points.new_zeros(len(points)).index_copy(0, held, field.density(points[held])[0])
 
     return density
 
 
-def _weights(density: torch.Tensor, distance: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
+def _weights(density: Tensor, distance: Tensor, length: Tensor) -> Tensor:
     """Compute sample weights (N, S); an interval ends at the next sample, and the last one is infinite."""
     steps = torch.cat([distance.diff(), torch.full_like(distance[:, :1], 1e10)], 1)
     alpha = 1 - torch.exp(-density * steps * length)

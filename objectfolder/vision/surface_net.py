@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 import torch.nn.functional as F
-from torch import nn
+from torch import Tensor, nn
 
 from objectfolder.mesh import srgb
 from objectfolder.mesh.gridcodec import BOUND
@@ -56,9 +56,7 @@ class SurfaceNet(nn.Module):
         self.bounced = _mlp(self.transport.width + 52, width, 12, depth=2)
         self.config = {**self.grid.config, "width": width, "roughness": roughness, "metallic": metallic}
 
-    def albedo_and_normal(
-        self, points: torch.Tensor, normals: torch.Tensor, features: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def albedo_and_normal(self, points: Tensor, normals: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate base colours, sRGB and unclipped, and shading normals, not normalised; both (S, 3).
 
         Points and normals (S, 3) are those of the stored surface, unit frame; features (S, F) those of
@@ -67,14 +65,12 @@ class SurfaceNet(nn.Module):
         a = self.appearance(torch.cat([features, points], 1))
         return a[:, :3] + 0.5, normals + a[:, 3:]
 
-    def base_colors(self, points: torch.Tensor) -> torch.Tensor:
+    def base_colors(self, points: Tensor) -> Tensor:
         """Evaluate base colours (S, 3), sRGB and unclipped, at points near the surface, unit frame."""
         color, _ = self.albedo_and_normal(points, torch.zeros_like(points), self.grid(in_cube(points)))
         return color
 
-    def direct(
-        self, samples: SurfaceSamples, light: torch.Tensor, base_color: torch.Tensor, normals: torch.Tensor
-    ) -> torch.Tensor:
+    def direct(self, samples: SurfaceSamples, light: Tensor, base_color: Tensor, normals: Tensor) -> Tensor:
         """Compute direct radiance, (S, 3), from base colours (linear) and unit shading normals."""
         lit = samples.lit.nonzero()[:, 0]
         to_light = toward(light, take_rows(samples.points, lit))
@@ -86,13 +82,8 @@ class SurfaceNet(nn.Module):
         return radiance.index_copy_(1, lit, (reflected / squared.clamp(min=NEAREST**2)).mT).mT
 
     def mirrored(
-        self,
-        baked: "Baked",
-        samples: SurfaceSamples,
-        light: torch.Tensor,
-        base_color: torch.Tensor,
-        normals: torch.Tensor,
-    ) -> torch.Tensor:
+        self, baked: "Baked", samples: SurfaceSamples, light: Tensor, base_color: Tensor, normals: Tensor
+    ) -> Tensor:
         """Return the radiance ``mirrored`` of `BounceInputs`; parameters as there."""
         index, shown = baked.radiosity.mirror(samples, normals, light)
         color, mirror, view = (take_rows(v, index) for v in (base_color, normals, samples.directions))
@@ -102,11 +93,11 @@ class SurfaceNet(nn.Module):
     def bounce_inputs(
         self,
         samples: SurfaceSamples,
-        light: torch.Tensor,
-        normals: torch.Tensor,
-        direct: torch.Tensor,
-        gathered: torch.Tensor,
-        mirrored: torch.Tensor,
+        light: Tensor,
+        normals: Tensor,
+        direct: Tensor,
+        gathered: Tensor,
+        mirrored: Tensor,
     ) -> "BounceInputs":
         """Compute the inputs of `indirect`.
 
@@ -135,14 +126,14 @@ class SurfaceNet(nn.Module):
         ]
         return BounceInputs(concatenate(features, 1), gathered, mirrored)
 
-    def indirect(self, inputs: "BounceInputs", transport: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def indirect(self, inputs: "BounceInputs", transport: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate indirect light: diffuse, for a white surface, and glossy radiance; (S, 3) each.
 
         ``transport`` (S, T) are features of the grid of that name.
         """
         return apply_gains(find_gains(self.corrections(inputs, transport)), inputs.gathered, inputs.mirrored)
 
-    def corrections(self, inputs: "BounceInputs", transport: torch.Tensor) -> torch.Tensor:
+    def corrections(self, inputs: "BounceInputs", transport: Tensor) -> Tensor:
         """Evaluate the net of indirect light, (S, 12); parameters are those of `indirect`."""
         return column_major(self.bounced(concatenate([inputs.features, transport], 1)))
 
@@ -160,7 +151,7 @@ class SurfaceNet(nn.Module):
         net.to(device)
 
         @torch.inference_mode()
-        def shade(samples: SurfaceSamples, light: torch.Tensor, pixel: np.ndarray) -> torch.Tensor:
+        def shade(samples: SurfaceSamples, light: Tensor, pixel: np.ndarray) -> Tensor:
             return net.radiance(baked, samples, light, pixel, device).cpu()
 
         return shade
@@ -169,10 +160,10 @@ class SurfaceNet(nn.Module):
         self,
         baked: "Baked",
         samples: SurfaceSamples,
-        light: torch.Tensor,
+        light: Tensor,
         pixel: np.ndarray,
         device: torch.device | str = "cpu",
-    ) -> torch.Tensor:
+    ) -> Tensor:
         """Return the linear radiance of samples, (S, 3), on a device; see `shader`.
 
         Gradients flow from points, weights, normals and directions of the samples, and from the light (3,) or
@@ -211,7 +202,7 @@ class SurfaceNet(nn.Module):
             looks.append(torch.cat([srgb.decode(color.clamp(0, 1)), F.normalize(shading, dim=-1)], 1))
             transport.append(self.transport(cube))
 
-        def reflectance(p: torch.Tensor, n: torch.Tensor) -> torch.Tensor:
+        def reflectance(p: Tensor, n: Tensor) -> Tensor:
             color, _ = self.albedo_and_normal(p, n, self.grid(in_cube(p)))
             return srgb.decode(color.clamp(0, 1)) * (1 - self.config["metallic"])
 
@@ -242,15 +233,15 @@ class SurfaceNet(nn.Module):
 class Baked:
     """Attributes of a surface's vertices, interpolated over triangles usually smaller than a pixel."""
 
-    look: torch.Tensor  #: (V, 6), base colour (linear) and unit shading normal
-    transport: torch.Tensor  #: (V, T), features of the grid ``transport``
+    look: Tensor  #: (V, 6), base colour (linear) and unit shading normal
+    transport: Tensor  #: (V, T), features of the grid ``transport``
     radiosity: Radiosity
 
     def to(self, device: torch.device | str) -> "Baked":
         """Return a copy on a device, except the radiosity, which stays on the CPU."""
         return replace(self, look=self.look.to(device), transport=self.transport.to(device))
 
-    def look_of(self, samples: SurfaceSamples) -> tuple[torch.Tensor, torch.Tensor]:
+    def look_of(self, samples: SurfaceSamples) -> tuple[Tensor, Tensor]:
         """Interpolate base colours (linear) and unit shading normals; (S, 3) each."""
         values = column_major(samples.interpolate(self.look))
         return values[:, :3], normalize_rows(values[:, 3:])
@@ -260,32 +251,30 @@ class Baked:
 class BounceInputs:
     """Inputs from which indirect light is predicted; tensors share their first dimension S."""
 
-    features: torch.Tensor  #: (S, 52), positions, angles, distances and the radiances below
-    gathered: torch.Tensor  #: (S, 3), diffuse interreflection by a white surface
-    mirrored: torch.Tensor  #: (S, 3), diffuse light of the surroundings, mirrored by a smooth surface
+    features: Tensor  #: (S, 52), positions, angles, distances and the radiances below
+    gathered: Tensor  #: (S, 3), diffuse interreflection by a white surface
+    mirrored: Tensor  #: (S, 3), diffuse light of the surroundings, mirrored by a smooth surface
 
-    def select(self, index: torch.Tensor) -> "BounceInputs":
+    def select(self, index: Tensor) -> "BounceInputs":
         """Return the inputs of some samples, in single precision."""
         features, *radiances = (take_rows(v, index) for v in (self.features, self.gathered, self.mirrored))
         return BounceInputs(features.float(), *radiances)
 
 
-def find_gains(corrections: torch.Tensor) -> torch.Tensor:
+def find_gains(corrections: Tensor) -> Tensor:
     """Return what `apply_gains` applies to the radiances, (S, 12), from the net's output (S, 12)."""
     bias, scale = (corrections.new_tensor(v).repeat_interleave(3) for v in (GAIN_BIAS, GAIN_SCALE))
     return F.softplus(corrections + bias) * scale
 
 
-def apply_gains(
-    factors: torch.Tensor, gathered: torch.Tensor, mirrored: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
+def apply_gains(factors: Tensor, gathered: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
     """Return indirect light, as `SurfaceNet.indirect`, from `find_gains` (S, 12) and radiances (S, 3)."""
     more_diffuse, more_glossy, diffuse, glossy = factors.split(3, 1)
     return gathered * diffuse + more_diffuse, mirrored * glossy + more_glossy
 
 
 def _shared(
-    pixel: np.ndarray, lit: torch.Tensor, normals: torch.Tensor
+    pixel: np.ndarray, lit: Tensor, normals: Tensor
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Choose the samples whose indirect light serves others.
 
@@ -318,7 +307,7 @@ def _firsts(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(leads), (leads.cumsum() - 1).take(leader)
 
 
-def in_cube(points: torch.Tensor) -> torch.Tensor:
+def in_cube(points: Tensor) -> Tensor:
     """Map points (S, 3) from the unit frame to the cube [0, 1]^3 of a `HashGrid`."""
     return (points / BOUND + 1) / 2
 

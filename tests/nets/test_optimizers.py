@@ -71,19 +71,13 @@ def regression(optimizer, steps=150):
         loss = (net(x) - x @ truth).square().mean()
         loss.backward()
         optimizer.step()
-    return loss.item(), net
+    return loss.item()
 
 
 def test_soap_sees_through_correlated_inputs():
-    adam, _ = regression(lambda p: torch.optim.Adam(p, betas=(0.95, 0.95)))
-    soap, _ = regression(lambda p: Soap([{"params": p}]))
+    adam = regression(lambda p: torch.optim.Adam(p, betas=(0.95, 0.95)))
+    soap = regression(lambda p: Soap([{"params": p}]))
     assert soap < 0.2 * adam
-
-
-def test_two_runs_of_soap_are_equal():
-    a, b = (regression(lambda p: Soap([{"params": p}]), steps=25)[1] for _ in range(2))
-    assert torch.equal(a.weight, b.weight)
-    assert torch.equal(a.bias, b.bias)
 
 
 def test_one_step_of_soap_with_a_vector_has_the_length_of_the_rate_in_every_entry():

@@ -46,7 +46,4 @@ def test_the_sheet_of_silence_says_so(tmp_path):
     show_sounds(figure, np.zeros((2, 32000)), np.zeros((2, 32000)), ["one", "two"])
     assert all(a.texts[0].get_text() == "silent" for a in figure.axes)
     assert save_page(figure, tmp_path / "sheet.png").stat().st_size > 1000
-
-
-def test_magnitudes_are_those_of_the_papers_spectrogram():
-    assert magnitudes(np.ones(32000)).shape == (257, 201)
+    assert magnitudes(np.ones(32000)).shape == (257, 201)  # as of the paper's spectrogram

@@ -93,11 +93,6 @@ def test_sounds_of_any_rate_are_played_at_a_rate_that_flac_holds(one_pair, rate)
     assert np.abs(error[rows]).max() < 5e-3
 
 
-def test_a_rate_of_no_sound_is_refused(one_pair):
-    high = r"wood_1\.wav has 1000001 Hz, expected at most 1000000 Hz"
-    refused(high, one_pair, ring(16000, 0.5, 0), 1000001)
-
-
 def test_channels_in_antiphase_do_not_cancel(one_pair):
     one = ring(16000, 0.5, 0)
     alone, _ = one_pair(one, 16000)
@@ -112,6 +107,8 @@ def test_levels_at_the_limits_of_floats_are_matched(one_pair, level):
 
 
 def test_sounds_that_begin_late_are_told_from_broken_ones(one_pair):
+    high = r"wood_1\.wav has 1000001 Hz, expected at most 1000000 Hz"
+    refused(high, one_pair, ring(16000, 0.5, 0), 1000001)
     late = np.concatenate([np.zeros(106000), ring(10000, 0.5, 0)])
     refused(r"wood_1\.wav is silent in its first 10 s, expected a sound; remove", one_pair, late, 10000)
     assert np.abs(one_pair(late[6100:], 10000)[0]).max() > 0.1

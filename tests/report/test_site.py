@@ -95,7 +95,8 @@ def test_truth_that_the_file_answers_differs_by_nothing(workspace):
         assert np.abs(truth - answer).max() < 1e-3
 
 
-def test_a_file_alone_is_reported_without_truth(brick, brick_path, report):
+def test_a_file_alone_is_reported_without_truth_and_always_the_same(brick, brick_path, report):
+    assert object_report(brick_path) == report
     assert report.row["thumbnail"].startswith("data:image/webp")
     assert report.row["failed"] == []
     assert all("score" not in strip for strip in (*report.detail["views"], *report.detail["touches"]))
@@ -149,13 +150,6 @@ def test_contacts_that_nothing_blocks_are_shown_first(brick, brick_path, monkeyp
     assert [touch["title"] for touch in touches] == ["1 mm deep"] + ["1 mm deep, obstructed"] * 5
 
 
-@pytest.mark.usefixtures("quick")
-def test_a_site_is_titled_by_its_dataset(brick_path, tmp_path):
-    text = write_site([brick_path], tmp_path / "site", title="Pots & pans").read_text()
-    assert "<title>Pots &amp; pans: report</title>" in text
-    assert "<h1>Pots &amp; pans</h1>" in text
-
-
 @pytest.mark.parametrize("part", PARTS)
 def test_an_object_without_a_part_is_reported_with_the_others(brick, tmp_path, part):
     header = {name: value for name, value in brick.header.items() if name not in (part, "radiation")}
@@ -170,8 +164,11 @@ def test_an_object_without_a_part_is_reported_with_the_others(brick, tmp_path, p
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_site_loads_nothing_but_its_own_scripts(brick_path, tmp_path):
-    page = write_site([brick_path], tmp_path / "site", {"spoon": {"material": "steel", "scale": 0.2}})
+def test_a_site_has_its_title_and_loads_nothing_but_its_own_scripts(brick_path, tmp_path):
+    missing = {"spoon": {"material": "steel", "scale": 0.2}}
+    page = write_site([brick_path], tmp_path / "site", missing, title="Pots & pans")
+    assert "<title>Pots &amp; pans: report</title>" in page.read_text()
+    assert "<h1>Pots &amp; pans</h1>" in page.read_text()
     assert page == tmp_path / "site" / "index.html"
     assert contents(page.parent).keys() == {"index.html", "objects/brick.js", "viewer.js"}
     check_whole(page.read_text())
@@ -189,10 +186,6 @@ def test_a_single_file_holds_everything(brick_path, tmp_path):
     text = page.read_text()
     assert base64.b64decode(page_data(text, 'data-report="brick"')["file"]) == brick_path.read_bytes()
     assert len(page_data(text, 'id="viewer"')) > 50_000
-
-
-def test_the_same_object_gives_the_same_report(brick_path, report):
-    assert object_report(brick_path) == report
 
 
 def renamed(report, key):
@@ -269,11 +262,6 @@ def test_a_site_is_written_whole_or_not_at_all(three, tmp_path):
     before = contents(site)
     refused("neither an Object File", write_site, three[::-1], site)
     assert contents(site) == before
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    command = ["report", str(tmp_path / "absent.safetensors"), "--no-open"]
-    refused(r"absent\.safetensors does not exist; expected", app, command, standalone_mode=False)
 
 
 @pytest.fixture
@@ -356,7 +344,9 @@ def test_report_reports_on_a_workspace(copied, monkeypatch, capsys):
     assert capsys.readouterr().out.endswith(": 1 object\n")
 
 
-def test_report_says_that_nothing_is_built(tmp_path, monkeypatch):
+def test_report_says_that_nothing_is_built_or_a_file_not_there(tmp_path, monkeypatch):
+    command = ["report", str(tmp_path / "absent.safetensors"), "--no-open"]
+    refused(r"absent\.safetensors does not exist; expected", app, command, standalone_mode=False)
     shutil.copy(ROOT / "params.yaml", tmp_path)
     monkeypatch.chdir(tmp_path)
     refused(r"no object of params\.yaml is built", app, ["report", "--no-open"], standalone_mode=False)

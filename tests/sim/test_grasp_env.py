@@ -22,8 +22,8 @@ NAMES = ("file", "observation")
 
 
 @pytest.fixture(scope="module")
-def task(brick):
-    return GraspTask(brick, rigid_body(brick, convex_hulls(brick.to_mesh())))
+def task(brick, hulls):
+    return GraspTask(brick, rigid_body(brick, cached_hulls(brick, hulls)))
 
 
 def made(path, hulls, observation):

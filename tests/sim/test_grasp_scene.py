@@ -3,18 +3,11 @@ import numpy as np
 import pytest
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.sim.body import RigidBody, rigid_body, rotation, turn_poses
+from objectfolder.sim.body import RigidBody, rotation, turn_poses
 from objectfolder.sim.grasp_scene import LIFT, GraspScene, Physics, lowest_hand
 from objectfolder.sim.gripper import SIDES, STROKE, add_gripper, hand_axes
-from objectfolder.sim.hulls import convex_hulls
 
 GRAVITY = 9.81
-
-
-@pytest.fixture(scope="module")
-def body(brick):
-    """10 cm x 6 cm x 3 cm of plastic: 193 g."""
-    return rigid_body(brick, convex_hulls(brick.to_mesh()))
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from refused import refused
+from test_feeling import fingers
 
 from objectfolder.sim.hearing import Hearing
 from objectfolder.sim.reach import SUBSTEPS, ReachEnv
@@ -45,9 +46,9 @@ def test_two_ears_have_two_names(body, brick):
     with refused("an entry 'audio' already; give another name by audio="):
         Senses(env, objects, right)
     with refused("an entry 'x' already"):
-        Senses(still(brick), [brick], EAR, audio="x", intercept=True)
+        Senses(Still(brick), [brick], EAR, audio="x", intercept=True)
     with refused("an entry 'both' already"):
-        Senses(still(brick), [brick], EAR, ["left_pad"], audio="both", touch="both", intercept=True)
+        Senses(Still(brick), [brick], EAR, ["left_pad"], audio="both", touch="both", intercept=True)
     env = Senses(env, objects, right, seconds=0.5, audio="right")
     assert {*env.reset(seed=1)[0]} == {*env.observation_space.spaces} == {"observation", "audio", "right"}
     lifted(env)
@@ -98,32 +99,29 @@ def test_environments_side_by_side_hear_what_each_does_alone(body, brick):
     assert together["audio"][1].tobytes() == observation["audio"].tobytes()
 
 
-def still(brick):
-    class Still(gymnasium.Env):
-        observation_space = gymnasium.spaces.Dict({"x": gymnasium.spaces.Box(-1, 1, (1,), np.float32)})
-        action_space = gymnasium.spaces.Discrete(1)
+class Still(gymnasium.Env):
+    """Fingers that squeeze an object, without a step of its own."""
 
-        def __init__(self):
-            from test_feeling import fingers
+    observation_space = gymnasium.spaces.Dict({"x": gymnasium.spaces.Box(-1, 1, (1,), np.float32)})
+    action_space = gymnasium.spaces.Discrete(1)
 
-            self.model = fingers(brick)
-            self.data = mujoco.MjData(self.model)
+    def __init__(self, brick):
+        self.model = fingers(brick)
+        self.data = mujoco.MjData(self.model)
 
-        def reset(self, *, seed=None, options=None):
-            super().reset(seed=seed)
-            mujoco.mj_resetData(self.model, self.data)
-            self.data.ctrl[:] = 2
-            return {"x": np.zeros(1, np.float32)}, {}
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.ctrl[:] = 2
+        return {"x": np.zeros(1, np.float32)}, {}
 
-        def step(self, action):
-            mujoco.mj_step(self.model, self.data, nstep=200)
-            return {"x": np.zeros(1, np.float32)}, 0.0, False, False, {}
-
-    return Still()
+    def step(self, action):
+        mujoco.mj_step(self.model, self.data, nstep=200)
+        return {"x": np.zeros(1, np.float32)}, 0.0, False, False, {}
 
 
 def test_pads_add_touch(brick):
-    env = Senses(still(brick), [brick], pads=["left_pad", "right_pad"])
+    env = Senses(Still(brick), [brick], pads=["left_pad", "right_pad"])
     first, _ = env.reset(seed=0)
     after, *_ = env.step(0)
     assert {*after} == {"x", "touch"}
@@ -140,12 +138,12 @@ def test_mujoco_is_as_before_unless_an_environment_without_a_step_of_its_own_ste
         return env
 
     with refused("Still has no mj_step by which it could be heard"):
-        Senses(still(brick), [brick], EAR)
+        Senses(Still(brick), [brick], EAR)
     own = Senses(watched(ReachEnv(body)), {"object": brick}, EAR)
     own.reset(seed=0)
     own.step(np.zeros(4, np.float32))
     assert seen.pop() is made
-    other = Senses(watched(still(brick)), [brick], EAR, intercept=True)
+    other = Senses(watched(Still(brick)), [brick], EAR, intercept=True)
     other.reset(seed=0)
     assert mujoco.mj_step is made
     heard = other.step(0)[0]["audio"]
@@ -176,7 +174,7 @@ def test_what_has_no_senses_is_refused(body, brick):
 
 
 def test_one_pad_has_one_picture(brick):
-    env = Senses(still(brick), (one for one in [brick]), EAR, pads="left_pad", seconds=0.01, intercept=True)
+    env = Senses(Still(brick), (one for one in [brick]), EAR, pads="left_pad", seconds=0.01, intercept=True)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     assert observation["touch"].shape[0] == 1

@@ -6,8 +6,7 @@ import pytest
 import trimesh
 from refused import refused
 
-from objectfolder.sim.body import add_body, rigid_body
-from objectfolder.sim.hulls import convex_hulls
+from objectfolder.sim.body import add_body
 from objectfolder.sim.taxels import add_taxels, read_taxels, taxel_mesh
 from objectfolder.touch.camera import gel_sag
 from objectfolder.touch.profiles import load_profile
@@ -62,9 +61,8 @@ def test_a_flat_face_is_as_deep_in_each_taxel_as_it_reaches_past_it():
     assert (np.stack(speeds)[:, depth == 0] == 0).all()
 
 
-def test_an_object_is_felt_where_it_touches(brick):
+def test_an_object_is_felt_where_it_touches(body):
     spec = mujoco.MjSpec()
-    body = rigid_body(brick, convex_hulls(brick.to_mesh()))
     add_body(spec, body, "brick").pos = [-body.bounds[0, 0] - 0.0008, 0.008, 0]
     pad(spec, name="skin")
     depth = read_taxels(*forward(spec), name="skin")[0]

@@ -277,14 +277,14 @@ def test_sensor_does_not_fit_into_a_narrow_cavity(digit):
 
 @pytest.mark.parametrize("depth", [-1e-9, 3.01 * MM, 10 * MM, np.nan, -np.inf])
 def test_impossible_depth_is_an_error(digit, ball, depth):
-    with pytest.raises(ObjectFolderError, match=r"depths: row 1 is .* expected 0 to 0\.003 m.*'digit'"):
+    with pytest.raises(ObjectFolderError, match=r"contact 1: press depth .* from 0 to 0\.003 m.*'digit'"):
         heightmaps(ball, np.tile(TOP, (2, 1)), np.tile(Z, (2, 1)), 0.0, np.array([1 * MM, depth]), digit)
 
 
-@pytest.mark.parametrize("name", ["points", "normals", "angles"])
+@pytest.mark.parametrize("name", ["point", "normal", "angle"])
 def test_values_that_are_not_finite_are_named(digit, ball, name):
     for value in (np.nan, np.inf):
-        contact = {"points": np.tile(TOP, (2, 1)), "normals": np.tile(Z, (2, 1)), "angles": np.zeros(2)}
+        contact = {"point": np.tile(TOP, (2, 1)), "normal": np.tile(Z, (2, 1)), "angle": np.zeros(2)}
         contact[name][1] = value
-        with pytest.raises(ObjectFolderError, match=f"{name}: row 1 is .*, expected finite numbers"):
+        with pytest.raises(ObjectFolderError, match=f"contact 1: {name} .* must be finite"):
             heightmaps(ball, *contact.values(), 1 * MM, digit)

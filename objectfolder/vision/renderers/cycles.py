@@ -37,13 +37,8 @@ class CyclesRenderer:
         self._folder = Path(resources.enter_context(TemporaryDirectory(prefix="objectfolder-cycles-")))
         write_scene(scene, self._folder)
         self._log = resources.enter_context((self._folder / "blender.log").open("w+"))
-        self._process = subprocess.Popen(
-            [*command, str(self._folder)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._log,
-            text=True,
-        )
+        command, pipe = [*command, str(self._folder)], subprocess.PIPE
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=self._log, text=True)
         resources.callback(_end, self._process)
         self._printed: list[str] = []
         self.version = f"cycles {self._wait('start').removeprefix(blender_scene.DONE).strip()} cpu"
@@ -68,16 +63,13 @@ class CyclesRenderer:
             "seed": seed % 2**31,
         }
         assert self._process.stdin is not None
-        try:
+        with suppress(BrokenPipeError):  # of a Blender that has ended: _wait reports why
             self._process.stdin.write(json.dumps(view) + "\n")
             self._process.stdin.flush()
-        except BrokenPipeError:
-            pass  # Blender has ended; _wait reports why
         self._wait("render")
-        image = np.load(self._folder / "image.npy", allow_pickle=False)
-        return np.ascontiguousarray(
-            image[rows : rows + intrinsics.height, columns : columns + intrinsics.width]
-        )
+        padded = np.load(self._folder / "image.npy", allow_pickle=False)
+        image = padded[rows : rows + intrinsics.height, columns : columns + intrinsics.width]
+        return np.ascontiguousarray(image)
 
     def _wait(self, what: str) -> str:
         """Read Blender's output up to the line that starts with `DONE`, and return that line."""
@@ -122,15 +114,9 @@ def write_scene(scene: Scene, folder: Path) -> None:
         normals=normals.astype(np.float32),
         colors=colors,
     )
-    settings = {
-        "roughness": scene.roughness,
-        "metallic": scene.metallic,
-        "specular": SPECULAR,
-        "textured": scene.base_color == "texture",
-        "ambient": scene.ambient,
-        "light_intensity": LIGHT_INTENSITY,
-        "bounces": BOUNCES,
-    }
+    look = {"roughness": scene.roughness, "metallic": scene.metallic, "specular": SPECULAR}
+    light = {"ambient": scene.ambient, "light_intensity": LIGHT_INTENSITY, "bounces": BOUNCES}
+    settings = look | light | {"textured": scene.base_color == "texture"}
     (folder / "scene.json").write_text(json.dumps(settings))
     if scene.base_color == "texture":
         assert mesh.texture is not None

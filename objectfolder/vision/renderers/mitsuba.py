@@ -31,18 +31,9 @@ class MitsubaRenderer:
         self._choose_variant()
         self.version = f"mitsuba {mi.__version__} {variant}"
         self._vertices = scene.mesh.vertices
-        bsdf = mi.load_dict(
-            {
-                "type": "twosided",
-                "bsdf": {
-                    "type": "principled",
-                    "base_color": _base_color(scene),
-                    "roughness": scene.roughness,
-                    "metallic": scene.metallic,
-                    "specular": SPECULAR,
-                },
-            }
-        )
+        look = {"roughness": scene.roughness, "metallic": scene.metallic, "specular": SPECULAR}
+        principled = {"type": "principled", "base_color": _base_color(scene)} | look
+        bsdf = mi.load_dict({"type": "twosided", "bsdf": principled})
         elements = {
             "type": "scene",
             # A path of two vertices is direct light.
@@ -86,6 +77,10 @@ class MitsubaRenderer:
         _, depth = project(self._vertices, camera_to_world, intrinsics)
         # Mitsuba's camera looks along +z with +x to the left.
         to_world = camera_to_world @ np.diag([-1.0, 1.0, -1.0, 1.0])
+        film = {"type": "hdrfilm", "width": intrinsics.width, "height": intrinsics.height}
+        film |= {"crop_offset_x": left, "crop_width": right - left}
+        film |= {"crop_offset_y": top, "crop_height": bottom - top}
+        film |= {"rfilter": {"type": "box"}, "pixel_format": "rgba", "component_format": "float32"}
         sensor = mi.load_dict(
             {
                 "type": "perspective",
@@ -95,18 +90,7 @@ class MitsubaRenderer:
                 "principal_point_offset_y": 0.5 - intrinsics.cy / intrinsics.height,
                 "near_clip": NEAR_PLANE if depth.min() > NEAR_PLANE else MIN_NEAR_PLANE,
                 "to_world": mi.ScalarTransform4f(to_world.tolist()),
-                "film": {
-                    "type": "hdrfilm",
-                    "width": intrinsics.width,
-                    "height": intrinsics.height,
-                    "crop_offset_x": left,
-                    "crop_offset_y": top,
-                    "crop_width": right - left,
-                    "crop_height": bottom - top,
-                    "rfilter": {"type": "box"},
-                    "pixel_format": "rgba",
-                    "component_format": "float32",
-                },
+                "film": film,
                 "sampler": {"type": "multijitter", "sample_count": samples},
             }
         )
@@ -120,11 +104,8 @@ class MitsubaRenderer:
 
 def _base_color(scene: Scene) -> dict[str, Any]:
     if scene.base_color == "texture":
-        return {
-            "type": "bitmap",
-            "bitmap": mi.Bitmap(np.array(scene.mesh.texture)),
-            "filter_type": "bilinear",
-        }
+        bitmap = mi.Bitmap(np.array(scene.mesh.texture))
+        return {"type": "bitmap", "bitmap": bitmap, "filter_type": "bilinear"}
     if scene.base_color == "vertices":
         return {"type": "mesh_attribute", "name": "vertex_color"}
     return {"type": "rgb", "value": PLAIN}
@@ -136,14 +117,8 @@ def _shape(scene: Scene, bsdf: "mi.BSDF") -> "mi.Mesh":
     properties["bsdf"] = bsdf
     properties["face_normals"] = mesh.normals is None
     uv = mesh.uv
-    shape = mi.Mesh(
-        "object",
-        len(mesh.vertices),
-        len(mesh.faces),
-        has_vertex_normals=mesh.normals is not None,
-        has_vertex_texcoords=uv is not None,
-        props=properties,
-    )
+    held = {"has_vertex_normals": mesh.normals is not None, "has_vertex_texcoords": uv is not None}
+    shape = mi.Mesh("object", len(mesh.vertices), len(mesh.faces), props=properties, **held)
     if scene.base_color == "vertices":
         shape.add_attribute("vertex_color", 3, scene.vertex_colors.ravel().tolist())
     parameters = mi.traverse(shape)
@@ -153,8 +128,7 @@ def _shape(scene: Scene, bsdf: "mi.BSDF") -> "mi.Mesh":
         parameters["vertex_normals"] = mesh.normals.astype(np.float32).ravel()
     if uv is not None:
         # Mitsuba's images start at the top, texture coordinates at the bottom.
-        parameters["vertex_texcoords"] = (
-            (uv * np.array([1, -1]) + np.array([0, 1])).astype(np.float32).ravel()
-        )
+        from_top = uv * np.array([1, -1]) + np.array([0, 1])
+        parameters["vertex_texcoords"] = from_top.astype(np.float32).ravel()
     parameters.update()
     return shape

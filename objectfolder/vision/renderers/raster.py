@@ -86,24 +86,16 @@ def _primitive(scene: Scene) -> "pyrender.Primitive":
         normals = unit_vectors(area_vectors(mesh.vertices, mesh.faces)).repeat(3, 0)
     else:
         normals = mesh.normals[mesh.faces].reshape(-1, 3)
-    material = pyrender.MetallicRoughnessMaterial(
-        metallicFactor=scene.metallic, roughnessFactor=scene.roughness, doubleSided=True
-    )
+    look = {"metallicFactor": scene.metallic, "roughnessFactor": scene.roughness}
+    material = pyrender.MetallicRoughnessMaterial(doubleSided=True, **look)
     uv, colors = None, None
     if scene.base_color == "texture":
         assert mesh.uv is not None
         assert mesh.texture is not None
-        uv = mesh.uv[mesh.faces].reshape(-1, 2)
-        material.baseColorTexture = pyrender.Texture(
-            source=Image.fromarray(mesh.texture), source_channels="RGB"
-        )
+        uv, texture = mesh.uv[mesh.faces].reshape(-1, 2), Image.fromarray(mesh.texture)
+        material.baseColorTexture = pyrender.Texture(source=texture, source_channels="RGB")
     else:
         colors = scene.vertex_colors[mesh.faces].reshape(-1, 3)
-    return pyrender.Primitive(
-        positions=mesh.vertices[mesh.faces].reshape(-1, 3),
-        normals=normals,
-        texcoord_0=uv,
-        color_0=colors,
-        mode=pyrender.GLTF.TRIANGLES,
-        material=material,
-    )
+    corners = {"positions": mesh.vertices[mesh.faces].reshape(-1, 3), "normals": normals}
+    corners |= {"texcoord_0": uv, "color_0": colors}
+    return pyrender.Primitive(**corners, mode=pyrender.GLTF.TRIANGLES, material=material)

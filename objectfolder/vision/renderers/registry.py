@@ -1,6 +1,7 @@
 """Registry of the renderers, and their common interface."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -27,13 +28,10 @@ class Renderer(Protocol):
         ...
 
 
-def _mitsuba(variant: str) -> Callable[[Scene], Renderer]:
-    def make(scene: Scene) -> Renderer:
-        from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
+def _mitsuba(scene: Scene, variant: str) -> Renderer:
+    from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 
-        return MitsubaRenderer(scene, variant)
-
-    return make
+    return MitsubaRenderer(scene, variant)
 
 
 def _cycles(scene: Scene) -> Renderer:
@@ -50,9 +48,9 @@ def _raster(scene: Scene) -> Renderer:
 
 #: Constructor of each renderer; ``RendererName`` of `objectfolder.vision.settings` lists the same names.
 RENDERERS: dict[str, Callable[[Scene], Renderer]] = {
-    "mitsuba": _mitsuba("scalar_rgb"),
-    "mitsuba-llvm": _mitsuba("llvm_ad_rgb"),
-    "mitsuba-cuda": _mitsuba("cuda_ad_rgb"),
+    "mitsuba": partial(_mitsuba, variant="scalar_rgb"),
+    "mitsuba-llvm": partial(_mitsuba, variant="llvm_ad_rgb"),
+    "mitsuba-cuda": partial(_mitsuba, variant="cuda_ad_rgb"),
     "cycles": _cycles,
     "raster": _raster,
 }

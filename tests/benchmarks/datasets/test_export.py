@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 import soundfile
+from folders import contents
 from PIL import Image
 from refusals import refused
 from typer.testing import CliRunner
@@ -48,10 +49,6 @@ def observations(root):
 
 def split_of(observations, name="seen"):
     return named_split(name, observations.keys, observations.count)
-
-
-def content(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def check(observations, row, vision, audio, touch):
@@ -132,7 +129,7 @@ def test_the_same_observations_give_the_same_bytes_in_a_new_folder(
     write(observations, split_of(observations), tmp_path / "first")
     monkeypatch.setattr("time.time", lambda: 2e9)
     write(observations, split_of(observations), tmp_path / "second")
-    assert content(tmp_path / "first") == content(tmp_path / "second")
+    assert contents(tmp_path / "first") == contents(tmp_path / "second")
     refused(f"{tmp_path} exists already", write, observations, split_of(observations), tmp_path)
 
 
@@ -195,7 +192,7 @@ def test_commands_take_folders_of_one_or_more_objects(root, tmp_path, library, g
     assert result.exit_code == 0, result.output
     assert f"{2 if split else 3} objects" in result.output
     assert said in result.output
-    assert content(tmp_path / "out")
+    assert contents(tmp_path / "out")
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brick import felt_by, with_images
+from folders import contents
 from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
@@ -44,10 +45,6 @@ def collected(brick, body, surface, tmp_path_factory):
     folder = tmp_path_factory.mktemp("grasps") / "brick"
     grasp_data.collect_grasps(brick, body, WANTED, 0, folder, surface)
     return folder
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def test_what_is_collected(brick, collected):

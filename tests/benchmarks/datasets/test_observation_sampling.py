@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from brick import with_images
+from folders import contents
 from refusals import refused
 
 from objectfolder.base import disk as space
@@ -41,10 +42,6 @@ def load(folder, name):
     return np.load(folder / f"{name}.npy", allow_pickle=False)
 
 
-def content(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
-
-
 @pytest.fixture
 def change_answers(monkeypatch):
     """Lets a function change answers, given their modality and which are empty, or fail."""
@@ -76,7 +73,7 @@ def asked(change_answers):
 
 def test_a_record_never_vouches_for_the_array_of_another_request(brick, tmp_path, monkeypatch):
     sample_observations(brick, COUNT, SIDE, 0, tmp_path)
-    before, write = content(tmp_path), sampling.write_json
+    before, write = contents(tmp_path), sampling.write_json
 
     def killed(path, value):
         if path.name == "vision.json":
@@ -88,7 +85,7 @@ def test_a_record_never_vouches_for_the_array_of_another_request(brick, tmp_path
         sample_observations(brick, COUNT, SIDE, 1, tmp_path)
     monkeypatch.undo()
     sample_observations(brick, COUNT, SIDE, 0, tmp_path)
-    assert content(tmp_path) == before
+    assert contents(tmp_path) == before
 
 
 def test_observations_are_what_the_object_file_answers(brick, sampled):
@@ -161,11 +158,11 @@ def test_rows_depend_on_the_seed_and_their_number_not_on_the_count(brick):
 
 
 def test_complete_folder_is_left_alone(brick, sampled, asked):
-    before, found = content(sampled), asked()
+    before, found = contents(sampled), asked()
     times = {path: path.stat().st_mtime_ns for path in sampled.iterdir()}
     sample_observations(brick, COUNT, SIDE, 7, sampled)
     assert found == []
-    assert content(sampled) == before
+    assert contents(sampled) == before
     assert times == {path: path.stat().st_mtime_ns for path in sampled.iterdir()}
 
 
@@ -175,7 +172,7 @@ def test_of_two_calls_at_once_one_samples_and_both_give_the_same_bytes(brick, sa
         for call in [pool.submit(sample_observations, brick, COUNT, SIDE, 7, folder) for _ in range(2)]:
             call.result()
     assert len(found) == 3 * COUNT // 10
-    assert content(folder) == content(sampled)
+    assert contents(folder) == contents(sampled)
 
 
 FULL, FAILED = OSError(errno.ENOSPC, "No space left"), ObjectFolderError("out of tune")
@@ -211,7 +208,7 @@ def test_what_breaks_off_keeps_what_is_complete_and_goes_on(
     found = asked()
     sample_observations(brick, COUNT, SIDE, 7, tmp_path)
     assert found == left
-    assert content(tmp_path) == content(sampled)
+    assert contents(tmp_path) == contents(sampled)
 
 
 @pytest.mark.parametrize("name", ["touch.npy", "touch.json"])

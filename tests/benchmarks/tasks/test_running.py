@@ -43,10 +43,14 @@ def small_run(folder, training, identity="same", job=0.5):
     )
 
 
-def test_an_object_that_changes_its_part_changes_the_run(monkeypatch):
-    samples = SimpleNamespace(digest="x", keys=("espresso_mug", "tea_beaker", "own"), count=10)
-    spec = run_of(samples, "unseen")
+@pytest.fixture
+def samples(monkeypatch):
     monkeypatch.setattr(running, "code_digest", lambda function: "code")  # takes seconds
+    return SimpleNamespace(digest="x", keys=("espresso_mug", "tea_beaker", "own"), count=10)
+
+
+def test_an_object_that_changes_its_part_changes_the_run(samples, monkeypatch):
+    spec = run_of(samples, "unseen")
     listed, parts = splits._listed(), []
     for part in ("train", "test", "train"):
         monkeypatch.setattr(splits, "_listed", lambda part=part: listed | {"own": part})
@@ -166,18 +170,13 @@ def test_a_device_that_torch_cannot_use_is_named():
     refused(r"--device gpu: .*; expected cpu, or cuda with a GPU", running.training_device, "gpu")
 
 
-def test_a_run_on_another_device_is_another_run(monkeypatch):
-    samples = SimpleNamespace(digest="x", keys=("espresso_mug", "tea_beaker"), count=10)
-    monkeypatch.setattr(running, "code_digest", lambda function: "code")  # takes seconds
+def test_a_run_on_another_device_is_another_run(samples, monkeypatch):
     monkeypatch.setattr(running, "training_device", lambda device: device)
-    devices = ("cpu", "cuda", "cuda:0")
-    runs = [run_of(samples, device=name) for name in devices]
-    cpu, gpu, same = (spec.identity() for spec in runs)
+    cpu, gpu, same = (run_of(samples, device=name).identity() for name in ("cpu", "cuda", "cuda:0"))
     assert cpu != gpu == same
 
 
-def test_a_run_with_another_module_of_its_own_encoder_is_another_run(monkeypatch, tmp_path):
-    monkeypatch.setattr(running, "code_digest", lambda function: "code")  # takes seconds
+def test_a_run_with_another_module_of_its_own_encoder_is_another_run(samples, monkeypatch, tmp_path):
     monkeypatch.setattr(encoders, "_FACTORIES", dict(encoders._FACTORIES))
     (tmp_path / "mine.py").write_text(
         "import beside_an_encoder\n"
@@ -185,7 +184,6 @@ def test_a_run_with_another_module_of_its_own_encoder_is_another_run(monkeypatch
         'register_encoder("own")(None)\n'
     )
     params = replace(PARAMS, encode=encoding(f"{tmp_path / 'mine.py'}:own"))
-    samples = SimpleNamespace(digest="x", keys=("espresso_mug", "tea_beaker"), count=10)
     runs = [run_of(samples, params=params), run_of(KnownObject(None, "object"), params=params)]
     found = []
     for width in ("WIDTH = 4", "WIDTH = 16", "WIDTH = 4"):

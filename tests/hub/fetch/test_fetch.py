@@ -198,6 +198,8 @@ def test_one_that_fails_does_not_stop_the_others(published, publisher):
     again = run(publisher, "ycb_mug")
     assert again.exit_code == 0
     assert "present ycb_mug: data/objects/ycb_mug is there already" in again.output
+    marked = [line.split()[1] for line in run(publisher, "--list").output.splitlines() if "✓" in line]
+    assert marked == ["ycb_mug"]
 
 
 def test_an_archive_that_no_reader_expects_fails_alone(published, publisher, monkeypatch):
@@ -210,12 +212,6 @@ def test_an_archive_that_no_reader_expects_fails_alone(published, publisher, mon
     (result,) = fetch_all(["ycb_mug"], published)
     assert result.status is FetchStatus.FAILED
     assert "IndexError('list index out of range')" in result.detail
-
-
-def test_what_is_in_the_workspace_is_marked(published, publisher):
-    fetch_object("ycb_mug", published)
-    marked = [line.split()[1] for line in run(publisher, "--list").output.splitlines() if "✓" in line]
-    assert marked == ["ycb_mug"]
 
 
 def test_licences_are_named_once_for_each_source(published, publisher):
@@ -243,12 +239,6 @@ def test_all_asks_for_every_object(workspace, publisher, no_waits):
     assert result.exit_code == 1
     assert "100 failed" in result.output
     assert len({path for path, _ in publisher.requests}) == 100
-
-
-def test_outside_a_workspace_nothing_is_fetched(published, publisher, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    refused(r"params\.yaml does not exist", fetch_all, ["ycb_mug"], published)
-    assert publisher.requests == []
 
 
 BAD_MUGS = {
@@ -387,9 +377,13 @@ def test_a_folder_without_an_entry_is_not_overwritten(published, publisher):
     assert publisher.requests == []
 
 
-def test_what_is_not_writable_is_said_before_downloading(published, publisher):
+def test_what_is_not_writable_or_no_workspace_is_said_before_downloading(
+    published, publisher, tmp_path, monkeypatch
+):
     Path("build").write_text("in the way")
     refused(r"cannot write .*build", fetch_object, "ycb_mug", published)
+    monkeypatch.chdir(tmp_path)
+    refused(r"params\.yaml does not exist", fetch_all, ["ycb_mug"], published)
     assert publisher.requests == []
 
 

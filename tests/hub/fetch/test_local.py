@@ -34,13 +34,10 @@ def test_names_match_as_people_have_them(tmp_path, catalogue, key, name):
     assert find_local(tmp_path, catalogue, key) == tmp_path / name
 
 
-def test_an_exact_name_goes_before_a_longer_one(tmp_path, catalogue):
+def test_an_exact_name_goes_before_a_longer_one_and_the_directory_may_be_the_object(tmp_path, catalogue):
     fill(tmp_path, ["025_mug", "025_mug_old"])
     assert find_local(tmp_path, catalogue, "ycb_mug") == tmp_path / "025_mug"
-
-
-def test_the_directory_may_be_the_object(tmp_path, catalogue):
-    (tmp_path / "025_mug" / "google_16k").mkdir(parents=True)
+    (tmp_path / "025_mug" / "google_16k").mkdir()
     assert find_local(tmp_path / "025_mug", catalogue, "ycb_mug").name == "025_mug"
 
 

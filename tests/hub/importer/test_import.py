@@ -71,8 +71,7 @@ def test_channels_are_put_in_our_order(rng, order):
 def test_a_file_of_1_0_answers_all_three_questions(file, tmp_path):
     obj = saved(file(released.released_1(1), bounds=BOUNDS, material="ceramic"), tmp_path)
     obj.check()
-    assert obj.key == "object_25"
-    assert obj.material == "ceramic"
+    assert (obj.key, obj.material) == ("object_25", "ceramic")
     assert obj.scale == pytest.approx(0.2)
     assert obj.header["imported"] == {"release": "ObjectFolder 1.0", "notes": []}
     assert obj.view(CAMERAS, LIGHT, intrinsics=SMALL).shape == (2, 5, 7, 3)
@@ -115,13 +114,11 @@ def test_an_answer_depends_on_its_own_row_only(file):
     """Unlike the original's, whose coordinates are scaled by the extremes of the batch."""
     first, second = (file(released.released_1(2), bounds=BOUNDS), file(released.released_2(2)))
     for obj in (first, second):
-        for ask in (
-            lambda rows, obj=obj: obj.touch(POINTS[rows]),
-            lambda rows, obj=obj: obj.view(CAMERAS[rows % 2], LIGHT, intrinsics=SMALL),
-        ):
-            together = ask(np.arange(3))
-            for i in range(3):
-                np.testing.assert_array_equal(ask(np.array([i]))[0], together[i])
+        touches, views = obj.touch(POINTS), obj.view(CAMERAS, LIGHT, intrinsics=SMALL)
+        for i in range(3):
+            np.testing.assert_array_equal(obj.touch(POINTS[[i]])[0], touches[i])
+        for i in range(2):
+            np.testing.assert_array_equal(obj.view(CAMERAS[[i]], LIGHT, intrinsics=SMALL)[0], views[i])
     many = np.tile(POINTS, (7, 1))
     together = second.impact(many, np.tile(np.eye(3), (7, 1)))
     for i in range(3):
@@ -162,18 +159,10 @@ def test_what_cannot_be_read_is_left_out_with_a_warning(file, caplog):
 
 
 KILO = {
-    "late_feed_direction": False,
-    "refeed_position_index": 1,
-    "num_frequencies_light": 3,
-    "num_hidden_layers": 3,
-    "fixed_resolution": [3, 2],
-    "global_domain_max": [0.6, -0.7, 0.6],
-    "nonlinearity": "sine",
-    "num_importance_samples_per_ray": 8,
-    "use_global_coordinates": True,
-    "occupancy": {"resolution": [9, 8, 9]},
-    "near": 5,
-    "blender_white_background": False,
+    **{"late_feed_direction": False, "refeed_position_index": 1, "num_frequencies_light": 3, "near": 5},
+    **{"num_hidden_layers": 3, "fixed_resolution": [3, 2], "global_domain_max": [0.6, -0.7, 0.6]},
+    **{"nonlinearity": "sine", "num_importance_samples_per_ray": 8, "use_global_coordinates": True},
+    **{"occupancy": {"resolution": [9, 8, 9]}, "blender_white_background": False},
 }
 
 
@@ -247,15 +236,15 @@ def test_points_are_those_of_the_released_file_or_of_the_centred_mesh(file, tmp_
 def test_points_outside_the_bounds_of_the_net_are_refused(file, quick_gel):
     second, first = file(released.released_2(1)), file(released.released_1(1), bounds=BOUNDS)
     box = {"second": "[-0.08, -0.08, -0.08] to [0.11, 0.11, 0.11]", "first": "[-0.12, -0.12, -0.12] to [0.13"}
-    questions = [
-        (second.mode_shapes, box["second"]),
-        (lambda points: second.impact(points, [[0.0, 0.0, 1.0]] * 2, duration=0.01), box["second"]),
-        (lambda points: second.touch(points, depth=0.001), box["second"]),
-        (lambda points: second.depth_maps(points, depth=0.001), box["second"]),
-        (first.touch, box["first"]),
-    ]
-    for ask, bounds in questions:
-        error = refused(None, ask, np.array([[0.0, 0.0, 0.0], [50.0, -30.0, 70.0]]))  # of the second, in mm
+    points = np.array([[0.0, 0.0, 0.0], [50.0, -30.0, 70.0]])  # of the second, in millimetres
+    for bounds, ask, *more in (
+        (box["second"], second.mode_shapes),
+        (box["second"], second.impact, [[0.0, 0.0, 1.0]] * 2),
+        (box["second"], second.touch, 0.001),
+        (box["second"], second.depth_maps, 0.001),
+        (box["first"], first.touch),
+    ):
+        error = refused(None, ask, points, *more)
         assert f"row 1 at [50.0, -30.0, 70.0] m is outside the net's bounds, {bounds}" in error
         assert "points are in the released file's coordinates, metres" in error
     for end, outside in ((-0.08, -1), (0.11, 1)):  # 2 % of 0.19 m: 0.0038

@@ -46,6 +46,11 @@ def again(net):
     return type(net).from_tensors({k: np.array(v) for k, v in tensors.items()}, config)
 
 
+def rendered(net, size=SIZE, **options):
+    """Image, alpha and depth by the released code."""
+    return released.rendered(net, released.pose(CAMERA), LIGHT, size, FOCAL, **options)
+
+
 def shown(picture):
     return on_white(torch.from_numpy(picture.rgba)).numpy()
 
@@ -66,9 +71,7 @@ def test_views_of_1_0_are_the_released_rendering(saved, width):
     names = {"coarse": "network_fn_state_dict", "fine": "network_fine_state_dict"}
     states = {which: values["VisionNet"][name] for which, name in names.items()}
     size = SIZE if width == 16 else 3
-    image, alpha, depth = released.rendered(
-        lambda which, *x: released.nerf(states[which], *x), released.pose(CAMERA), LIGHT, size, FOCAL
-    )
+    image, alpha, depth = rendered(lambda which, *x: released.nerf(states[which], *x), size)
     picture = net.picture(look_at(CAMERA)[0], LIGHT, Intrinsics(size, size, FOCAL))
     assert np.ptp(image) > 0.2
     same_picture(picture, image, alpha, depth)
@@ -158,15 +161,7 @@ def test_depth_maps_of_2_0_are_the_released_ones(saved):
 def test_views_of_2_0_are_rendered_as_its_settings_say(saved):
     values = released.released_2(6)["VisionNet"]
     net = again(configured_net(saved({"VisionNet": values}).part("VisionNet")))
-    image, *_ = released.rendered(
-        lambda which, *x: released.nerf(values["model_state_dict"], *x),
-        released.pose(CAMERA),
-        LIGHT,
-        SIZE,
-        FOCAL,
-        samples=48,
-        more=0,
-    )
+    image, *_ = rendered(lambda which, *x: released.nerf(values["model_state_dict"], *x), samples=48, more=0)
     picture = net.picture(look_at(CAMERA)[0], LIGHT, Intrinsics(SIZE, SIZE, FOCAL))
     np.testing.assert_allclose(shown(picture), np.clip(image, 0, 1), atol=2e-5)
 
@@ -175,14 +170,8 @@ def test_views_of_kiloosf_are_the_released_rendering(saved):
     values = released.released_kilo(7)
     net = again(configured_net(saved(values).part("VisionNet")))
     assert isinstance(net, ReleasedKilo)
-    image, alpha, depth = released.rendered(
-        lambda which, *x: released.kilo(values["VisionNet"], *x),
-        released.pose(CAMERA),
-        LIGHT,
-        SIZE,
-        FOCAL,
-        samples=48,
-        more=0,
+    image, alpha, depth = rendered(
+        lambda which, *x: released.kilo(values["VisionNet"], *x), samples=48, more=0
     )
     picture = net.picture(look_at(CAMERA)[0], LIGHT, Intrinsics(SIZE, SIZE, FOCAL))
     assert 0.2 < (alpha > 0.5).mean() < 0.9
