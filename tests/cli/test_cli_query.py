@@ -7,6 +7,7 @@ import pytest
 import soundfile
 from brick import SCALE, build_brick
 from PIL import Image
+from refusals import refused
 from typer.testing import CliRunner
 
 from objectfolder.base.errors import ObjectFolderError
@@ -88,8 +89,7 @@ def test_views_under_several_lights(brick, brick_path, tmp_path):
         for i, image in enumerate(brick.view(cameras, resolution=24, lights=expected), 1):
             require_picture(tmp_path / "out" / f"{i}.png", image)
     shutil.rmtree(tmp_path / "out")
-    with pytest.raises(ObjectFolderError, match=r"expected \(N, 6\), or give --lights"):
-        run(*arguments)
+    refused(r"expected \(N, 6\), or give --lights", run, *arguments)
 
 
 @pytest.mark.parametrize(
@@ -204,8 +204,7 @@ def test_bad_strikes_are_refused_and_nothing_is_written(brick, brick_path, tmp_p
     rows = np.concatenate([brick.sample_surface(3), np.zeros((3, 3))], 1)
     rows[1, column] = value
     np.save(tmp_path / "strikes.npy", rows)
-    with pytest.raises(ObjectFolderError, match=message):
-        run("query", "audio", brick_path, tmp_path / "strikes.npy", tmp_path / "out")
+    refused(message, run, "query", "audio", brick_path, tmp_path / "strikes.npy", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -305,8 +304,7 @@ def test_sheared_touches_are_checked_before_any_is_written(brick, feel, tmp_path
         points[2] = point
     np.save(tmp_path / "points.npy", points)
     np.save(tmp_path / "gelinfo.npy", np.array(gelinfo))
-    with pytest.raises(ObjectFolderError, match=message):
-        feel("--gelinfo", tmp_path / "gelinfo.npy", "--markers")
+    refused(message, feel, "--gelinfo", tmp_path / "gelinfo.npy", "--markers")
     assert not (tmp_path / "out").exists()
 
 
@@ -321,8 +319,7 @@ def test_sheared_touches_are_checked_before_any_is_written(brick, feel, tmp_path
     ],
 )
 def test_touches_of_nonsense_are_refused_and_nothing_is_written(feel, tmp_path, options, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        feel(*options)
+    refused(message, feel, *options)
     assert not (tmp_path / "out").exists()
 
 
@@ -352,18 +349,14 @@ def test_answers_never_mix_with_those_of_an_earlier_query(ask, tmp_path):
     ask(out, 2)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert len(before) > 2
-    with pytest.raises(
-        ObjectFolderError, match=r"out is not empty: it holds 1\.\w+, 2\..*; choose another name"
-    ):
-        ask(out, 1)
+    refused(r"out is not empty: it holds 1\.\w+, 2\..*; choose another name", ask, out, 1)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
 def test_a_file_in_place_of_the_folder_is_named_before_anything_is_computed(ask, tmp_path, monkeypatch):
     monkeypatch.setattr("objectfolder.objectfile.file.ObjectFile.load", lambda path: pytest.fail("loaded"))
     (tmp_path / "afile").touch()
-    with pytest.raises(ObjectFolderError, match="afile is a file, expected a folder; choose another name"):
-        ask(tmp_path / "afile")
+    refused("afile is a file, expected a folder; choose another name", ask, tmp_path / "afile")
 
 
 def test_one_answer_is_not_several(ask, tmp_path, capsys):

@@ -4,9 +4,9 @@ import io
 import json
 
 import pytest
+from refusals import refused
 from rich.console import Console
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app, workspace
 from objectfolder.report.inspect_stage import STAGES
 from objectfolder.workspace.layout import Build
@@ -50,6 +50,5 @@ def test_a_warning_has_one_colour(printed):
 @pytest.mark.usefixtures("workspace")
 def test_an_inspection_of_no_stage_lists_the_stages():
     message = "'mug' is not STAGE@OBJECT, such as modal@mug; the stages are normalize, .*, evaluate$"
-    with pytest.raises(ObjectFolderError, match=message) as caught:
-        app(["inspect", "mug"], standalone_mode=False)
-    assert all(stage in str(caught.value) for stage in STAGES)
+    caught = refused(message, app, ["inspect", "mug"], standalone_mode=False)
+    assert all(stage in caught for stage in STAGES)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brick import SCALE, SIDES
+from refusals import refused
 from typer.main import get_command
 
 from objectfolder.base.errors import ObjectFolderError
@@ -48,8 +49,7 @@ def test_every_command_names_the_samples_if_a_file_is_not_there(tmp_path, monkey
     monkeypatch.chdir(tmp_path)
     given = [argument.replace("FILE", "nosuch.safetensors") for argument in arguments]
     message = r"^nosuch\.safetensors does not exist; expected an Object File, or a sample: bell, die, mug$"
-    with pytest.raises(ObjectFolderError, match=message):
-        app([*words, *given], standalone_mode=False)
+    refused(message, app, [*words, *given], standalone_mode=False)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -61,12 +61,13 @@ def test_a_file_of_a_samples_name_comes_first_and_a_folder_where_folders_are_tak
     assert object_file(Path("mug")) == sample_path("mug")
     Path("die").write_bytes(b"a file of that name")
     assert object_file(Path("die")) == file_or_folder(Path("die")) == Path("die")
-    with pytest.raises(
-        ObjectFolderError, match=r"^die is neither an Object File nor another readable .*: header"
-    ):
-        app(["info", "die"], standalone_mode=False)
-    with pytest.raises(ObjectFolderError, match=r"^\. is a folder, expected an Object File such as"):
-        object_file(Path())
+    refused(
+        r"^die is neither an Object File nor another readable .*: header",
+        app,
+        ["info", "die"],
+        standalone_mode=False,
+    )
+    refused(r"^\. is a folder, expected an Object File such as", object_file, Path())
 
 
 def test_the_frequency_above_which_modes_are_not_stored_is_shown(brick, tmp_path, capsys):
@@ -152,8 +153,7 @@ def test_names_between_colons_are_printed_as_they_are(monkeypatch, capsys):
 
 def test_the_name_of_a_sample_is_no_path(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ObjectFolderError, match=r"mug does not exist; ObjectFile\.sample\('mug'\) is"):
-        ObjectFile.load("mug")
+    refused(r"mug does not exist; ObjectFile\.sample\('mug'\) is", ObjectFile.load, "mug")
 
 
 @pytest.mark.parametrize("kind", ["mjcf", "glb", "nerfstudio", "lerobot", "webdataset", "datasets"])

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
@@ -43,8 +44,7 @@ def test_a_place_that_cannot_be_written_is_refused_first(name, tmp_path, monkeyp
     monkeypatch.setattr(params, "read", worked)
     monkeypatch.setattr(shutil, "which", lambda program: f"/bin/{program}")
     Path("bad").write_text("")
-    with pytest.raises(ObjectFolderError, match=r"cannot write .*bad"):
-        app(COMMANDS[name].replace("BAD", "bad").split(), standalone_mode=False)
+    refused(r"cannot write .*bad", app, COMMANDS[name].replace("BAD", "bad").split(), standalone_mode=False)
     assert [path.name for path in Path().iterdir()] == ["bad"]
 
 

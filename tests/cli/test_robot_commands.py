@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
@@ -78,10 +79,7 @@ def test_an_object_that_no_jaw_holds_is_named_before_any_grasp(workspace, brick)
 
 
 def test_a_missing_section_says_which_preset_has_it(workspace):
-    with pytest.raises(
-        ObjectFolderError, match="lacks section 'grasp_policy'; run `objectfolder preset quick`"
-    ):
-        bench("grasping", "build/brick")
+    refused("lacks section 'grasp_policy'; run `objectfolder preset quick`", bench, "grasping", "build/brick")
 
 
 def test_reach_without_metaworld_is_refused_before_any_work(tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 import shutil
 
 import pytest
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
@@ -22,8 +23,7 @@ def test_outside_a_workspace_all_commands_say_the_same(tmp_path, monkeypatch, wo
     message = (
         r"params\.yaml does not exist; run inside an objectfolder workspace, or make one: `.* init DIR`$"
     )
-    with pytest.raises(ObjectFolderError, match=message):
-        app([*words], standalone_mode=False)
+    refused(message, app, [*words], standalone_mode=False)
 
 
 @pytest.mark.parametrize(
@@ -54,10 +54,9 @@ def test_a_folder_without_git_says_what_to_do(workspace):
 def test_a_link_in_place_of_a_folder_is_named(workspace, tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (workspace / "build").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(
-        ObjectFolderError, match="build is a link, which DVC does not follow; make it a folder"
-    ):
-        app(["status"], standalone_mode=False)
+    refused(
+        "build is a link, which DVC does not follow; make it a folder", app, ["status"], standalone_mode=False
+    )
 
 
 @pytest.mark.parametrize(

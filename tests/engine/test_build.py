@@ -1,8 +1,8 @@
 import shutil
 
 import pytest
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.records import recall_costs
 from objectfolder.engine.summary import Finished, Planned, StageOutcome, Started
@@ -159,8 +159,7 @@ def test_targets(workspace, target, expected):
     ],
 )
 def test_unknown_target_suggests_close_ones_or_lists_the_objects(workspace, target, said):
-    with pytest.raises(ObjectFolderError, match=f"unknown target '{target}'.*{said}"):
-        build([target], root=workspace.root)
+    refused(f"unknown target '{target}'.*{said}", build, [target], root=workspace.root)
 
 
 def test_two_jobs_overlap(workspace):
@@ -172,25 +171,16 @@ def test_two_jobs_overlap(workspace):
 
 
 def test_wrong_arguments_and_workspaces(workspace, tmp_path):
-    with pytest.raises(ObjectFolderError, match="jobs is 0"):
-        BuildOptions(jobs=0)
+    refused("jobs is 0", BuildOptions, jobs=0)
     for timeout in (-1.0, float("inf"), float("nan")):
-        with pytest.raises(ObjectFolderError, match=r"expected 0 \(never\) to 1e\+08"):
-            BuildOptions(timeout=timeout)
-    with pytest.raises(ObjectFolderError, match="not a directory"):
-        build(root=tmp_path / "nowhere")
+        refused(r"expected 0 \(never\) to 1e\+08", BuildOptions, timeout=timeout)
+    refused("not a directory", build, root=tmp_path / "nowhere")
     outside = tmp_path / "outside"
     outside.mkdir()
-    with pytest.raises(
-        ObjectFolderError, match=r"outside/params\.yaml does not exist; .*`objectfolder init DIR`"
-    ):
-        build(root=outside)
+    refused(r"outside/params\.yaml does not exist; .*`objectfolder init DIR`", build, root=outside)
     (outside / "params.yaml").write_text("")
-    with pytest.raises(ObjectFolderError, match="dvc init"):
-        build(root=outside)
+    refused("dvc init", build, root=outside)
     (workspace.root / "dvc.yaml").write_text("stages: 3\n")
-    with pytest.raises(ObjectFolderError, match="cannot read the workspace"):
-        build(root=workspace.root)
+    refused("cannot read the workspace", build, root=workspace.root)
     (workspace.root / "dvc.yaml").unlink()
-    with pytest.raises(ObjectFolderError, match=r"no dvc\.yaml"):
-        build(root=workspace.root)
+    refused(r"no dvc\.yaml", build, root=workspace.root)

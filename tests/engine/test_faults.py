@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 import psutil
 import pytest
 from disks import mounted, small_disk
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.locks import private_path
@@ -240,8 +241,7 @@ def test_lock_file_that_does_not_fit_keeps_the_old_one_and_loses_nothing(make_wo
                         while True:
                             stream.write(bytes(4096))
 
-            with pytest.raises(ObjectFolderError, match=r"cannot write dvc\.lock: .*disk of .* is full"):
-                build(root=root, on_event=fill)
+            refused(r"cannot write dvc\.lock: .*disk of .* is full", build, root=root, on_event=fill)
             assert (root / "dvc.lock").read_bytes() == before
             assert not list(root.glob(".*.tmp*"))
 
@@ -286,8 +286,7 @@ def test_read_only_cache_is_named_before_a_stage_runs(workspace):
     with read_only(place):
         assert not build(root=workspace.root).with_status(StageOutcome.RAN)
         workspace.params(mug={"material": "glass"})
-        with pytest.raises(ObjectFolderError, match=rf"cannot write to {place}.*part of DVC's cache"):
-            build(root=workspace.root)
+        refused(rf"cannot write to {place}.*part of DVC's cache", build, root=workspace.root)
     assert not workspace.ran()
     assert build(root=workspace.root).ok
     assert workspace.ran() == ["pack@mug", "solve@mug"]

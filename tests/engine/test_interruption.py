@@ -6,8 +6,8 @@ import time
 
 import psutil
 import pytest
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.build import build
 
 from .conftest import everything
@@ -60,8 +60,7 @@ def test_killed_engine_leaves_no_child_and_the_next_build_completes(workspace, s
 )
 def test_interrupted_engine_keeps_what_has_finished_and_others_out(workspace, number, code):
     engine, stage = start_and_hang(workspace)
-    with pytest.raises(ObjectFolderError, match=rf"\(process {engine.pid}\) holds the lock"):
-        build(root=workspace.root)
+    refused(rf"\(process {engine.pid}\) holds the lock", build, root=workspace.root)
     engine.send_signal(number)
     assert engine.wait(60) == code
     assert not alive(stage)
@@ -80,8 +79,7 @@ def test_running_dvc_repro_keeps_the_engine_out(workspace):
     repro = start(workspace, "-m", "dvc", "repro", "prepare@mug")
     try:
         wait_for(lambda: started(workspace, "prepare@mug"))
-        with pytest.raises(ObjectFolderError, match=f"process {repro.pid} .*is running a stage"):
-            build(root=workspace.root)
+        refused(f"process {repro.pid} .*is running a stage", build, root=workspace.root)
     finally:
         repro.kill()
         repro.wait()

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 from dvc.repo import Repo
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.build import BuildOptions, build
 from objectfolder.engine.summary import Planned, StageOutcome
 
@@ -214,11 +214,9 @@ def test_remote_directory_that_is_not_there_is_said(shared, caplog):
 
 
 def test_pull_without_a_remote_or_what_speaks_to_it_is_refused(shared):
-    with pytest.raises(ObjectFolderError, match=r"no default remote .* `dvc remote add -d NAME URL`"):
-        build(root=shared.root, options=PULL)
+    refused(r"no default remote .* `dvc remote add -d NAME URL`", build, root=shared.root, options=PULL)
     if importlib.util.find_spec("dvc_gs") is not None:
         pytest.skip("dvc-gs is installed, so nothing is missing")
     configure(shared, url="gs://objects")
-    with pytest.raises(ObjectFolderError, match=r"dvc-gs.*pip install"):
-        build(root=shared.root, options=PULL)
+    refused(r"dvc-gs.*pip install", build, root=shared.root, options=PULL)
     assert shared.ran() == []

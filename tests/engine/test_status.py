@@ -8,9 +8,9 @@ import shutil
 from pathlib import Path
 
 import pytest
+from refusals import refused
 from rich.console import Console
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli.statusview import as_json, print_details, print_outlook, print_table
 from objectfolder.engine.build import build
 from objectfolder.engine.dvc.repository import open_repository
@@ -150,8 +150,7 @@ def test_damaged_files_of_dvc_outside_the_workspace_are_named(workspace):
             log.unlink()
         path.write_bytes(b"damaged" * 1000)
     for command in (states, lambda w: build(root=w.root)):
-        with pytest.raises(ObjectFolderError, match=re.escape(f"its databases in {site.parents[1]}")):
-            command(workspace)
+        refused(re.escape(f"its databases in {site.parents[1]}"), command, workspace)
     shutil.rmtree(site)
     assert set(states(workspace).values()) == {State.FRESH}
 
@@ -324,5 +323,4 @@ def test_a_merge_conflict_is_named_with_its_line_and_a_remedy(workspace, name):
     lines = (workspace.root / name).read_text().splitlines(keepends=True)
     (workspace.root / name).write_text("".join([*lines[:2], "<<<<<<< HEAD\n", *lines[2:]]))
     message = rf"{name}, line 3 has a merge conflict of Git; keep one side, .*git checkout --ours \S*{name}"
-    with pytest.raises(ObjectFolderError, match=message):
-        status((), workspace.root)
+    refused(message, status, (), workspace.root)

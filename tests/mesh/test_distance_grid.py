@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from refusals import refused
 from solids import TURN, box, flipped, join, sphere
 
 from objectfolder.base.errors import ObjectFolderError
@@ -263,8 +264,7 @@ def test_a_sheet_between_the_samples_of_the_finest_grid_is_kept():
     assert grid.values.min() > 0
     assert grid.kept == pytest.approx(1, abs=0.01)
     assert grid.kept == kept_volume(grid.values, *plate, grid.features)
-    with pytest.raises(ObjectFolderError, match="holds no surface"):
-        Isosurface(DistanceGrid(grid.values, grid.band))
+    refused("holds no surface", Isosurface, DistanceGrid(grid.values, grid.band))
 
 
 def test_a_needle_between_the_samples_of_the_finest_grid_is_refused():

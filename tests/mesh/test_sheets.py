@@ -3,9 +3,9 @@
 import igl
 import numpy as np
 import pytest
+from refusals import refused
 from solids import TURN, box, isosurface, join, sharp_isosurface, sphere
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.features import find_features
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.sampling import sample_surface
@@ -58,8 +58,7 @@ def test_walls_under_a_voxel_are_kept(name):
         assert np.quantile(distance, 0.9) < 0.02
         assert distance.max() < 1
     if name == "sheet":
-        with pytest.raises(ObjectFolderError, match="holds no surface"):
-            isosurface(solid, RESOLUTION)
+        refused("holds no surface", isosurface, solid, RESOLUTION)
     else:
         assert (both_ways(solid, isosurface(solid, RESOLUTION))[0] > 0.5).mean() > 0.05
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.stored import arguments
 
 ROWS = np.array([[1.0, 2, 3], [4, 5, 6]])
@@ -58,5 +58,4 @@ def test_one_row_and_none():
     ],
 )
 def test_what_are_no_rows_is_refused(values, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        arguments.finite_rows("points", values, 3)
+    refused(message, arguments.finite_rows, "points", values, 3)

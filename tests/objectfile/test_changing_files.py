@@ -12,6 +12,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from objectfolder import ObjectFile
 from objectfolder.base.arrays import (
@@ -140,8 +141,7 @@ def twice(path, name):
 )
 def test_an_object_file_that_names_something_twice_is_refused(path, name, said):
     twice(path, name)
-    with pytest.raises(ObjectFolderError, match=f"nor another readable safetensors file{said}"):
-        ObjectFile.load(path)
+    refused(f"nor another readable safetensors file{said}", ObjectFile.load, path)
 
 
 def test_a_query_file_that_names_something_twice_is_refused(tmp_path):
@@ -152,8 +152,7 @@ def test_a_query_file_that_names_something_twice_is_refused(tmp_path):
     text = raw[10:128].decode().replace("{", "{'shape': (1, 3), ", 1)[:117].encode() + b"\n"
     (tmp_path / "q.npy").write_bytes(raw[:10] + text + raw[128:])
     assert np.load(tmp_path / "q.npy", allow_pickle=False).shape == (2, 3)
-    with pytest.raises(ObjectFolderError, match=r"q\.npy is not a .npy file of numbers: .*a name twice"):
-        read_rows(tmp_path / "q.npy", 3)
+    refused(r"q\.npy is not a .npy file of numbers: .*a name twice", read_rows, tmp_path / "q.npy", 3)
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
@@ -163,8 +162,7 @@ def test_arrays_of_one_name_are_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         for _ in range(2):
             archive.writestr("x.npy", content.getvalue())
-    with pytest.raises(ObjectFolderError, match=r"a\.npz is damaged \(it holds 'x' 2 times"):
-        read_npz(tmp_path / "a.npz", "x")
+    refused(r"a\.npz is damaged \(it holds 'x' 2 times", read_npz, tmp_path / "a.npz", "x")
 
 
 def test_a_type_of_numbers_that_numpy_lacks_is_an_error_of_its_tensor(tmp_path):
@@ -189,5 +187,4 @@ def test_tensors_of_all_types_and_shapes_come_back(tmp_path):
 
 @pytest.mark.parametrize("device", ["cuda:99", "nonsense", "meta", 3.5, None, object()])
 def test_a_device_that_torch_cannot_use_is_refused_at_once(path, device):
-    with pytest.raises(ObjectFolderError, match=r"device is .*which torch cannot use here"):
-        ObjectFile.load(path, device=device)
+    refused(r"device is .*which torch cannot use here", ObjectFile.load, path, device=device)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material, material
@@ -116,10 +117,12 @@ def test_views_that_are_drawn_can_be_asked_for(brick, name):
         views = query_files.sample_views(2, **{name: value})
         assert np.isfinite(brick.view(views[:, :3], views[:, 3:], 8)).all()
     for value in (1e9, 1001, 1e-9, 0, -1):
-        with pytest.raises(
-            ObjectFolderError, match=rf"^{name} is .*, expected 1e-06 to 1000, in the unit frame"
-        ):
-            query_files.sample_views(2, **{name: value})
+        refused(
+            rf"^{name} is .*, expected 1e-06 to 1000, in the unit frame",
+            query_files.sample_views,
+            2,
+            **{name: value},
+        )
 
 
 @pytest.mark.parametrize("draw", ["view", "render", "torch"])
@@ -129,5 +132,4 @@ def test_more_views_than_fit_are_refused_by_their_number(brick, monkeypatch, dra
         monkeypatch.delattr(vision, of_each_row)
     ask = brick.torch().view if draw == "torch" else getattr(brick, draw)
     for camera, light in ((cameras, LIGHT), (cameras[:1], np.tile(LIGHT, (10**6, 1)))):
-        with pytest.raises(ObjectFolderError, match="1000000 images of 4096 x 4096 pixels: needs"):
-            ask(camera, light, resolution=4096)
+        refused("1000000 images of 4096 x 4096 pixels: needs", ask, camera, light, resolution=4096)

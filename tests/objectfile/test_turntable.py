@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from brick import with_images
+from refusals import refused
 from scipy.signal import correlate
 
 from objectfolder.base.errors import ObjectFolderError
@@ -84,8 +85,7 @@ def test_spectrograms_are_heard_at_the_rate_of_the_track(spectrograms, found):
     ],
 )
 def test_a_turntable_refuses_odd_numbers(name, value, expected):
-    with pytest.raises(ObjectFolderError, match=f"{name} of a turntable is {value}, expected {expected}"):
-        Turntable(**{name: value})
+    refused(f"{name} of a turntable is {value}, expected {expected}", Turntable, **{name: value})
 
 
 def film(*arguments):
@@ -93,13 +93,11 @@ def film(*arguments):
 
 
 def test_video_says_what_it_needs(brick_path, tmp_path, monkeypatch):
-    with pytest.raises(ObjectFolderError, match=r"a name that ends in \.mp4"):
-        film(brick_path, "--out", tmp_path / "a.gif")
+    refused(r"a name that ends in \.mp4", film, brick_path, "--out", tmp_path / "a.gif")
     with pytest.raises(ObjectFolderError, match="size is 63, expected an even number"):
         film(brick_path, "--out", tmp_path / "a.mp4", "--size", 63)
     monkeypatch.setattr("shutil.which", lambda program: None)
-    with pytest.raises(ObjectFolderError, match="apt-get install ffmpeg"):
-        film(brick_path, "--out", tmp_path / "a.mp4")
+    refused("apt-get install ffmpeg", film, brick_path, "--out", tmp_path / "a.mp4")
     assert not list(tmp_path.iterdir())
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.shapes.finish import FINISHES, PATTERNS, finish
 from objectfolder.shapes.texture import rgb, wood
 
@@ -119,5 +119,4 @@ def test_wood_of_the_die_keeps_its_colours_when_they_are_named():
     ],
 )
 def test_malformed_finishes_are_refused(arguments, words):
-    with pytest.raises(ObjectFolderError, match=words):
-        finish(**{"name": "glaze", "size": SIZE, **arguments})
+    refused(words, finish, **{"name": "glaze", "size": SIZE, **arguments})

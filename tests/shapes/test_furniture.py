@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from assembled import crossings, welded
 from procedural_cases import SMALL
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.normalize import normalize
 from objectfolder.shapes.assembly import Look, PaintedPart, assemble, frame, union
 from objectfolder.shapes.extrusion import (
@@ -80,8 +80,7 @@ def test_triangulation_of_a_thin_web_keeps_the_outline():
 def test_inset_moves_every_side_by_the_distance():
     moved = inset(polygon(6, 1.0), 0.1)
     assert np.linalg.norm(moved, axis=1) == pytest.approx(1 - 0.1 / np.cos(np.pi / 6))
-    with pytest.raises(ObjectFolderError, match="shortest side"):
-        inset(rectangle(1, 0.1), 0.06)
+    refused("shortest side", inset, rectangle(1, 0.1), 0.06)
 
 
 def test_bar_is_a_cone_between_its_ends():

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from refused import refused
+from refusals import refused
 from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
 import objectfolder.sim  # noqa: F401, registers
@@ -58,8 +58,7 @@ def test_a_wrong_action_is_refused_and_changes_nothing(make, name, wrong):
     env.reset(seed=0)
     twin.reset(seed=0)
     good = np.full(env.action_space.shape, 0.25)
-    with refused(r"action is .* 4 finite numbers in \[-1, 1\]"):
-        env.step(wrong(good))
+    refused(r"action is .* 4 finite numbers in \[-1, 1\]", env.step, wrong(good))
     assert observed(env.step(good)) == observed(twin.step(good))
 
 
@@ -79,24 +78,21 @@ def observed(step):
 @EVERY
 def test_a_step_before_a_reset_is_refused(make, name):
     env = make(name)
-    with refused(r"call reset\(\) first"):
-        env.step(np.zeros(env.action_space.shape))
+    refused(r"call reset\(\) first", env.step, np.zeros(env.action_space.shape))
 
 
 @pytest.mark.parametrize("name", SINGLE)
 def test_a_picture_before_a_reset_is_refused(make, name):
     env = make(name)
     env.render_mode = "rgb_array"
-    with refused(r"call reset\(\) first"):
-        env.render()
+    refused(r"call reset\(\) first", env.render)
 
 
 @EVERY
 def test_options_of_a_reset_are_refused(make, name):
     env = make(name)
     env.reset(seed=0, options={})
-    with refused(r"options \{'goal': \[0, 0, 0\]\}, but"):
-        env.reset(options={"goal": [0, 0, 0]})
+    refused(r"options \{'goal': \[0, 0, 0\]\}, but", env.reset, options={"goal": [0, 0, 0]})
 
 
 def test_a_step_after_the_end_is_refused(make):
@@ -105,8 +101,7 @@ def test_a_step_after_the_end_is_refused(make):
     done = False
     while not done:
         *_, done, _, _ = env.step(np.zeros(4))
-    with refused(r"has ended after 2 steps; call reset\(\)"):
-        env.step(np.zeros(4))
+    refused(r"has ended after 2 steps; call reset\(\)", env.step, np.zeros(4))
 
 
 COPIES = {"pickle": lambda env: pickle.loads(pickle.dumps(env)), "deepcopy": copy.deepcopy}
@@ -119,8 +114,7 @@ def test_a_copy_goes_on_as_the_original(make, name, how):
     env.action_space.seed(0)
     first, actions = np.zeros_like(env.action_space.sample()), [env.action_space.sample() for _ in range(30)]
     fresh = how(env)
-    with refused("call reset"):
-        fresh.step(first)
+    refused("call reset", fresh.step, first)
     env.reset(seed=3)
     if name != "drop":  # whose episodes have one step
         env.step(first)
@@ -152,8 +146,7 @@ def test_the_right_answer_is_rewarded_and_ends_the_episode(make, name, given, an
         _, reward, ended, cut, after = env.step(np.array(answer(info, off)))
         assert (reward, ended, cut) == (expected, True, False)
         assert repr(after) == repr(info)
-    with refused("was not reset"):
-        env.step(np.array(answer(info, 0)))
+    refused("was not reset", env.step, np.array(answer(info, 0)))
 
 
 @pytest.mark.parametrize("name", ["tap", "explore"])
@@ -161,8 +154,7 @@ def test_the_last_try_truncates_the_episode(make, name):
     env = make(name, limit=3)
     env.reset(seed=0)
     assert [env.step(k)[3] for k in range(3)] == [False, False, True]
-    with refused("was not reset"):
-        env.step(0)
+    refused("was not reset", env.step, 0)
 
 
 @pytest.mark.parametrize("name", GAMES)
@@ -211,8 +203,7 @@ def test_wrong_actions_of_games_are_refused(make, name, actions, message):
     env = make(name)
     env.reset(seed=0)
     for action in actions:
-        with refused(message):
-            env.step(np.array(action))
+        refused(message, env.step, np.array(action))
 
 
 @pytest.mark.parametrize(
@@ -237,8 +228,7 @@ def test_wrong_actions_of_games_are_refused(make, name, actions, message):
     ],
 )
 def test_wrong_arguments_of_games_are_refused(make, name, given, message):
-    with refused(message):
-        make(name, **given)
+    refused(message, make, name, **given)
 
 
 @pytest.mark.slow
@@ -259,13 +249,10 @@ def test_objects_are_given_as_files_paths_or_names_of_samples(brick, brick_path)
     assert open_files(brick) == [brick]
     assert [file.key for file in open_files(str(brick_path))] == ["brick"]
     assert [file.key for file in open_files(["mug", brick_path])] == ["mug", "brick"]
-    with refused(r"one object, and none twice, got \['brick', 'brick'\]"):
-        open_files([brick_path, brick])
+    refused(r"one object, and none twice, got \['brick', 'brick'\]", open_files, [brick_path, brick])
     assert object_file("bell").key == "bell"
-    with refused("expected at least one object"):
-        open_files([])
-    with refused(r"nothing\.safetensors does not exist"):
-        open_files("nothing.safetensors")
+    refused("expected at least one object", open_files, [])
+    refused(r"nothing\.safetensors does not exist", open_files, "nothing.safetensors")
 
 
 def test_a_single_material_stands_for_itself():
@@ -277,5 +264,4 @@ def test_a_single_material_stands_for_itself():
         (["wood", "steel", "Wood"], 1, "none twice, got"),
         (["brass"], 1, "unknown material 'brass'"),
     ):
-        with refused(message):
-            distinct_materials(given, least)
+        refused(message, distinct_materials, given, least)

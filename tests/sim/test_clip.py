@@ -5,7 +5,7 @@ import subprocess
 import mujoco
 import numpy as np
 import pytest
-from refused import refused
+from refusals import refused
 from test_hearing import scene
 
 from objectfolder.cli import app
@@ -22,8 +22,7 @@ def test_a_take_has_all_pictures_and_all_sound(brick):
     take = simulate(model, data, Hearing(model, [brick], "ear"), 0.3, 25)
     assert (len(take.states), len(take.sound)) == (8, 15360)
     assert take.sound.any()
-    with refused("hold no picture"):
-        simulate(model, data, Hearing(model, [brick], "ear"), 0.001, 25)
+    refused("hold no picture", simulate, model, data, Hearing(model, [brick], "ear"), 0.001, 25)
 
 
 def test_an_object_is_drawn_where_it_is_and_throws_a_shadow(brick):
@@ -73,8 +72,7 @@ def test_simulate_says_what_it_needs(brick, tmp_path, monkeypatch):
         (cup, "a.gif", r"ends in \.mp4"),
     ):
         path.write_text(f"<mujoco>{content}</mujoco>")
-        with refused(message):
-            app(["simulate", str(path), "--out", str(tmp_path / out)], standalone_mode=False)
+        refused(message, app, ["simulate", str(path), "--out", str(tmp_path / out)], standalone_mode=False)
 
 
 @pytest.mark.skipif(shutil.which("ffprobe") is None, reason="needs the program ffmpeg")

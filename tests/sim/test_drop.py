@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from brick import without
-from refused import refused
+from refusals import refused
 
 from objectfolder.base.materials import friction_of
 from objectfolder.objectfile.file import ObjectFile
@@ -59,8 +59,7 @@ def test_features_are_levels_and_loss_factors_of_bands():
     assert not known[1].any()
     assert not histogram[1].any()
     assert loudest[1] == pytest.approx(np.log10(HEARING_THRESHOLD))
-    with refused("have 100 samples, expected at least 2048"):
-        features(np.zeros(100), 48000)
+    refused("have 100 samples, expected at least 2048", features, np.zeros(100), 48000)
 
 
 def test_an_ear_learns_what_is_to_be_heard(rng):
@@ -87,8 +86,6 @@ def test_the_friction_of_a_fall_is_that_of_the_drawn_material(brick, monkeypatch
 
 @pytest.mark.parametrize("make", [DropEnv, TapEnv])
 def test_objects_that_would_only_click_are_refused_at_once(make):
-    with refused(r"die of ceramic and 0\.1\d* m has its lowest mode at 12"):
-        make(sample_rate=16000)
-    with refused("bell: the file holds no audio"):
-        make([without(ObjectFile.sample("bell"), "audio")])
+    refused(r"die of ceramic and 0\.1\d* m has its lowest mode at 12", make, sample_rate=16000)
+    refused("bell: the file holds no audio", make, [without(ObjectFile.sample("bell"), "audio")])
     make(["bell"], ["steel", "wood"])

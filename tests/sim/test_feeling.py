@@ -3,8 +3,9 @@ import copy
 import mujoco
 import numpy as np
 import pytest
-from refused import refused
+from refusals import refused
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import friction_of
 from objectfolder.sim.body import add_body, rigid_body
 from objectfolder.sim.feeling import Feeling
@@ -127,15 +128,13 @@ def test_wrong_arguments_are_refused(model, brick, feeling):
         (None, "pads is None, expected the names"),
         (["left_pad", 3], r"pads is \['left_pad', 3\], expected the names"),
     ):
-        with refused(message):
-            Feeling(model, pads, [brick])
-    with refused("gel of sensor 'tacto_digit' is rigid"):
-        Feeling(model, PADS, [brick], sensor="tacto_digit")
-    with refused(r"touch needs the object's own size, 0.1 m, but it has 0.2 m"):
+        refused(message, Feeling, model, pads, [brick])
+    refused("gel of sensor 'tacto_digit' is rigid", Feeling, model, PADS, [brick], sensor="tacto_digit")
+    with pytest.raises(
+        ObjectFolderError, match=r"touch needs the object's own size, 0.1 m, but it has 0.2 m"
+    ):
         Feeling(model, PADS, {"brick": Sounding(brick, scale=0.2)})
-    with refused("no body 'cup'"):
-        Feeling(model, PADS, {"cup": brick})
+    refused("no body 'cup'", Feeling, model, PADS, {"cup": brick})
     larger = copy.deepcopy(model)
     larger.mesh_vert[:] *= 2
-    with refused(r"geoms of body 'brick' reach from .* touch needs the object's"):
-        Feeling(larger, PADS, [brick])
+    refused(r"geoms of body 'brick' reach from .* touch needs the object's", Feeling, larger, PADS, [brick])

@@ -5,9 +5,10 @@ import gymnasium
 import numpy as np
 import pytest
 from brick import felt_by, with_images, without
-from refused import refused
+from refusals import refused
 
 import objectfolder.sim  # noqa: F401, registers
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim import hulls as module
 from objectfolder.sim.body import as_rigid_body, rigid_body
@@ -162,16 +163,14 @@ def test_pictures_show_the_episode(brick, hulls):
 
 def test_vector_environments_show_each_episode(task):
     env = GraspVectorEnv(2, task=task, observation="blind", render_mode="rgb_array")
-    with refused("was not reset"):
-        env.render()
+    refused("was not reset", env.render)
     env.reset(seed=1)
     first, second = env.render()
     assert first.shape == second.shape == (256, 256, 3)
     assert first.dtype == np.uint8
     assert (first != second).any()
     assert GraspVectorEnv(2, task=task, observation="blind").render() is None
-    with refused("render_mode 'human' is not one of rgb_array"):
-        GraspVectorEnv(2, task=task, render_mode="human")
+    refused("render_mode 'human' is not one of rgb_array", GraspVectorEnv, 2, task=task, render_mode="human")
 
 
 def test_a_vector_environment_that_draws_is_made_by_name(brick_path, hulls):
@@ -213,11 +212,9 @@ def test_each_of_a_list_of_seeds_counts(task, brick, hulls):
     shared = env.reset(seed=7)[0]
     assert shared.tobytes() == GraspVectorEnv(2, task=task, observation="width").reset(seed=7)[0].tobytes()
     for wrong in ([1], [1, 2, 3], []):
-        with refused(r"expected one, or one for each of 2 environments"):
-            env.reset(seed=wrong)
+        refused(r"expected one, or one for each of 2 environments", env.reset, seed=wrong)
     for wrong in ("one", 1.5, [1, -2], ["1", 2]):
-        with refused("expected a whole number of at least 0"):
-            env.reset(seed=wrong)
+        refused("expected a whole number of at least 0", env.reset, seed=wrong)
 
 
 def test_what_cannot_be_grasped_is_refused_before_its_hulls_are_computed(brick, tmp_path, monkeypatch):
@@ -229,15 +226,13 @@ def test_what_cannot_be_grasped_is_refused_before_its_hulls_are_computed(brick, 
         "holds no touch": (without(brick, "touch"),),
         "observation 'smell' is not one of features, tactile, ": (brick, "smell"),
     }
-    with refused("needs an Object File"):
-        GraspVectorEnv(2)
+    refused("needs an Object File", GraspVectorEnv, 2)
     for message, arguments in wrong.items():
         for hulls in (None, tmp_path / "new" / "hulls"):
             options = {} if hulls is None else {"hulls": hulls}
-            with refused(message):
+            with pytest.raises(ObjectFolderError, match=message):
                 gymnasium.make("ObjectFolder/Grasp-v0", **dict(zip(NAMES, arguments)), **options)
-            with refused(message):
-                GraspVectorEnv(2, *arguments, **options)
+            refused(message, GraspVectorEnv, 2, *arguments, **options)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -260,8 +255,7 @@ def test_hulls_may_be_given_as_meshes_or_as_a_folder(brick, hulls):
     np.testing.assert_array_equal(first, second)
     assert as_rigid_body(brick, str(hulls)).mass == as_rigid_body(brick, meshes).mass
     for wrong in (5, meshes[0], [meshes[0], "mug"]):
-        with refused("expected a folder to cache them in, or a list of mesh"):
-            as_rigid_body(brick, wrong)
+        refused("expected a folder to cache them in, or a list of mesh", as_rigid_body, brick, wrong)
 
 
 @pytest.mark.parametrize("observation", ["width", "images"])
@@ -285,5 +279,4 @@ def test_what_ends_is_told_as_gymnasiums_own_vector_environments_do(task, brick_
     for one, other in zip(own["final_obs"], expected["final_obs"]):
         assert ours.single_observation_space.contains(one)
         assert ours.single_observation_space.contains(other)
-    with refused("num_envs is 0"):
-        GraspVectorEnv(0, task=task)
+    refused("num_envs is 0", GraspVectorEnv, 0, task=task)

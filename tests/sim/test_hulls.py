@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 from brick import without
-from refused import refused
+from refusals import refused
 from solids import box, flipped, join, sphere
 
 from objectfolder.base.arrays import read_npz, write_npz
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sim import hulls as module
 from objectfolder.sim.hulls import MAX_VERTICES, cached_hulls, convex_hulls, read_hulls, write_hulls
 from objectfolder.sim.solid import close_holes, simplify
@@ -61,7 +62,9 @@ def test_cavity_is_filled():
 
 @pytest.mark.parametrize("faces", [box(SIDES)[1][:, ::-1], box(SIDES)[1][:1], box(SIDES)[1][[0, 0, 1]]])
 def test_surface_that_encloses_nothing_is_refused(faces):
-    with refused(f"a mesh of {len(faces)} faces has no hulls: expected a closed"):
+    with pytest.raises(
+        ObjectFolderError, match=f"a mesh of {len(faces)} faces has no hulls: expected a closed"
+    ):
         convex_hulls(trimesh.Trimesh(box(SIDES)[0], faces, process=False))
 
 
@@ -82,15 +85,13 @@ def test_the_same_mesh_gives_the_same_bytes(tmp_path):
 
 
 def test_no_hulls_and_no_mesh_are_refused():
-    with refused("max_hulls is 0, expected at least 1"):
-        convex_hulls(bracket(), max_hulls=0)
+    refused("max_hulls is 0, expected at least 1", convex_hulls, bracket(), max_hulls=0)
 
 
 @pytest.mark.parametrize("library", ["coacd", "manifold3d"])
 def test_missing_library_is_named(library, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, library, None)
-    with refused(f"{library} is not installed; .* extra rl"):
-        convex_hulls(bracket())
+    refused(f"{library} is not installed; .* extra rl", convex_hulls, bracket())
 
 
 def test_a_cache_without_coacd_names_the_library(brick, tmp_path, monkeypatch):
@@ -98,8 +99,7 @@ def test_a_cache_without_coacd_names_the_library(brick, tmp_path, monkeypatch):
         raise PackageNotFoundError(name)
 
     monkeypatch.setattr(module, "version", absent)
-    with refused(r"coacd is not installed; .* extra rl"):
-        cached_hulls(brick, tmp_path)
+    refused(r"coacd is not installed; .* extra rl", cached_hulls, brick, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -133,15 +133,13 @@ def test_damaged_hulls_are_named(tmp_path, spoil, message):
     write_hulls(path, [mesh_of(box(SIDES)), mesh_of(box(SIDES, centre=(2, 0, 0)))])
     arrays = dict(read_npz(path))
     write_npz(path, **arrays | {name: change(arrays[name]) for name, change in spoil.items()})
-    with refused(f"{path}:? {message}.*; delete it to compute"):
-        read_hulls(path)
+    refused(f"{path}:? {message}.*; delete it to compute", read_hulls, path)
 
 
 def test_truncated_hulls_are_named(tmp_path):
     write_hulls(tmp_path / "x.npz", [mesh_of(box(SIDES))])
     (tmp_path / "x.npz").write_bytes((tmp_path / "x.npz").read_bytes()[:-40])
-    with refused(r"x\.npz is damaged .*; delete it and rebuild"):
-        read_hulls(tmp_path / "x.npz")
+    refused(r"x\.npz is damaged .*; delete it and rebuild", read_hulls, tmp_path / "x.npz")
 
 
 def test_hulls_are_made_once_for_each_setting(brick, tmp_path, monkeypatch):
@@ -156,8 +154,7 @@ def test_hulls_are_made_once_for_each_setting(brick, tmp_path, monkeypatch):
 
 
 def test_object_without_geometry_has_no_hulls(brick, tmp_path):
-    with refused("brick: the file holds no geometry"):
-        cached_hulls(without(brick, "geometry"), tmp_path)
+    refused("brick: the file holds no geometry", cached_hulls, without(brick, "geometry"), tmp_path)
 
 
 def test_missing_triangles_are_put_back():

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from brick import without
-from refused import refused
+from refusals import refused
 from typer.testing import CliRunner
 
 from objectfolder.base.errors import ObjectFolderError
@@ -69,8 +69,7 @@ def test_detailed_surfaces_are_simplified_until_they_fit_their_texture(monkeypat
 def test_surfaces_that_never_fit_their_texture_are_refused(brick, monkeypatch):
     monkeypatch.setattr(visual, "simplify", lambda mesh, tolerance: ())  # as if it was not closed
     count = len(brick.to_mesh().faces)
-    with refused(rf"brick: the surface has {count} triangles .* most 256,"):
-        visual.visual_mesh(brick)
+    refused(rf"brick: the surface has {count} triangles .* most 256,", visual.visual_mesh, brick)
 
 
 @pytest.mark.parametrize("path", ["mjcf", "urdf"])
@@ -162,8 +161,7 @@ def test_object_without_a_look_is_grey(brick, body, tmp_path):
 
 def test_a_model_that_mujoco_refuses_is_named(brick, body, tmp_path):
     world = ObjectFile(brick.header | {"key": "world"}, brick.tensors)
-    with refused("'world', which MuJoCo refuses"):
-        write_mjcf(world, tmp_path, hulls=body.hulls)
+    refused("'world', which MuJoCo refuses", write_mjcf, world, tmp_path, hulls=body.hulls)
     assert not [*tmp_path.iterdir()]
 
 
@@ -176,8 +174,7 @@ def test_the_same_object_gives_the_same_bytes(brick, body, tmp_path, write):
 @WRITERS
 def test_existing_folder_is_refused(brick, tmp_path, write):
     (tmp_path / "brick").mkdir()
-    with refused(f"{tmp_path}/brick exists already"):
-        write(brick, tmp_path)
+    refused(f"{tmp_path}/brick exists already", write, brick, tmp_path)
 
 
 @WRITERS

@@ -5,8 +5,9 @@ from importlib import import_module
 import numpy as np
 import pytest
 import trimesh
-from refused import refused
+from refusals import refused
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.tasks.reach_training import controller, run_episodes
 from objectfolder.sim import reach
 from objectfolder.sim.reach import HAND_START, TIP, ReachEnv, reward
@@ -152,8 +153,7 @@ def test_too_large_an_object_is_refused(body, scale, axis):
     stretch = np.ones(3)
     stretch[axis] = scale
     hulls = tuple(trimesh.Trimesh(hull.vertices * stretch, hull.faces) for hull in body.hulls)
-    with refused(r"brick is .* m tall .* smaller scale"):
-        ReachEnv(replace(body, hulls=hulls))
+    refused(r"brick is .* m tall .* smaller scale", ReachEnv, replace(body, hulls=hulls))
 
 
 @pytest.mark.parametrize(
@@ -170,21 +170,21 @@ def test_too_large_an_object_is_refused(body, scale, axis):
     ],
 )
 def test_wrong_arguments_are_named(body, arguments, message):
-    with refused(message):
-        ReachEnv(body, **arguments)
+    refused(message, ReachEnv, body, **arguments)
 
 
 def test_an_older_mujoco_is_named(body, monkeypatch):
     monkeypatch.setattr("mujoco.__version__", "3.3.0")
-    with refused(r"MuJoCo 3\.3\.0 is installed, expected 4"):
-        ReachEnv(body)
+    refused(r"MuJoCo 3\.3\.0 is installed, expected 4", ReachEnv, body)
 
 
 def test_without_metaworld_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "metaworld", None)
     monkeypatch.delitem(sys.modules, "metaworld.envs.sawyer_reach_v3", raising=False)
     monkeypatch.delitem(sys.modules, "objectfolder.sim.metaworld", raising=False)
-    with refused(r"metaworld.* is not installed; this needs metaworld 3\.1\.1"):
+    with pytest.raises(
+        ObjectFolderError, match=r"metaworld.* is not installed; this needs metaworld 3\.1\.1"
+    ):
         import_module("objectfolder.sim.metaworld")
 
 

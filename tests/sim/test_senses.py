@@ -3,9 +3,10 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from refused import refused
+from refusals import refused
 from test_feeling import fingers
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sim.hearing import Hearing
 from objectfolder.sim.reach import SUBSTEPS, ReachEnv
 from objectfolder.sim.senses import Senses
@@ -43,11 +44,9 @@ def test_a_wrapped_environment_is_made_again_from_its_spec(body, brick):
 def test_two_ears_have_two_names(body, brick):
     objects, right = {"object": brick}, [0.3, 0.5, 0.2]
     env = Senses(ReachEnv(body), objects, EAR, seconds=0.5)
-    with refused("an entry 'audio' already; give another name by audio="):
-        Senses(env, objects, right)
-    with refused("an entry 'x' already"):
-        Senses(Still(brick), [brick], EAR, audio="x", intercept=True)
-    with refused("an entry 'both' already"):
+    refused("an entry 'audio' already; give another name by audio=", Senses, env, objects, right)
+    refused("an entry 'x' already", Senses, Still(brick), [brick], EAR, audio="x", intercept=True)
+    with pytest.raises(ObjectFolderError, match="an entry 'both' already"):
         Senses(Still(brick), [brick], EAR, ["left_pad"], audio="both", touch="both", intercept=True)
     env = Senses(env, objects, right, seconds=0.5, audio="right")
     assert {*env.reset(seed=1)[0]} == {*env.observation_space.spaces} == {"observation", "audio", "right"}
@@ -137,8 +136,7 @@ def test_mujoco_is_as_before_unless_an_environment_without_a_step_of_its_own_ste
         env.step = lambda action, step=env.step: (seen.append(mujoco.mj_step), step(action))[1]
         return env
 
-    with refused("Still has no mj_step by which it could be heard"):
-        Senses(Still(brick), [brick], EAR)
+    refused("Still has no mj_step by which it could be heard", Senses, Still(brick), [brick], EAR)
     own = Senses(watched(ReachEnv(body)), {"object": brick}, EAR)
     own.reset(seed=0)
     own.step(np.zeros(4, np.float32))
@@ -158,8 +156,7 @@ def test_mujoco_is_as_before_unless_an_environment_without_a_step_of_its_own_ste
 
 def test_what_has_no_senses_is_refused(body, brick):
     for env, name in ((gymnasium.make("CartPole-v1"), "CartPoleEnv"), (None, "NoneType")):
-        with refused(f"{name} has no model and data of MuJoCo"):
-            Senses(env, [brick], EAR)
+        refused(f"{name} has no model and data of MuJoCo", Senses, env, [brick], EAR)
     for change, message in (
         ({"listener": None}, "neither a listener nor a pad"),
         ({"pads": 3}, "pads is 3, expected the names of sites"),
@@ -169,8 +166,7 @@ def test_what_has_no_senses_is_refused(body, brick):
         ({"sample_rate": None}, "sample_rate is None, expected a finite number"),
         ({"audio": None}, "None is no name of an entry, expected a text"),
     ):
-        with refused(message):
-            Senses(ReachEnv(body), {"object": brick}, **{"listener": EAR} | change)
+        refused(message, Senses, ReachEnv(body), {"object": brick}, **{"listener": EAR} | change)
 
 
 def test_one_pad_has_one_picture(brick):
@@ -190,5 +186,4 @@ def test_steps_that_are_not_heard_are_refused(body, brick):
 
     env = Senses(Deaf(body), {"object": brick}, EAR)
     env.reset(seed=0)
-    with refused(r"Deaf simulated 0\.\d+ s that were not heard: step by its"):
-        env.step(np.zeros(4, np.float32))
+    refused(r"Deaf simulated 0\.\d+ s that were not heard: step by its", env.step, np.zeros(4, np.float32))

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from refused import refused
+from refusals import refused
 
 from objectfolder.sim.body import add_body
 from objectfolder.sim.taxels import add_taxels, read_taxels, taxel_mesh
@@ -88,8 +88,7 @@ def test_errors_name_what_is_wrong():
         (("finger", "finger", 16, 12, (0, 0, 0), (1, 0, 0, 0), "more"), "unknown sensor profile 'finger'"),
         (("finger", DIGIT, 1, 9, (0, 0, 0), (1, 0, 0, 0), "more"), "taxels: rows"),
     ):
-        with refused(message):
-            add_taxels(spec, *given)
+        refused(message, add_taxels, spec, *given)
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(12, 16), (16, 12), (2, 2), (7, 5)])
@@ -104,8 +103,7 @@ def test_the_model_knows_the_number_of_columns(rows, columns):
     assert read.shape == (3, rows, columns)
     np.testing.assert_array_equal(read[0, 1, :2], [columns, columns + 1])
     for name in ("skin", "clock"):
-        with refused(rf"no taxels '{name}', but \['taxels'\]"):
-            read_taxels(model, data, name=name)
+        refused(rf"no taxels '{name}', but \['taxels'\]", read_taxels, model, data, name=name)
 
 
 def test_taxels_of_another_simulation_or_of_none_are_refused():
@@ -114,11 +112,9 @@ def test_taxels_of_another_simulation_or_of_none_are_refused():
     model, other = spec.compile(), mujoco.MjSpec().compile()
     data = mujoco.MjData(model)
     for wrong in (None, model, mujoco.MjData(other)):
-        with refused(r"^data is .*, expected the mujoco\.MjData of the model"):
-            read_taxels(model, wrong)
+        refused(r"^data is .*, expected the mujoco\.MjData of the model", read_taxels, model, wrong)
     data.sensordata[7] = np.nan
-    with refused("taxels 'taxels' read numbers that are not finite at 0 s"):
-        read_taxels(model, data)
+    refused("taxels 'taxels' read numbers that are not finite at 0 s", read_taxels, model, data)
 
 
 def test_the_defaults_of_a_scene_do_not_change_the_taxels():

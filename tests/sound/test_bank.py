@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sound import bank as module
 from objectfolder.sound.bank import Bank
 from objectfolder.sound.synthesis import sinusoid_bank
@@ -58,5 +58,4 @@ def test_nonsense_is_refused_at_once(tuning, kept, monkeypatch):
         (16000, 1.0, "loudness", 0.0),
         (16000, 1.0, "velocity", -1.0),
     ):
-        with pytest.raises(ObjectFolderError, match=r"expected|must be|is not one of"):
-            Bank(tuning, *nonsense)
+        refused(r"expected|must be|is not one of", Bank, tuning, *nonsense)

@@ -2,6 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.integrate import solve_ivp
 
 from objectfolder.base.errors import ObjectFolderError
@@ -65,18 +66,15 @@ def test_a_striker_is_in_a_file(tmp_path):
         (path.read_text().replace("0.29", "0.7"), "spoon.yaml: striker: poisson_ratio is 0.7, expected a"),
     ):
         path.write_text(text)
-        with pytest.raises(ObjectFolderError, match=message):
-            load_striker(path)
-    with pytest.raises(ObjectFolderError, match=r"gone.yaml does not exist"):
-        load_striker("gone.yaml")
+        refused(message, load_striker, path)
+    refused(r"gone.yaml does not exist", load_striker, "gone.yaml")
 
 
 def test_a_striker_is_a_name_or_one_of_your_own():
     own = Striker(7e10, 0.33, radius=0.002, mass=0.05)
     assert load_striker(own) is own
     assert load_striker("finger") is load_striker("finger")
-    with pytest.raises(ObjectFolderError, match="striker 'sword' is not one of finger, rubber, steel, wood"):
-        load_striker("sword")
+    refused("striker 'sword' is not one of finger, rubber, steel, wood", load_striker, "sword")
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sound.notebook import players
 
 
@@ -55,5 +55,4 @@ def test_spectrograms_are_heard_as_they_are_stored(spectrograms):
 
 def test_without_ipython_it_says_so(monkeypatch):
     monkeypatch.setitem(sys.modules, "IPython", None)
-    with pytest.raises(ObjectFolderError, match="need IPython"):
-        players(np.zeros(3), 16000)
+    refused("need IPython", players, np.zeros(3), 16000)

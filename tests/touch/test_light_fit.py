@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
@@ -111,8 +112,7 @@ def test_residual_explains_what_the_lights_cannot(profile, real, pictures):
 )
 def test_lights_need_circles_of_every_picture_and_a_ball(profile, pictures, wrong, message):
     given = {"profile": profile, "untouched": pictures[1], "radius": RADIUS, "circles": circles()} | wrong
-    with pytest.raises(ObjectFolderError, match=message):
-        fit_sensor_lights(pictures[0], **given)
+    refused(message, fit_sensor_lights, pictures[0], **given)
 
 
 def test_holes_in_white_have_overflowed():
@@ -172,13 +172,11 @@ def test_pack_gives_pictures_and_circles(tmp_path, profile, pictures):
 def test_pack_with_other_arrays_is_refused(tmp_path, profile, pictures, changes, reason):
     if isinstance(changes.get("imgs"), float):  # another scale of grey levels
         changes = {"imgs": pictures[0] * changes["imgs"]}
-    with pytest.raises(ObjectFolderError, match=reason):
-        read_pack(pack(tmp_path / "a.npz", pictures, **changes), profile)
+    refused(reason, read_pack, pack(tmp_path / "a.npz", pictures, **changes), profile)
 
 
 def test_damaged_packs_and_other_files_are_named(tmp_path, profile, pictures):
-    with pytest.raises(ObjectFolderError, match="does not exist"):
-        read_pack(tmp_path / "a.npz", profile)
+    refused("does not exist", read_pack, tmp_path / "a.npz", profile)
     whole = pack(tmp_path / "whole.npz", pictures).read_bytes()
     damaged = {"cut": whole[: len(whole) // 2], "empty": b"", "text": b"no archive"}
     for name, content in damaged.items():
@@ -275,8 +273,7 @@ def sensor(*arguments):
 
 @pytest.mark.parametrize("options", [[], ["--taxim", "a", "--isaac-lab", "b"]])
 def test_exports_are_for_one_simulator(options):
-    with pytest.raises(ObjectFolderError, match="one folder"):
-        sensor("export", "digit", *options)
+    refused("one folder", sensor, "export", "digit", *options)
 
 
 @pytest.mark.parametrize("option", ["--taxim", "--isaac-lab"])
@@ -284,8 +281,7 @@ def test_exports_replace_nothing(tmp_path, option):
     held = tmp_path / "bg.jpg"
     held.write_text("precious")
     for place, reason in ((held, "bg.jpg is a file, expected a folder"), (tmp_path, "it holds bg.jpg;")):
-        with pytest.raises(ObjectFolderError, match=reason):
-            sensor("export", "digit", option, place)
+        refused(reason, sensor, "export", "digit", option, place)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("bg.jpg", "precious")]
 
 
@@ -309,5 +305,4 @@ def test_commands_fit_a_pack_and_export_it(tmp_path, pictures, profile, capsys):
 def test_options_that_lack_another_are_refused(tmp_path, pictures, options, reason):
     picture = tmp_path / "a.png"
     Image.fromarray(np.zeros((160, 120, 3), np.uint8)).save(picture)
-    with pytest.raises(ObjectFolderError, match=reason):
-        sensor("fit", picture, "--radius", 0.004, "--out", tmp_path / "b.yaml", *options)
+    refused(reason, sensor, "fit", picture, "--radius", 0.004, "--out", tmp_path / "b.yaml", *options)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import available_samples, sample_path
@@ -72,8 +72,7 @@ def test_marker_that_leaves_the_image_is_not_drawn(digit):
 
 @pytest.mark.parametrize("size", [(1e-3, 6e-4), (0.0, 1e-4), (1e-3, 0.0)])
 def test_markers_that_overlap_are_refused(size):
-    with pytest.raises(ObjectFolderError, match="not overlapping"):
-        Markers(*size)
+    refused("not overlapping", Markers, *size)
 
 
 @pytest.fixture(scope="module")
@@ -120,11 +119,9 @@ def test_object_moves_as_far_as_the_gel_is_pressed_in_and_turns_by_half(file, po
         assert 0 < little.shear_force[0] @ along < most_of_all.shear_force[0] @ along
         assert little.slipping[0] < most_of_all.slipping[0]
         message = f"shear: row 0 is .* m long, expected at most {most:g} m, .* sensor '{sensor}'; .*in metres"
-        with pytest.raises(ObjectFolderError, match=message):
-            file.press(point, 5e-4, shear=1.001 * most * along, sensor=sensor)
+        refused(message, file.press, point, 5e-4, shear=1.001 * most * along, sensor=sensor)
     assert file.press(point, 5e-4, twist=-np.pi).torque[0] < 0
-    with pytest.raises(ObjectFolderError, match="rigid and cannot be sheared"):
-        file.press(points, 5e-4, twist=0.1, sensor="tacto_digit")
+    refused("rigid and cannot be sheared", file.press, points, 5e-4, twist=0.1, sensor="tacto_digit")
 
 
 @pytest.mark.parametrize(
@@ -141,5 +138,4 @@ def test_object_moves_as_far_as_the_gel_is_pressed_in_and_turns_by_half(file, po
 )
 def test_wrong_motions_are_refused_before_anything_is_pressed(file, points, monkeypatch, wrong, message):
     monkeypatch.setattr("objectfolder.touch.geometric_net.press", lambda *given: pytest.fail("pressed"))
-    with pytest.raises(ObjectFolderError, match=message):
-        file.press(points, **wrong)
+    refused(message, file.press, points, **wrong)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.arrays import blur
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.optics import Optics
@@ -199,5 +199,4 @@ def test_background_picture_that_cannot_be_used_is_named(digit, tmp_path):
         (lambda: Image.new("RGB", (160, 120)).save(path), r"160 x 120 pixels.* 0\.750"),
     ):
         write()
-        with pytest.raises(ObjectFolderError, match=rf"rest\.png.*{reason}"):
-            Optics(replace(digit, background_image=str(path)))
+        refused(rf"rest\.png.*{reason}", Optics, replace(digit, background_image=str(path)))

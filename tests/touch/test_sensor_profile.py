@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.touch.profiles import RESIDUAL_TERMS, SensorProfile, available_profiles, load_profile
@@ -68,8 +69,7 @@ def test_another_background_image_than_the_profile_knows_is_refused(tmp_path):
     assert load_profile(path).background_sha256 == digest
     (tmp_path / "rest.png").write_bytes(b"another")
     other = hashlib.sha256(b"another").hexdigest()
-    with pytest.raises(ObjectFolderError, match=rf"mine\.yaml: background_sha256 .*rest\.png.*: {other}"):
-        load_profile(path)
+    refused(rf"mine\.yaml: background_sha256 .*rest\.png.*: {other}", load_profile, path)
 
 
 def test_round_trip_through_json_is_exact():
@@ -93,8 +93,7 @@ def test_what_is_no_profile_is_named(tmp_path, name, text, reason):
     (tmp_path / "folder.yaml").mkdir()
     if text is not None:
         path.write_text(text)
-    with pytest.raises(ObjectFolderError, match=reason):
-        load_profile(path if path.suffix else name)
+    refused(reason, load_profile, path if path.suffix else name)
 
 
 @settings(deadline=None)
@@ -102,16 +101,13 @@ def test_what_is_no_profile_is_named(tmp_path, name, text, reason):
 def test_missing_field_is_named(name):
     values = DIGIT.to_dict()
     del values[name]
-    with pytest.raises(ObjectFolderError, match=f"lacks {name}"):
-        SensorProfile.from_dict(values)
+    refused(f"lacks {name}", SensorProfile.from_dict, values)
 
 
 def test_unknown_fields_are_named():
-    with pytest.raises(ObjectFolderError, match="unknown fields lense"):
-        SensorProfile.from_dict(DIGIT.to_dict() | {"lense": 1})
+    refused("unknown fields lense", SensorProfile.from_dict, DIGIT.to_dict() | {"lense": 1})
     lights = [DIGIT.to_dict()["lights"][0] | {"power": 1}]
-    with pytest.raises(ObjectFolderError, match=r"lights.*unknown fields power"):
-        SensorProfile.from_dict(DIGIT.to_dict() | {"lights": lights})
+    refused(r"lights.*unknown fields power", SensorProfile.from_dict, DIGIT.to_dict() | {"lights": lights})
     newer = DIGIT.to_dict() | {"lights": [light | {"power": 1} for light in DIGIT.to_dict()["lights"]]}
     assert SensorProfile.from_dict(newer | {"lense": 1}, stored=True) == DIGIT
 
@@ -119,15 +115,13 @@ def test_unknown_fields_are_named():
 @settings(deadline=None)
 @given(st.sampled_from(POSITIVE), st.floats(max_value=0) | st.just(float("nan")))
 def test_positive_fields_reject_the_rest(name, value):
-    with pytest.raises(ObjectFolderError, match=name):
-        SensorProfile.from_dict(DIGIT.to_dict() | {name: value})
+    refused(name, SensorProfile.from_dict, DIGIT.to_dict() | {name: value})
 
 
 @settings(deadline=None)
 @given(st.sampled_from(NON_NEGATIVE), st.floats(max_value=-1e-300) | st.just(float("inf")))
 def test_non_negative_fields_reject_the_rest(name, value):
-    with pytest.raises(ObjectFolderError, match=name):
-        SensorProfile.from_dict(DIGIT.to_dict() | {name: value})
+    refused(name, SensorProfile.from_dict, DIGIT.to_dict() | {name: value})
 
 
 LIGHT = {"position": [0, 0, 0], "color": [0, 0, 1], "intensity": 1}
@@ -153,8 +147,7 @@ WRONG = {
     ("name", "value"), [(name, value) for name, values in WRONG.items() for value in values]
 )
 def test_wrong_value_is_named(name, value):
-    with pytest.raises(ObjectFolderError, match=f"{name}.* (must be|expected) "):
-        SensorProfile.from_dict(DIGIT.to_dict() | {name: value})
+    refused(f"{name}.* (must be|expected) ", SensorProfile.from_dict, DIGIT.to_dict() | {name: value})
 
 
 def test_a_field_of_view_narrower_than_the_gel_is_thick_is_refused():

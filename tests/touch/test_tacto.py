@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.metrics import psnr
 from objectfolder.mesh.closing.surface import close_surface
 from objectfolder.mesh.raycast import RayCaster
@@ -116,14 +116,12 @@ def test_gel_of_the_reference_lies_on_the_profiles_dome(tacto):
 def test_without_pyrender_the_reference_says_what_to_install(tacto, bumpy, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrender", None)
     monkeypatch.delitem(sys.modules, "objectfolder.vision.renderers.raster", raising=False)
-    with pytest.raises(ObjectFolderError, match=r"install the extra raster .*libegl1"):
-        TactoReference(*bumpy, tacto)
+    refused(r"install the extra raster .*libegl1", TactoReference, *bumpy, tacto)
 
 
 @PYRENDER
 def test_reference_refuses_what_its_shader_cannot_draw(bumpy):
-    with pytest.raises(ObjectFolderError, match=r"'digit_realistic'.*ambient = 0\.04"):
-        TactoReference(*bumpy, load_profile("digit_realistic"))
+    refused(r"'digit_realistic'.*ambient = 0\.04", TactoReference, *bumpy, load_profile("digit_realistic"))
 
 
 @PYRENDER

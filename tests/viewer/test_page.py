@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import soundfile
 from hostile import WORDS, Elements
+from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import material, material_names
@@ -90,8 +91,7 @@ def test_view_writes_one_page(brick_path, tmp_path, monkeypatch, capsys):
 def test_view_refuses_what_is_no_object_file_and_two_of_one_object(brick_path, tmp_path):
     path = tmp_path / "a.safetensors"
     path.write_bytes(b"no Object File at all")
-    with pytest.raises(ObjectFolderError, match=re.escape(str(path))):
-        app(["view", str(path), "--no-open"], standalone_mode=False)
+    refused(re.escape(str(path)), app, ["view", str(path), "--no-open"], standalone_mode=False)
     with pytest.raises(ObjectFolderError, match="another file holds an object of the key brick"):
         app(["view", str(brick_path), str(brick_path), "--no-open"], standalone_mode=False)
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.vision.cameras import Intrinsics, PixelRays, camera_rays, look_at, project, sphere_points
 
 positions = st.lists(st.floats(-5, 5), min_size=3, max_size=3).filter(lambda p: np.linalg.norm(p) > 1e-2)
@@ -82,8 +82,7 @@ def test_sphere_points_are_uniform(rng):
 @pytest.mark.parametrize("position", [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 0]])
 def test_a_camera_at_its_target_or_nowhere_is_refused(position):
     named = f"camera: row 1 is {np.array(position, float).tolist()}, expected a place that is finite"
-    with pytest.raises(ObjectFolderError, match=re.escape(named)):
-        look_at(np.array([[2, 1, 1], position]))
+    refused(re.escape(named), look_at, np.array([[2, 1, 1], position]))
 
 
 IMPOSSIBLE = (0, 1, 1.0), (1, -1, 1.0), (1, 1, 0.0), (1, 1, np.nan), (1, 1, np.inf)
@@ -91,8 +90,7 @@ IMPOSSIBLE = (0, 1, 1.0), (1, -1, 1.0), (1, 1, 0.0), (1, 1, np.nan), (1, 1, np.i
 
 @pytest.mark.parametrize("values", [*IMPOSSIBLE, (1, 1, 1.0, None, -1.0), (4, 4, 1.0, (np.nan, 0))])
 def test_impossible_intrinsics_are_refused(values):
-    with pytest.raises(ObjectFolderError, match=r"must be positive|expected a (whole|finite) number"):
-        Intrinsics(*values)
+    refused(r"must be positive|expected a (whole|finite) number", Intrinsics, *values)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.array, torch.tensor])
@@ -134,8 +132,7 @@ def test_a_camera_matrix_projects_as_it_says():
     ],
 )
 def test_a_matrix_of_no_pinhole_camera_is_refused(matrix, reason):
-    with pytest.raises(ObjectFolderError, match=reason):
-        Intrinsics.from_matrix(matrix, 4, 4)
+    refused(reason, Intrinsics.from_matrix, matrix, 4, 4)
 
 
 def test_rays_of_part_of_an_image_are_its_rays_at_unit_depth(rng):

@@ -4,10 +4,10 @@ import math
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
 from objectfolder import ObjectFile
 from objectfolder.base.arrays import read_safetensors, write_safetensors
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.metrics import psnr
 from objectfolder.nets.fit import Session
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
@@ -367,7 +367,11 @@ def test_a_gpu_learns_as_well(views, trained):
 
 def test_tiles_are_refused_with_what_to_set(views):
     tiles = views[0] | {"center": views[0]["center"] + 3}
-    with pytest.raises(
-        ObjectFolderError, match=r"whole views, not from tiles of .*render_views.tile to null"
-    ):
-        train_osf(tiles, views[1], CONFIG, Session(torch.Generator().manual_seed(1)))
+    refused(
+        r"whole views, not from tiles of .*render_views.tile to null",
+        train_osf,
+        tiles,
+        views[1],
+        CONFIG,
+        Session(torch.Generator().manual_seed(1)),
+    )

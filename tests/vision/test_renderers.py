@@ -15,6 +15,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 from solids import box, join, sphere
 
 from objectfolder.base.errors import ObjectFolderError
@@ -307,8 +308,7 @@ def test_the_names_in_the_parameters_are_those_of_the_renderers():
 
 
 def test_an_unknown_renderer_is_refused_with_the_known_ones():
-    with pytest.raises(ObjectFolderError, match=r"'povray' is not one of mitsuba, .*cycles, raster"):
-        make_renderer("povray", Scene(square()))
+    refused(r"'povray' is not one of mitsuba, .*cycles, raster", make_renderer, "povray", Scene(square()))
 
 
 @pytest.mark.parametrize(
@@ -325,15 +325,13 @@ def test_renderers_that_are_not_installed_say_which_extra(monkeypatch, name, mod
     monkeypatch.setitem(sys.modules, module, None)
     if name != "cycles":
         monkeypatch.delitem(sys.modules, f"objectfolder.vision.renderers.{name}", raising=False)
-    with pytest.raises(ObjectFolderError, match=rf"install the extra {extra}"):
-        make_renderer(name, Scene(square()))
+    refused(rf"install the extra {extra}", make_renderer, name, Scene(square()))
 
 
 def test_an_old_llvm_is_refused_before_it_aborts(monkeypatch):
     monkeypatch.setattr(mitsuba, "set_variant", lambda *names: None)
     monkeypatch.setattr("drjit.detail.llvm_version", lambda: (15, 0, 6))
-    with pytest.raises(ObjectFolderError, match=r"LLVM 15\.0\.6 found.*DRJIT_LIBLLVM_PATH"):
-        make_renderer("mitsuba-llvm", Scene(square()))
+    refused(r"LLVM 15\.0\.6 found.*DRJIT_LIBLLVM_PATH", make_renderer, "mitsuba-llvm", Scene(square()))
 
 
 def test_mitsubas_camera_is_that_of_camera_rays():
@@ -453,8 +451,7 @@ def test_highlights_beyond_half_precision_are_cut_off():
     ],
 )
 def test_impossible_scenes_are_refused(mesh, ambient, message):
-    with pytest.raises(ObjectFolderError, match=message):
-        Scene(mesh, ambient)
+    refused(message, Scene, mesh, ambient)
 
 
 @given(st.integers(0, 2**31), st.floats(0.02, 3))

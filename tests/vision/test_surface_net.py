@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import torch
 from pretend_device import pretend_device
+from refusals import refused
 from solids import isosurface, sphere
 
 from objectfolder.base.arrays import read_safetensors, write_safetensors
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.nets.fit import Session
 from objectfolder.nets.hashgrid import HashGrid
@@ -191,8 +191,7 @@ def test_views_that_show_nothing_are_passed_over_unless_all_do(ball, painted, vi
     half = seen | {"rgba": seen["rgba"] * (np.arange(len(seen["rgba"])) % 2)[:, None, None, None]}
     half["rgba"][2, 16, 16] = 1  # one pixel
     train(ball, painted, half, val, config)
-    with pytest.raises(ObjectFolderError, match="none of 24 images shows"):
-        train(ball, painted, seen | {"rgba": 0 * seen["rgba"]}, val, config)
+    refused("none of 24 images shows", train, ball, painted, seen | {"rgba": 0 * seen["rgba"]}, val, config)
 
 
 def test_tiles_teach_what_the_views_teach_that_they_are_cut_from(ball, painted, views):

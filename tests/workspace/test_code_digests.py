@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.workspace.code_digests import digests, imported_files, source_digest
 
 ROOT = Path(__file__).parents[2]
@@ -162,8 +162,7 @@ def test_modules_that_are_imported_by_name_are_followed(project):
 def test_a_module_that_the_pipeline_would_not_see_is_refused(project):
     (project / "own.py").write_text("z = 1\n")
     (project / "stages/solve.py").write_text("import own\n")
-    with pytest.raises(ObjectFolderError, match=r"stages/solve\.py imports own .* import stages\.own"):
-        imported_files("stages/solve.py", project)
+    refused(r"stages/solve\.py imports own .* import stages\.own", imported_files, "stages/solve.py", project)
 
 
 @pytest.mark.parametrize(
@@ -172,8 +171,7 @@ def test_a_module_that_the_pipeline_would_not_see_is_refused(project):
 )
 def test_a_file_that_is_not_python_is_named(project, content, message):
     (project / "objectfolder/middle.py").write_bytes(content)
-    with pytest.raises(ObjectFolderError, match=f"objectfolder/middle.*{message}"):
-        imported_files("stages/solve.py", project)
+    refused(f"objectfolder/middle.*{message}", imported_files, "stages/solve.py", project)
 
 
 def test_a_package_that_lies_beside_its_libraries_is_digested(project):
@@ -181,5 +179,4 @@ def test_a_package_that_lies_beside_its_libraries_is_digested(project):
     (project / "numpy/__init__.py").write_text("")
     assert "objectfolder/deep/leaf.py" in digests("objectfolder/middle.py", project)
     (project / "stages/solve.py").write_text("import numpy\n")
-    with pytest.raises(ObjectFolderError, match="imports numpy of the workspace"):
-        imported_files("stages/solve.py", project)
+    refused("imports numpy of the workspace", imported_files, "stages/solve.py", project)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 from ruamel.yaml import YAML
 
 from objectfolder.base.errors import ObjectFolderError
@@ -85,10 +86,13 @@ def test_views_too_small_to_evaluate_are_refused_before_they_are_built(write, va
     assert ssim(view, view) == pytest.approx(1)
     config, section = section_config("render_views"), values["render_views"]
     assert stage_params(config, "mug", write(render_views=section | {"resolution": MIN_RESOLUTION}))
-    with pytest.raises(
-        ObjectFolderError, match="render_views: resolution is 10, expected at least 11: the SSIM"
-    ):
-        stage_params(config, "mug", write(render_views=section | {"resolution": MIN_RESOLUTION - 1}))
+    refused(
+        "render_views: resolution is 10, expected at least 11: the SSIM",
+        stage_params,
+        config,
+        "mug",
+        write(render_views=section | {"resolution": MIN_RESOLUTION - 1}),
+    )
 
 
 @pytest.mark.parametrize(
@@ -102,10 +106,9 @@ def test_views_too_small_to_evaluate_are_refused_before_they_are_built(write, va
     ],
 )
 def test_a_key_that_is_no_slug_is_refused_with_the_reason(key, reason):
-    with pytest.raises(ObjectFolderError, match=reason) as caught:
-        check_key(key, "params.yaml: objects")
-    assert str(caught.value).startswith("params.yaml: objects: ")
-    assert repr(key) in str(caught.value)
+    caught = refused(reason, check_key, key, "params.yaml: objects")
+    assert caught.startswith("params.yaml: objects: ")
+    assert repr(key) in caught
 
 
 @given(st.from_regex(r"[a-z][a-z0-9_]*", fullmatch=True))
@@ -149,9 +152,8 @@ def test_no_other_text_is_a_key(key):
 )
 def test_a_wrong_field_names_file_field_and_value(write, change, message):
     path = write(objects={"mug": MUG | change})
-    with pytest.raises(ObjectFolderError, match=message) as caught:
-        stage_params(section_config("normalize"), "mug", path)
-    assert str(caught.value).startswith(f"{path}: objects.mug")
+    caught = refused(message, stage_params, section_config("normalize"), "mug", path)
+    assert caught.startswith(f"{path}: objects.mug")
 
 
 @pytest.mark.parametrize(
@@ -196,8 +198,7 @@ def test_whole_numbers_and_upper_case_materials_are_taken(values):
 def test_an_unknown_object_lists_the_known_ones(write):
     with pytest.raises(ObjectFolderError, match=r"no object 'bowl' \(it has mug\); add it"):
         stage_params(section_config("modal"), "bowl", write())
-    with pytest.raises(ObjectFolderError, match="none yet"):
-        stage_params(section_config("modal"), "bowl", write(objects={}))
+    refused("none yet", stage_params, section_config("modal"), "bowl", write(objects={}))
 
 
 @pytest.mark.parametrize("name", SECTIONS)
@@ -222,10 +223,8 @@ def test_sections_are_frozen(write):
 def test_an_unrelated_broken_section_does_not_matter_to_a_stage(write, values):
     path = write(train_vision={"net": "paper"})
     stage_params(section_config("modal"), "mug", path)
-    with pytest.raises(ObjectFolderError, match=r"train_vision: .*net: "):
-        stage_params(section_config("train_vision"), "mug", path)
-    with pytest.raises(ObjectFolderError, match=r"train_vision: .*net: "):
-        check_all(read(path), path)
+    refused(r"train_vision: .*net: ", stage_params, section_config("train_vision"), "mug", path)
+    refused(r"train_vision: .*net: ", check_all, read(path), path)
 
 
 @pytest.mark.parametrize(
@@ -253,15 +252,13 @@ def test_an_unrelated_broken_section_does_not_matter_to_a_stage(write, values):
 )
 def test_a_wrong_value_of_a_section_names_file_section_and_field(write, values, section, field, value):
     path = write(**{section: values[section] | {field: value}})
-    with pytest.raises(ObjectFolderError, match=field) as caught:
-        stage_params(section_config(section), "mug", path)
-    assert str(caught.value).startswith(f"{path}: {section}: {field}")
+    caught = refused(field, stage_params, section_config(section), "mug", path)
+    assert caught.startswith(f"{path}: {section}: {field}")
 
 
 @pytest.mark.parametrize("change", [{"seed": -1}, {"seed": "x"}, {"sensor": 3}, {"seed": None}])
 def test_shared_values_are_checked(write, change):
-    with pytest.raises(ObjectFolderError, match=next(iter(change))):
-        stage_params(section_config("render_touch"), "mug", write(**change))
+    refused(next(iter(change)), stage_params, section_config("render_touch"), "mug", write(**change))
 
 
 @pytest.mark.parametrize(
@@ -277,15 +274,13 @@ def test_shared_values_are_checked(write, change):
 )
 def test_a_file_that_is_not_parameters_is_named(tmp_path, text, message):
     (tmp_path / "params.yaml").write_text(text)
-    with pytest.raises(ObjectFolderError, match=message) as caught:
-        read(tmp_path / "params.yaml")
-    assert str(tmp_path / "params.yaml") in str(caught.value)
+    caught = refused(message, read, tmp_path / "params.yaml")
+    assert str(tmp_path / "params.yaml") in caught
 
 
 def test_no_file(tmp_path):
     message = "run inside an objectfolder workspace, or make one: `objectfolder init DIR`"
-    with pytest.raises(ObjectFolderError, match=message):
-        read(tmp_path / "params.yaml")
+    refused(message, read, tmp_path / "params.yaml")
 
 
 def test_the_audio_net_grows_with_the_number_of_modes(write):
@@ -299,10 +294,8 @@ def test_the_audio_net_grows_with_the_number_of_modes(write):
 def test_procedural_entries(write):
     path = write(procedural={"cup": {"generator": "mug", "height": 2.0}, "bad": {"height": 1}})
     assert procedural_entry("cup", path) == ("mug", {"height": 2.0})
-    with pytest.raises(ObjectFolderError, match="procedural has no 'mug'"):
-        procedural_entry("mug", path)
-    with pytest.raises(ObjectFolderError, match=r"procedural\.bad: generator: Field required"):
-        procedural_entry("bad", path)
+    refused("procedural has no 'mug'", procedural_entry, "mug", path)
+    refused(r"procedural\.bad: generator: Field required", procedural_entry, "bad", path)
 
 
 OLD = [
@@ -326,8 +319,7 @@ def test_sizes_of_earlier_versions_are_read_with_a_line_that_says_what_to_write(
     assert [record.message for record in caplog.records] == [f"{path}: {line}"]
     check_entries(read(path), path)
     # `dvc repro` would not see an edit of it; a build gives its stages what it has recorded.
-    with pytest.raises(ObjectFolderError, match=rf"procedural\.die\.size: DVC ignores.*; write {name}: "):
-        procedural_entry("die")
+    refused(rf"procedural\.die\.size: DVC ignores.*; write {name}: ", procedural_entry, "die")
     monkeypatch.setenv(HELD_PARAMS, str(path))
     caplog.clear()
     assert procedural_entry("die") == (generator, today)
@@ -345,8 +337,7 @@ def test_names_that_dvc_does_not_see_are_refused_with_the_reason(values, name, p
         entry = entry[part] if part != "own" else entry.setdefault(part, {"generator": "mug"})
     entry[name] = 3
     words = re.escape(".".join(map(str, [*place, name])))
-    with pytest.raises(ObjectFolderError, match=rf"{words}: DVC ignores .* another name"):
-        check_entries(values)
+    refused(rf"{words}: DVC ignores .* another name", check_entries, values)
 
 
 def test_no_parameter_has_a_name_that_dvc_does_not_see():
@@ -413,8 +404,7 @@ def test_a_section_that_is_missing_is_named_by_both_checks(values, section):
     del values[section]
     config = section_config(section)
     for check in (check_all, check_entries, lambda values: settings(config, values)):
-        with pytest.raises(ObjectFolderError, match=f"lacks section '{section}'; run `objectfolder preset"):
-            check(values)
+        refused(f"lacks section '{section}'; run `objectfolder preset", check, values)
 
 
 def test_entries_are_checked_without_the_modules_of_the_stages():
@@ -432,8 +422,7 @@ def test_an_encoder_whose_changes_a_build_would_not_see_is_refused(values):
     values["encode"]["encoder"] = "mine.py:small"
     check_all(values)  # `objectfolder bench` without a preset takes it from here
     values["benchmarks"] = {stage: [] for stage in Selection.model_fields} | {"recognize": ["seen"]}
-    with pytest.raises(ObjectFolderError, match=r"encode.encoder is 'mine.py:small'.*bench --encoder"):
-        check_all(values)
+    refused(r"encode.encoder is 'mine.py:small'.*bench --encoder", check_all, values)
 
 
 def test_only_the_presets_of_the_paper_damp_as_the_paper():

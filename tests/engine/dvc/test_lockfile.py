@@ -2,9 +2,8 @@
 
 import json
 
-import pytest
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.build import build
 from objectfolder.engine.dvc.lockfile import COPIES
 
@@ -56,8 +55,7 @@ def test_merge_conflict_is_left_to_the_user(workspace):
     lock = workspace.root / "dvc.lock"
     conflict = "<<<<<<< HEAD\n" + lock.read_text()
     lock.write_text(conflict)
-    with pytest.raises(ObjectFolderError, match=r"dvc\.lock"):
-        build(root=workspace.root)
+    refused(r"dvc\.lock", build, root=workspace.root)
     assert lock.read_text() == conflict
 
 

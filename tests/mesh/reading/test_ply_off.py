@@ -5,8 +5,8 @@ import pytest
 from gltf_scene import checker
 from PIL import Image
 from polygons import AREA, area, u_plate
+from refusals import refused
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh import srgb
 from objectfolder.mesh.reading.load import load_mesh, references
 from objectfolder.mesh.textured import PLAIN
@@ -86,8 +86,7 @@ def test_a_ply_of_several_textures_is_refused(tmp_path):
     face = ["list uchar float texcoord", "int texnumber"]
     corners = "3 0 1 2 6 0 0 1 0 1 1 0\n3 0 2 3 6 0 0 1 1 0 1 1\n"
     path.write_text(header(4, 2, face=face, comment=comments) + rows(SQUARE) + corners)
-    with pytest.raises(ObjectFolderError, match=r"m\.ply names 2 textures \(a\.png, b\.png\), expected"):
-        load_mesh(path)
+    refused(r"m\.ply names 2 textures \(a\.png, b\.png\), expected", load_mesh, path)
     path.write_text(path.read_text().replace("b.png", "a.png"))
     assert load_mesh(path).texture is not None
 
@@ -211,8 +210,7 @@ def test_faces_of_an_off_without_a_colour_are_plain_beside_coloured_ones(tmp_pat
 def test_an_off_that_is_none_is_refused_in_words(tmp_path, text, message):
     path = tmp_path / "m.off"
     path.write_text(text)
-    with pytest.raises(ObjectFolderError, match=message):
-        load_mesh(path)
+    refused(message, load_mesh, path)
 
 
 def test_a_texture_without_coordinates_and_colours_beside_one_are_noted(tmp_path):
@@ -241,5 +239,4 @@ def test_an_ascii_stl_that_breaks_off_in_a_later_solid_is_refused(tmp_path):
     path.write_text(2 * whole)
     assert len(load_mesh(path).faces) == 2
     path.write_text(whole + "solid b\n" + facet + facet[:60])
-    with pytest.raises(ObjectFolderError, match=r"begins 3 triangles, of which 2 are complete: cut off"):
-        load_mesh(path)
+    refused(r"begins 3 triangles, of which 2 are complete: cut off", load_mesh, path)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from central_differences import disagreement
+from refusals import refused
 from scipy.ndimage import binary_erosion
 
 from objectfolder import ObjectFile
@@ -59,8 +60,7 @@ def test_matrices_and_intrinsics_are_cameras_too(mug, view):
     assert psnr(np.square(found.images.numpy() - expected)[found.inside.numpy()].mean()) > 90
     with pytest.raises(ObjectFolderError, match=r"200000 x 200000 pixels: needs .* bytes"):
         view(torch.from_numpy(pose), LIGHT, resolution=200_000)
-    with pytest.raises(ObjectFolderError, match="intrinsics is of type int, expected Intrinsics"):
-        view(CAMERA, LIGHT, intrinsics=5)
+    refused("intrinsics is of type int, expected Intrinsics", view, CAMERA, LIGHT, intrinsics=5)
     away = view(-CAMERA + 1, LIGHT, intrinsics=Intrinsics(4, 4, 1e4, (5000.0, 0.0)))
     assert (away.images == 1).all()
     assert not away.inside.any()

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
+from refusals import refused
 from scipy.optimize import brentq
 from solids import STUFF, box, full_cells, sphere
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material
 from objectfolder.sound.fem.cutcell import cut_cells
 from objectfolder.sound.fem.eigen import canonicalise, rigid_motions, solve_modes
@@ -184,8 +184,7 @@ def test_two_solves_from_different_start_vectors_agree(square_bar, monkeypatch, 
 
 def test_a_solid_in_two_pieces_is_refused_by_name():
     cells = full_cells(np.array([[0, 0, 0], [3, 3, 3]]), 4)
-    with pytest.raises(ObjectFolderError, match=r"^lamp: .*rigid modes.*expected 6"):
-        solve_modes(cells.assemble(STUFF, 1.0), 1e4, 10, "lamp")
+    refused(r"^lamp: .*rigid modes.*expected 6", solve_modes, cells.assemble(STUFF, 1.0), 1e4, 10, "lamp")
 
 
 def test_a_node_of_hardly_any_material_does_not_count_as_a_piece():

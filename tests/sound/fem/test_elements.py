@@ -4,6 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from refusals import refused
 from solids import STUFF, TURN, box, join
 
 from objectfolder.base.errors import ObjectFolderError
@@ -114,8 +115,7 @@ def test_stored_solids_come_back(element):
 
 
 def test_what_is_not_a_solid_is_refused():
-    with pytest.raises(ObjectFolderError, match=r"holds 'mesh', expected one of cut cells, voxels"):
-        solid_from_arrays({"kind": np.array("mesh")})
+    refused(r"holds 'mesh', expected one of cut cells, voxels", solid_from_arrays, {"kind": np.array("mesh")})
 
 
 def lowest(divided, count=6):
@@ -151,10 +151,16 @@ def test_a_solid_in_two_pieces_is_refused_by_name_with_their_shares(kind):
     if kind == "tet10":
         pytest.importorskip("pytetwild")
     pair = join(box((0.2, 0.4, 0.4), (-0.35, 0, 0)), box((0.3, 0.4, 0.4), (0.35, 0, 0)))
-    with pytest.raises(
-        ObjectFolderError, match=r"^lamp: the solid is in 2 separate pieces.*6\d\.\d+%, .*of the volume"
-    ):
-        discretize(*pair, kind, [10], 4, 10**6, "lamp")
+    refused(
+        r"^lamp: the solid is in 2 separate pieces.*6\d\.\d+%, .*of the volume",
+        discretize,
+        *pair,
+        kind,
+        [10],
+        4,
+        10**6,
+        "lamp",
+    )
 
 
 @pytest.mark.slow
