@@ -33,7 +33,7 @@ def make(
     default as in the paper, which had 10 listeners.
     """
     from objectfolder.base.io import write_text
-    from objectfolder.report.listening import study_page
+    from objectfolder.benchmarks.listening import study_page
 
     write_text(page_to_write(out), study_page(ours, other, pairs, seed))
     count = plural(pairs, "pair")
@@ -48,7 +48,7 @@ def score(
     ] = None,
 ) -> None:
     """Show how often OURS was preferred, by material, with Wilson's 95 % intervals."""
-    from objectfolder.report.listening import preferences
+    from objectfolder.benchmarks.listening import preferences
 
     scores = preferences(results, study)
     title = f"{scores.method} preferred by {plural(scores.listeners, 'listener')} "

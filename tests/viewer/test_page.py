@@ -16,8 +16,8 @@ from refusals import refused
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import material, material_names
 from objectfolder.base.text import visible
+from objectfolder.benchmarks.listening import study_page
 from objectfolder.cli import app
-from objectfolder.report.listening import study_page
 from objectfolder.report.site import write_site
 from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import available_profiles, load_profile

@@ -9,8 +9,8 @@ import soundfile
 from refusals import refused
 from web_pages import NEEDS_CHROMIUM, check_whole, heard, page_data, run_node
 
+from objectfolder.benchmarks.listening import COLUMNS, Preference, Scores, preferences, study_page
 from objectfolder.cli import app
-from objectfolder.report.listening import COLUMNS, Preference, Scores, preferences, study_page
 
 MATERIALS = ("ceramic", "steel", "wood")
 
