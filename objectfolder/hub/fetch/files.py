@@ -22,25 +22,29 @@ def check_directory(directory: Path) -> None:
 def find_local(directory: Path, catalogue: Catalogue, key: str) -> Path:
     """Find the archive or folder of an object in a directory.
 
-    Case and punctuation are ignored. Accepted names: the object's key, its published name, its id at the
-    source, either of these after the source's name, and the name of the source's archive. Otherwise, names
-    that start with the id, as ``025_mug_google_64k.tgz``; otherwise, the directory itself. Raises
-    ObjectFolderError if nothing matches, or more than one; the message lists candidates.
+    Case and punctuation are ignored. Accepted names: its published name, its id at the source, either of
+    these after the source's name, and the name of the source's archive; otherwise, the object's key, names
+    that start with the id, as ``025_mug_google_64k.tgz``, names that have one word before it, as
+    ``ph_barrel_01``, or the directory itself. Raises ObjectFolderError if nothing matches, or more than one;
+    the message lists candidates.
     """
     check_directory(directory)
     entry = catalogue.objects[key]
     ids = {comparable_name(entry.name), comparable_name(entry.source_model)}
     archive = unquote(catalogue.archive_name(key))
-    exact = ids | {comparable_name(f"{entry.source}_{name}") for name in ids}
-    exact |= {comparable_name(key), _form(archive)}
+    published = ids | {comparable_name(f"{entry.source}_{name}") for name in ids} | {_form(archive)}
+    exact = published | {comparable_name(key)}
     candidates = sorted(
         path
         for path in directory.iterdir()
         if not path.name.startswith(".") and (path.is_dir() or path.name.lower().endswith(SUFFIXES))
     )
+    endings = tuple(name.replace("_", "") for name in ids)
     found = (
-        [path for path in candidates if _form(path.name) in exact]
+        [path for path in candidates if _form(path.name) in published]
+        or [path for path in candidates if _form(path.name) in exact]
         or [path for path in candidates if any(_form(path.name).startswith(f"{name}_") for name in ids)]
+        or [path for path in candidates if _form(path.name).partition("_")[2].replace("_", "") in endings]
         or [path for path in [directory.resolve()] if _form(path.name) in exact]
     )
     if len(found) > 1:

@@ -27,11 +27,19 @@ def fill(directory, names):
         ("gso_bunny_racer", "Bunny Racer"),
         ("polyhaven_barrel_01", "Barrel_01_1k.gltf.zip"),
         ("polyhaven_barrel_01", "polyhaven_barrel_01"),
+        ("polyhaven_barrel_01", "ph_Barrel_01"),
+        ("ycb_cup_a", "ycb_065a_cups"),
     ],
 )
 def test_names_match_as_people_have_them(tmp_path, catalogue, key, name):
     fill(tmp_path, [*OTHERS, name])
     assert find_local(tmp_path, catalogue, key) == tmp_path / name
+
+
+def test_a_published_name_goes_before_the_key(tmp_path, catalogue):
+    """The key of one object may be the name of another."""
+    fill(tmp_path, ["gso_school_bus", "gso_sonny_school_bus"])
+    assert find_local(tmp_path, catalogue, "gso_school_bus") == tmp_path / "gso_sonny_school_bus"
 
 
 def test_an_exact_name_goes_before_a_longer_one_and_the_directory_may_be_the_object(tmp_path, catalogue):
@@ -44,7 +52,7 @@ def test_an_exact_name_goes_before_a_longer_one_and_the_directory_may_be_the_obj
 @pytest.mark.parametrize(
     ("names", "folder", "said"),
     [
-        (["025_mug", "ycb_mug", *OTHERS], "", r"2 candidates .* \(025_mug\): 025_mug, ycb_mug; keep"),
+        (["025_mug", "ycb_mug", *OTHERS], "", r"2 candidates .* \(025_mug\): 025_mug, ycb_025_mug; keep"),
         ([*OTHERS, "026_mug"], "", "no archive or folder of ycb_mug.*025_mug_google_16k.*similar: 026_mug"),
         ([], "", "found: nothing"),
         ([], "gone", "--from .*gone is not a directory"),
