@@ -52,7 +52,7 @@ def test_an_exact_name_goes_before_a_longer_one_and_the_directory_may_be_the_obj
 @pytest.mark.parametrize(
     ("names", "folder", "said"),
     [
-        (["025_mug", "ycb_mug", *OTHERS], "", r"2 candidates .* \(025_mug\): 025_mug, ycb_025_mug; keep"),
+        (["025_mug", "ycb_025_mug", *OTHERS], "", r"2 candidates .* \(025_mug\): 025_mug, ycb_025_mug; keep"),
         ([*OTHERS, "026_mug"], "", "no archive or folder of ycb_mug.*025_mug_google_16k.*similar: 026_mug"),
         ([], "", "found: nothing"),
         ([], "gone", "--from .*gone is not a directory"),
