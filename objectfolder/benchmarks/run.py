@@ -6,6 +6,7 @@ the settings and objects of the workspace.
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -221,8 +222,7 @@ def _run_part(
     """
     task, folder, threads = shared["task"], shared["folder"], shared["threads"]
     bound = threads if task.trains_nets else 1
-    torch.set_num_threads(bound)
-    with threadpool_limits(bound):
+    with _limit_threads(bound):
         try:
             known = SAMPLES[task.samples](inputs) if task.splits else _known_object(task, folder, *inputs)
             initial = None if weights is None else read_weights(weights)
@@ -235,6 +235,18 @@ def _run_part(
         where = {"threads": threads, "machine": machine(shared["device"]), "date": today}
         write_json(path, asdict(cost) | where)
     return None
+
+
+@contextmanager
+def _limit_threads(count: int) -> Iterator[None]:
+    """Give the libraries of this process so many threads, for a while."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        with threadpool_limits(count):
+            yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _known_object(task: Task, folder: Benchmarks, path: Path, max_hulls: int) -> KnownObject:
@@ -323,8 +335,8 @@ def _sample_all(
 
 
 def _sample(kind: str, path: Path, settings: tuple[Any, ...], folder: Path) -> None:
-    torch.set_num_threads(1)
-    SAMPLED[kind][2](ObjectFile.load(path), *settings, folder)
+    with _limit_threads(1):
+        SAMPLED[kind][2](ObjectFile.load(path), *settings, folder)
 
 
 def collect_all_grasps(
@@ -381,8 +393,7 @@ def _collect_grasps(
     from objectfolder.mesh.ply import read_surface
 
     count, wanted, seed, max_hulls = settings
-    torch.set_num_threads(1)
-    with threadpool_limits(1):
+    with _limit_threads(1):
         file = ObjectFile.load(path)
         truth, body = None if surface is None else read_surface(surface), _body(file, folder, max_hulls)
         start = time.perf_counter()

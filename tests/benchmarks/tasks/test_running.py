@@ -160,8 +160,8 @@ def test_threads_are_those_of_every_pool(run_part, brick_path, threads):
 
     run_part(retrieve.TASK, threads, {}, look)
     run_part(localize.TASK, threads, (brick_path, 0), look)
-    torch.set_num_threads(before)
     assert found == [{threads}] * 2
+    assert torch.get_num_threads() == before
 
 
 def test_a_device_that_torch_cannot_use_is_named():
