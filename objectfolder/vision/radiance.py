@@ -52,10 +52,20 @@ def _decode(data: bytes) -> np.ndarray:
         stream = mitsuba.MemoryStream(len(data))
         stream.write(data)
         stream.seek(0)
-        bitmap = mitsuba.Bitmap(stream).convert(
-            mitsuba.Bitmap.PixelFormat.RGB, mitsuba.Struct.Type.Float32, srgb_gamma=False
-        )
-    return np.array(bitmap, np.float64)
+        bitmap = mitsuba.Bitmap(stream)
+        struct = bitmap.struct_()
+        names = [struct[place].name for place in range(len(struct))]
+        pixels = np.array(bitmap, np.float64)
+    pixels = pixels.reshape(*pixels.shape[:2], len(names))
+    # Channels of a layer begin with its name. Beside the colours may be depth and other things.
+    layers = [name[:-1] for name in names if name.endswith("R") and {name[:-1] + c for c in "GB"} < {*names}]
+    if not layers and "Y" in names:
+        return np.repeat(pixels[..., names.index("Y"), None], 3, -1)
+    if "" not in layers and len(layers) != 1:
+        found = ", ".join(layer.rstrip(".") for layer in layers) or "none"
+        raise ValueError(f"it has layers of colours R, G and B: {found}; expected one, export it alone")
+    layer = "" if "" in layers else layers[0]
+    return pixels[..., [names.index(layer + color) for color in "RGB"]]
 
 
 @contextmanager

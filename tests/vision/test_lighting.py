@@ -276,6 +276,31 @@ def test_a_picture_of_radiance_is_refused_in_words(tmp_path, data, message):
     refused(re.escape(message), read_environment, tmp_path / "sky.hdr")
 
 
+@pytest.mark.parametrize(
+    ("channels", "colors"),
+    [
+        (["R", "G", "B", "Z", "normal.X"], [0, 1, 2]),
+        (["Z", "diffuse.R", "diffuse.G", "diffuse.B"], [1, 2, 3]),
+        (["diffuse.R", "diffuse.G", "diffuse.B", "R", "G", "B"], [3, 4, 5]),
+        (["Y"], [0, 0, 0]),
+        (["a.R", "a.G", "a.B", "b.R", "b.G", "b.B"], "layers of colours R, G and B: a, b; expected one"),
+        (["Z", "U"], "layers of colours R, G and B: none"),
+    ],
+)
+def test_the_colours_of_an_exr_are_found_among_its_channels(tmp_path, channels, colors):
+    mitsuba = pytest.importorskip("mitsuba")
+    import drjit
+
+    drjit.set_thread_count(2)  # one that waits for another writes no EXR
+    values = np.arange(2.0 * 3 * len(channels), dtype=np.float32).reshape(2, 3, len(channels))
+    kind = mitsuba.Bitmap.PixelFormat.MultiChannel
+    mitsuba.Bitmap(values, kind, channels).write(str(tmp_path / "sky.exr"))
+    if isinstance(colors, str):
+        refused(colors, read_environment, tmp_path / "sky.exr")
+    else:
+        np.testing.assert_array_equal(read_environment(tmp_path / "sky.exr"), values[..., colors])
+
+
 def test_an_exr_fills_its_display_window(tmp_path):
     """Move the windows of a file: the data window is 4 x 3 pixels."""
     mitsuba = pytest.importorskip("mitsuba")
