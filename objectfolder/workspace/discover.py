@@ -142,7 +142,7 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     for key, (name, inside) in zip(keys, found, strict=True):
         mesh = inside[0]
         own_names = (mesh.stem, folder.resolve().name) if mesh.parent == folder else ()
-        names = (name, mesh.name, key, *own_names)
+        names = [unicodedata.normalize("NFC", one) for one in (name, mesh.name, key, *own_names)]
         named |= {*names}
         refusal = None
         if len(sharing[key]) > 1:
@@ -213,7 +213,9 @@ def _materials(folder: Path) -> dict[str, str]:
         if isinstance(value, dict | list):
             raise ObjectFolderError(f"{path}: {quoted(name)} is {quoted(value)}; expected {expected}")
     beside = {name: folder / str(value) for name, value in values.items() if is_yaml_name(value)}
-    return {str(name): str(beside.get(name, value)) for name, value in values.items()}
+    # File systems may have names in decomposed Unicode.
+    assigned = {name: str(beside.get(name, value)) for name, value in values.items()}
+    return {unicodedata.normalize("NFC", str(name)): value for name, value in assigned.items()}
 
 
 def _csv_pairs(path: Path) -> dict[str, str]:

@@ -4,6 +4,7 @@ import io
 import os
 import re
 import shutil
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -403,6 +404,14 @@ def test_names_keep_their_numbers_where_others_have_the_same_words(tmp_path):
     ]
     assert [candidate.key for candidate in discover(tmp_path)] == keys
     assert not any(candidate.refusal for candidate in discover(tmp_path))
+
+
+def test_a_list_of_materials_names_files_in_either_form_of_unicode(tmp_path):
+    for form, name in (("NFC", "Tasse à café"), ("NFD", "Schüssel")):
+        trimesh.creation.box([1, 1, 1]).export(tmp_path / f"{unicodedata.normalize(form, name)}.ply")
+    lines = [unicodedata.normalize("NFD", "Tasse à café") + ",ceramic", "Schüssel,steel"]
+    (tmp_path / "materials.csv").write_text("\n".join(lines))
+    assert {c.key: c.material for c in discover(tmp_path)} == {"tasse_a_cafe": "ceramic", "schussel": "steel"}
 
 
 def write_textured(folder, picture, names):
