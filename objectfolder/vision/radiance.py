@@ -5,6 +5,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def _decode(data: bytes) -> np.ndarray:
         stream = mitsuba.MemoryStream(len(data))
         stream.write(data)
         stream.seek(0)
-        bitmap = mitsuba.Bitmap(stream)
+        bitmap: Any = mitsuba.Bitmap(stream)
         struct = bitmap.struct_()
         names = [struct[place].name for place in range(len(struct))]
         pixels = np.array(bitmap, np.float64)

@@ -49,19 +49,21 @@ UNREAD = (
     ".usdc",
     ".usdz",
 )
-#: Folders inside that of an object, which name no object.
+SCANS = {
+    "google_16k",
+    "google_64k",
+    "google_512k",
+    "poisson",
+    "tsdf",
+}  #: folders of meshes of one object, of YCB
 INNER = {
     "mesh",
     "meshes",
     "model",
     "models",
     "visual",
-    "google_16k",
-    "google_64k",
-    "google_512k",
-    "poisson",
-    "tsdf",
-}
+    *SCANS,
+}  #: folders inside an object's, which name none
 LISTS = ("materials.csv", "materials.yaml", "materials.yml")
 
 
@@ -121,15 +123,20 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     found = [(path.stem, [path]) for path in _meshes(folder)]
     for child in sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != "."):
         inside = _meshes(child) or sorted(p for p in child.rglob("*") if _is_mesh(p))
-        found += [(child.name, inside)] if inside else []
+        numbered = len(inside) > 1 and len({path.parent for path in inside}) == 1
+        numbered &= len({slug(path.stem) for path in inside}) == 1 < len({path.stem for path in inside})
+        if child.name.lower() in INNER and numbered:  # instances in the folder of a collection
+            found += [(path.stem, [path]) for path in inside]
+        elif inside:
+            found.append((child.name, inside))
     if not found:
         raise ObjectFolderError(
             f"{folder} and its subfolders hold no mesh ({', '.join(FORMATS)}); put each object's mesh there, "
             "or in a subfolder of its own"
         )
+    home = folder.resolve()
     inner = all(name.lower() in INNER and inside[0].parent != folder for name, inside in found)
-    if inner or (len(found) == 1 and found[0][1][0].parent == folder):
-        home = folder.resolve()
+    if inner or home.name.lower() in SCANS or (len(found) == 1 and found[0][1][0].parent == folder):
         name = home.parent.name if home.name.lower() in INNER else home.name
         found = [(name, [mesh for _, inside in found for mesh in inside])]
     words = Counter(slug(name) for name, _ in found)
@@ -141,7 +148,7 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     candidates, named = [], set()
     for key, (name, inside) in zip(keys, found, strict=True):
         mesh = inside[0]
-        own_names = (mesh.stem, folder.resolve().name) if mesh.parent == folder else ()
+        own_names = (mesh.stem, home.name) if mesh.parent == folder else ()
         names = [unicodedata.normalize("NFC", one) for one in (name, mesh.name, key, *own_names)]
         named |= {*names}
         refusal = None

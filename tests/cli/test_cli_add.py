@@ -414,6 +414,14 @@ def test_a_list_of_materials_names_files_in_either_form_of_unicode(tmp_path):
     assert {c.key: c.material for c in discover(tmp_path)} == {"tasse_a_cafe": "ceramic", "schussel": "steel"}
 
 
+def test_numbered_meshes_in_the_folder_of_a_collection_are_objects(tmp_path):
+    (tmp_path / "lm" / "models").mkdir(parents=True)
+    for number in (1, 2):
+        trimesh.creation.box([1, 1, 1]).export(tmp_path / "lm" / "models" / f"obj_{number:06}.ply")
+    for folder in (tmp_path / "lm", tmp_path / "lm" / "models"):
+        assert [candidate.key for candidate in discover(folder)] == ["obj_000001", "obj_000002"]
+
+
 def write_textured(folder, picture, names):
     """Write an OBJ of a box with a texture of one colour, which its library names in the given words."""
     box = trimesh.creation.box([0.1, 0.06, 0.04])
@@ -461,6 +469,8 @@ def test_of_several_meshes_of_one_object_the_textured_one_is_taken(workspace, tm
     assert params.read()["objects"]["tumbler"]["mesh"] == "data/objects/tumbler/mesh.obj"
     shutil.copytree(inside, inside.parent.parent / "cup" / "poisson")
     shutil.copytree(inside, inside.parent.parent / "cup" / "tsdf")
+    for folder in (inside, inside.parent):
+        assert [(candidate.key, len(candidate.others)) for candidate in discover(folder)] == [("tumbler", 3)]
     result = run(inside.parent.parent / "cup", "--material", "ceramic", "--dry-run")
     assert "poisson/model.obj" in result.output
     assert "of which 2 have a texture or colours" in result.output
