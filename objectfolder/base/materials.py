@@ -16,7 +16,7 @@ from objectfolder.base.checks import finite_number
 from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.base.yamlfile import is_yaml_name, read_yaml
 
-LAWS = ("rayleigh", "loss_factor")
+LAWS = ("rayleigh", "loss_factor")  #: of damping
 _FOLDER = Path(__file__).with_suffix("")
 _REQUIRED = ("density", "youngs_modulus", "poisson_ratio", "friction", "roughness")
 _SOURCES = "sources"

@@ -49,7 +49,7 @@ SAMPLES: dict[str, Callable[[Mapping[str, Path]], Samples]] = {
     "grasps": grasps.Grasps,
 }
 #: What samples of an Object File depend on, whether a folder holds them, and what writes them. Each takes the
-#: file and the `_sample_settings`, or the former's answer.
+#: file and the ``_sample_settings``, or the former's answer.
 SAMPLED: dict[str, tuple[Callable[..., dict[str, Any]], Callable[..., bool], Callable[..., None]]] = {
     "observations": (sampling.observation_request, sampling.is_sampled, sampling.sample_observations),
     "close_ups": (close_ups.close_up_request, close_ups.has_close_ups, close_ups.sample_close_ups),
