@@ -100,7 +100,9 @@ def _one_thread():
 @pytest.mark.slow
 @pytest.mark.parametrize("pretrain_epochs", [0, 2])
 def test_every_variant_beats_the_average_shape(occupancy, tmp_path, pretrain_epochs):
-    seen, curves = reconstruct(make_job(tmp_path, pretrain_epochs=pretrain_epochs))
+    epochs = 2 * PARAMS.epochs
+    job = make_job(tmp_path, pretrain_epochs=pretrain_epochs, epochs=epochs, patience=epochs)
+    seen, curves = reconstruct(job)
     json.dumps(seen, allow_nan=False)
     assert set(seen) == {
         *(*VARIANTS, "average_shape", "similar_view", "perfect", "seconds"),
@@ -120,7 +122,7 @@ def test_every_variant_beats_the_average_shape(occupancy, tmp_path, pretrain_epo
         assert max(row[4] for row in rows) == scores["val_iou"]
         assert all(len(row) == len(TASK.columns) for row in rows)
     first = {variant: next(row for row in curves if row[0] == variant) for variant in VARIANTS}
-    assert len([row for row in curves if row[0] == "VA"]) == PARAMS.epochs / 2
+    assert len([row for row in curves if row[0] == "VA"]) == epochs / 2
     assert first["VA"][3] < 0.9 * first["V"][3]  # it starts from what the others learnt
     assert shape_model.load_model(tmp_path / "model.safetensors").setup.modalities == ("vision",)
     with Image.open(tmp_path / "sheet.png") as page:
