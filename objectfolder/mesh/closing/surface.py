@@ -277,17 +277,21 @@ class _Repair:
         if len(f) and is_closed(f) and not winding_certificate(v, f).columns:
             check_winding(v, f, self.name)  # raises: too thin for any grid
         mesh = remesh_on_grid(*self.source, wall)
+        self._refuse_empty(mesh)
+        detail = f"remeshed at {RESOLUTION}^3"
+        self.warnings.append(f"{detail}: thin walls and cavities may be lost")
+        self._record("grid", detail, (mesh[0], mesh[1][:0]), mesh)
+
+    def _refuse_empty(self, mesh: Mesh) -> None:
         if len(mesh[1]) == 0:
             raise ObjectFolderError(
                 f"{self.name}: encloses nothing ({self._history()}); expected a mesh that encloses a volume: "
                 "close its holes or give it thickness"
             )
-        detail = f"remeshed at {RESOLUTION}^3"
-        self.warnings.append(f"{detail}: thin walls and cavities may be lost")
-        self._record("grid", detail, (mesh[0], mesh[1][:0]), mesh)
 
     def drop_specks(self, across: float = np.inf) -> None:
         before = self.mesh
+        self._refuse_empty(before)
         mesh, dropped = drop_specks(*before, across)
         if dropped:
             share = 1 - signed_volume(*mesh) / signed_volume(*before)

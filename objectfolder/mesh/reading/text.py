@@ -38,6 +38,8 @@ def utf16_order(data: bytes) -> str:
 
 def parse_numbers(text: bytes, count: int, dtype: type = np.float64) -> np.ndarray | None:
     """Parse as many words as numbers, NaN in any spelling; None if some are none, or hold two: ``1.5-2``."""
+    if not count:  # of which NumPy warns
+        return np.zeros(0, dtype)
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # of NumPy before 2.3, in place of the error
         try:

@@ -12,7 +12,7 @@ from solids import TURN, box, flipped, join, pretzel, sphere
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.closing.solids import to_manifold
-from objectfolder.mesh.closing.surface import BRIDGED_GAP, close_surface
+from objectfolder.mesh.closing.surface import BRIDGED_GAP, _Repair, close_surface
 from objectfolder.mesh.closing.weld import clean
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.ply import read_surface, write_surface
@@ -541,3 +541,9 @@ def test_a_damaged_surface_file_is_named(tmp_path, content):
     refused(r"surface\.ply does not exist", read_surface, path)
     path.write_bytes(content)
     refused(r"surface\.ply is damaged", read_surface, path)
+
+
+def test_a_step_that_leaves_nothing_is_told_in_words():
+    repair = _Repair("thing", *box((1, 1, 1)))
+    repair.mesh = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    refused("thing: encloses nothing .*expected a mesh that encloses a volume", repair.drop_specks)

@@ -185,6 +185,12 @@ def glb_of_nothing():
         ("m.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "1 of its vertices are NaN or infinite"),
         ("m", b"solid", "format '' is not one of"),
         ("m.ply", b"", "cannot be read|no faces"),
+        (
+            "m.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\n"
+            b"property float z\nelement face 0\nproperty list uchar int vertex_indices\nend_header\n",
+            "no faces",
+        ),
         ("m.ply", b"\x00\xff\x00" * 99, "cannot be read|no faces"),
         ("m.glb", b"\x00\xff\x00" * 99, "cannot be read|no faces"),
         ("m.glb", glb_of_nothing(), "cannot be read|no faces"),
