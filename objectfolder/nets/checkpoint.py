@@ -14,7 +14,7 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import atomic_stream, file_digest
 
 INTERVAL = 60.0  #: wall seconds between two checkpoints of a training whose units are short
-FORMAT = "objectfolder training 1"
+FORMAT = "objectfolder training 2"
 _FIELDS = ("units", "steps", "losses", "best_row", "best")  # of `TrainingState`, stored as they are
 
 Point = TypeVar("Point")

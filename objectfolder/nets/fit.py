@@ -12,7 +12,7 @@ from torch import nn
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.nets.checkpoint import Checkpoint, Training, TrainingState, copy_state, run_training
-from objectfolder.nets.optimizers import Optimizer, make_default_adam, make_papers_adam
+from objectfolder.nets.optimizers import make_default_adam, make_papers_adam
 from objectfolder.nets.positional import train_in
 from objectfolder.nets.settings import PapersNetConfig
 
@@ -70,7 +70,7 @@ def fit(
     val_loss: Callable[[], float],
     settings: FitSettings,
     session: Session,
-    optimizer: Optimizer | None = None,
+    optimizer: torch.optim.Optimizer | None = None,
 ) -> list[CurvePoint]:
     """Minimise a loss; keep the weights of the lowest validation loss, and return the training curve.
 

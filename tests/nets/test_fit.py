@@ -87,7 +87,7 @@ def test_gradients_of_a_batch_in_parts_are_those_of_the_whole():
 def test_a_constant_rate_is_constant_from_the_first_step():
     net = nn.Linear(1, 1)
     adam, rates = make_papers_adam(net), []
-    assert (adam.betas, adam.eps) == ((0.9, 0.999), 1e-7)  # supplementary E
+    assert (adam.defaults["betas"], adam.defaults["eps"]) == ((0.9, 0.999), 1e-7)  # supplementary E
 
     def loss():
         rates.append(adam.param_groups[0]["lr"])
