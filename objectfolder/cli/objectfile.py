@@ -63,8 +63,10 @@ def info(file: FileArgument) -> None:
     table = Table(title=f"{obj.key} ({file.stat().st_size / 1000:.0f} kB)", show_header=False)
     rows = {"material": obj.material, "longest side": f"{obj.scale:g} m"}
     if {"solid", "material_properties"} <= obj.header.keys():
-        volume = obj.header["solid"]["volume"] * obj.scale**3
+        volume, given = obj.header["solid"]["volume"] * obj.scale**3, obj.header.get("mass")
         rows["mass"] = f"{obj.header['material_properties']['density'] * volume:.3g} kg"
+        if given is not None:
+            rows["mass"] = f"{given:.3g} kg (given; solid volume x density would be {rows['mass']})"
     rows |= {part: _summary_of(obj, part) for part in PARTS}
     heard = RADIATION in obj.header
     rows[RADIATION] = obj.header[RADIATION]["kind"] if heard else "none: no listener hears it"
