@@ -45,8 +45,8 @@ def check_mass(name: str, mass: float, volume: float, space: str = "its volume")
     if not least <= density <= most:
         grams = f": {mass / 1000:g} for {mass:g} g" if least <= density / 1000 <= most else ""
         raise ObjectFolderError(
-            f"{name}: mass is {mass:g} kg, which in {space} of {volume * 1e6:.4g} cm³ is {density:.4g} kg/m³, "
-            f"expected {least:g} to {most:,g}; give kilograms{grams}, and check the size, --scale in metres"
+            f"{name}: mass is {mass:g} kg, in {space} of {volume * 1e6:.4g} cm³ a density of {density:,.4g} "
+            f"kg/m³, expected {least:g} to {most:,g}; give kilograms{grams}, or check the scale, in metres"
         )
 
 

@@ -70,7 +70,7 @@ def add(
         typer.Option(
             metavar="KG",
             parser=_kilograms,
-            help="Mass of the real object in kg; default: solid volume times density. The sound stays the same.",
+            help="Mass of the real object, which no sound depends on; default: solid volume times density.",
         ),
     ] = None,
     dry_run: Annotated[
@@ -136,7 +136,9 @@ def _check_options(
     if wall is not None and not 0 < wall < inf:
         raise ObjectFolderError(f"wall is {wall:g}, expected a thickness in metres")
     if mass is not None and not 0 < mass < inf:
-        raise ObjectFolderError(f"mass is {mass:g}, expected kilograms above 0; leave it out if it is not known")
+        raise ObjectFolderError(
+            f"mass is {mass:g}, expected kilograms above 0; leave it out if it is not known"
+        )
     if scale is not None and unit != "m":
         raise ObjectFolderError(
             f"--scale {scale:g} is in metres, whatever the unit of the mesh's coordinates; give --scale, or "

@@ -119,8 +119,9 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
     Folders such as ``meshes`` or ``google_16k`` belong to the object of the folder above.
     ``materials.csv`` (lines ``name,material`` or ``name,material,mass``, kg) or ``materials.yaml``
     (``name: material``) in the folder assigns materials by file, subfolder or key, and masses of the real
-    objects; ``material`` is that of the others. Returns candidates by name; those with a duplicate key have a refusal. Raises ObjectFolderError if there is no mesh, or the list
-    of materials is invalid or names an unknown object.
+    objects; ``material`` is that of the others. Returns candidates by name; those with a duplicate key have a
+    refusal. Raises ObjectFolderError if there is no mesh, or the list of materials is invalid or names an
+    unknown object.
     """
     listed = _materials(folder)
     found = [(path.stem, [path]) for path in _meshes(folder)]
@@ -208,7 +209,9 @@ def _materials(folder: Path) -> dict[str, tuple[str, float | None]]:
     if not lists:
         return {}
     path = lists[0]
-    expected = "lines `name,material` or `name,material,mass`" if path.suffix == ".csv" else "lines `name: material`"
+    expected = (
+        "lines `name,material` or `name,material,mass`" if path.suffix == ".csv" else "lines `name: material`"
+    )
     try:
         if path.suffix == ".csv":
             values: Any = _csv_rows(path)
@@ -251,7 +254,9 @@ def _kilograms(text: str, where: str) -> float:
     with suppress(ValueError):
         if 0 < (mass := float(text)) < inf:
             return mass
-    raise ObjectFolderError(f"{where} is {quoted(text)}, expected kilograms above 0, such as 0.118, or nothing")
+    raise ObjectFolderError(
+        f"{where} is {quoted(text)}, expected kilograms above 0, such as 0.118, or nothing"
+    )
 
 
 def examine(

@@ -120,9 +120,7 @@ def _fetch(
             own_size = float(np.ptp(load_mesh(mesh, texture_size=most).bounds, axis=0).max())
             # The source's up axis applies to its own format only.
             up = source.up if mesh.suffix.lower() == Path(source.mesh).suffix else None
-            add_mesh(
-                mesh, key, entry.material, entry.scale, up, root, [notice], mass=entry.mass, track=track
-            )
+            add_mesh(mesh, key, entry.material, entry.scale, up, root, [notice], mass=entry.mass, track=track)
         except (ObjectFolderError, OSError) as error:
             message = str(error).replace(f"{scratch / 'object'}/", "")
             raise ObjectFolderError(f"{message} (from {origin})") from error

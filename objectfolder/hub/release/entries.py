@@ -41,8 +41,9 @@ def entry_of(
 
     ``licences``, ``categories``: by key. Those of key "" are of all other objects whose mesh has no
     SOURCE.txt, or whose category `CATEGORIES` does not know. Raises ObjectFolderError if the object is not
-    built or of another material, size or mass than params.yaml says, its scores are of another build, its mesh is
-    not there and so no SOURCE.txt, or its licence is not known or not the one that its SOURCE.txt states.
+    built or of another material, size or mass than params.yaml says, its scores are of another build, its
+    mesh is not there and so no SOURCE.txt, or its licence is not known or not the one that its SOURCE.txt
+    states.
     """
     build, again = Build(key, root), f"run `objectfolder build {key}`"
     if not build.object_file.is_file():
