@@ -97,6 +97,13 @@ def test_how_far_frequencies_may_be_off_is_shown(brick, tmp_path, capsys, error,
     assert float(re.search(r"mass (\S+) kg", shown)[1]) == pytest.approx(mass, rel=0.01)
 
 
+def test_the_real_mass_is_shown_beside_that_of_the_solid(brick, tmp_path, capsys):
+    ObjectFile(brick.header | {"mass": 0.118}, brick.tensors).save(tmp_path / "brick.safetensors")
+    app(["info", str(tmp_path / "brick.safetensors")], standalone_mode=False)
+    shown = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
+    assert "mass 0.118 kg (given; solid volume x density would be 0.193 kg)" in shown
+
+
 def test_a_sample_is_shown_sampled_queried_and_seen(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     app(["info", "mug"], standalone_mode=False)

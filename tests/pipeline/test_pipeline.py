@@ -118,6 +118,29 @@ def test_a_material_of_ones_own_reruns_the_objects_that_name_it(built):
     assert not built.build() - {"hash_code"}  # restored
 
 
+def test_a_mass_is_packed_and_nothing_is_solved_or_trained_again(built):
+    path = built.root / "build/cube/ObjectFile.safetensors"
+    before, params_text = ObjectFile.load(path), (built.root / "params.yaml").read_text()
+    packed = path.read_bytes()
+    with built.edit() as values:
+        values["objects"]["cube"]["mass"] = 1.5
+    try:
+        assert built.build("evaluate@cube", "evaluate@bell") == {"hash_code", "pack@cube", "evaluate@cube"}
+        weighed = ObjectFile.load(path)
+        assert weighed.header == before.header | {"mass": 1.5}
+        assert {n: t.tobytes() for n, t in weighed.tensors.items()} == {
+            n: t.tobytes() for n, t in before.tensors.items()
+        }
+        with built.edit() as values:
+            values["objects"]["cube"]["mass"] = 900.0
+        failed = built.cli("build", "pack@cube", ok=False)
+        assert "expected 1 to 25,000; give kilograms: 0.9 for 900 g" in failed.stdout + failed.stderr
+    finally:
+        (built.root / "params.yaml").write_text(params_text)
+        assert not built.build() - {"hash_code"}  # restored
+    assert path.read_bytes() == packed
+
+
 @pytest.mark.slow
 def test_a_smaller_object_is_not_solved_again(built):
     """Its modes are those of the solve, scaled; without the solve's file they are found anew."""
