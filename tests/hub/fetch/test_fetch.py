@@ -194,7 +194,7 @@ def test_one_that_fails_does_not_stop_the_others(published, publisher):
     assert result.exit_code == 1
     assert "failed  gso_bunny_racer" in result.output
     assert "/BUNNY_RACER.zip answered 404" in result.output
-    assert "added   ycb_mug: steel, 0.117 m; published 0.082 is the height" in result.output
+    assert "added   ycb_mug: steel, 0.117 m, 0.118 kg; published 0.082 is the height" in result.output
     assert "1 added, 1 failed (gso_bunny_racer); next: objectfolder build" in result.output
     assert set(params.read()["objects"]) == {"mug", "die", "bell", "ycb_mug"}
     again = run(publisher, "ycb_mug")
