@@ -51,8 +51,8 @@ def test_code_lists_are_made_from_all_sources():
 def parameters_read(stage):
     """Return the parameters that a stage reads, as dvc.yaml names them.
 
-    Scripts of objects use ``params.<name>``, ``params.entry.<field>`` and ``object_entry``; tasks say what they
-    read.
+    Scripts of objects use ``params.<name>``, ``params.entry.<field>`` or ``object_entry``; tasks declare
+    what they read.
     """
     if stage in stages.BENCHMARKS:
         task = find_task(stage)
