@@ -40,7 +40,7 @@ class Voice:
     scale : float
         m
     mass : float
-        kg
+        kg, of the solid filled with the material, whatever the real object weighs
     """
 
     def __init__(
