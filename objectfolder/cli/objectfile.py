@@ -362,6 +362,8 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
         certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")
     if described.get("frequency_uncertainty_unknown"):
         certain = ", their error not known: walls are too thin for the grid"
+    if described.get("uncertain"):
+        certain += "; the sound is marked uncertain"
     span = f"{frequencies.min():.0f} to {frequencies.max():.0f} Hz"
     cut = f", truncated above {described['band_hz'][1]:.0f} Hz" if described.get("truncated") else ""
     return f"{kind}, {plural(len(frequencies), 'mode')} from {span}{cut}{certain}"

@@ -71,8 +71,9 @@ def pack_object_file(
 
 def certainty(modal: dict[str, Any]) -> dict[str, Any]:
     """Return what the header says of the error of frequencies, from ``modal.json``."""
+    marked = {"uncertain": True} if modal.get("uncertain") else {}
     if modal.get("frequency_uncertainty") is not None:
-        return {"frequency_uncertainty": modal["frequency_uncertainty"]}
+        return {"frequency_uncertainty": modal["frequency_uncertainty"]} | marked
     if modal.get("element") == ESTIMATING and modal["modes"]:
-        return {"frequency_uncertainty_unknown": True}
+        return {"frequency_uncertainty_unknown": True} | marked
     return {}

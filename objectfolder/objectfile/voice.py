@@ -54,6 +54,7 @@ class Voice:
         sense, self.key = parts.audio, parts.key
         if not isinstance(sense, ModalSense):
             raise no_modes(self.key)
+        sense.warn_if_uncertain()
         self._sense, self._surface = sense, parts.surface
         self.material, self.scale = sense.struck(material, scale)
         self._resized = self.scale / self._surface.scale

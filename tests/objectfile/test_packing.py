@@ -21,7 +21,9 @@ from objectfolder.sound.fem.certainty import CUT_CELLS
     ],
 )
 def test_an_error_that_cells_could_not_estimate_is_said_to_be_unknown(error, element, modes, said):
-    assert certainty({"frequency_uncertainty": error, "element": element, "modes": modes}) == said
+    report = {"frequency_uncertainty": error, "element": element, "modes": modes}
+    assert certainty(report) == said
+    assert certainty(report | {"uncertain": True}) == (said | {"uncertain": True} if said else {})
     assert ESTIMATING == CUT_CELLS
 
 
