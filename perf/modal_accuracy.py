@@ -1,7 +1,7 @@
 """Accuracy of the modal analysis against exact solutions and refined grids: `python perf/modal_accuracy.py`.
 
 Prints one table; exits with 1 if a row misses its target. `--objects DIR` adds real meshes (one `mesh.*` in
-each subfolder, minutes each), `--tetrahedra` the mug against quadratic tetrahedra (needs objectfolder[tet]).
+each subfolder, minutes each), `--tetrahedra` the mug against quadratic tetrahedra.
 Set OMP_NUM_THREADS=1: the seconds are CPU time of one core.
 """
 

@@ -5,7 +5,7 @@ crosses itself, both solvers get the solid that MeshFix makes of it. Two meshes 
 the reference itself is converged; the finer one is the reference. References take minutes each and are kept
 under --cache. CPU s is the time of the grids and of the lowest modes; the stages' own is in perf/modal.py.
 
-Needs objectfolder[tet] and, for thin walls and scans, `pip install tetgen pymeshfix` (AGPL, GPL: never
+Needs, for thin walls and scans, `pip install tetgen pymeshfix` (AGPL, GPL: never
 installed by this project). Rows of other objects in the file of `--json` are kept.
 `--objects DIR` adds real meshes, one `mesh.*` in each subfolder. Exits with 1 if a target is missed.
 """

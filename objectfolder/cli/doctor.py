@@ -25,7 +25,6 @@ EXTRAS = {
     "usd": "export usd (OpenUSD); 0.1 GB",
     "ray": "build --engine ray, on a cluster; 0.25 GB",
     "s3": "remotes on S3; 0.03 GB",
-    "tet": "voxelize.element tet10, a check of the modes; 0.01 GB",
     "cycles": "render_views.renderer cycles (bpy, GPL); 0.4 GB to download",
     "raster": "render_views.renderer raster, previews; 0.03 GB",
     "metaworld": "bench reach --metaworld, in an environment of its own",

@@ -20,7 +20,7 @@ class Extra:
     """Extra of pyproject.toml, or a system library, with the tests that need it."""
 
     name: str  #: as the table shows it
-    requirements: tuple[str, ...]  #: to install; ``[tet]`` is an extra of this package
+    requirements: tuple[str, ...]  #: to install; ``[s3]`` is an extra of this package
     package: str  #: distribution whose version is shown
     select: str  #: expression for ``pytest -k``
     tests: tuple[str, ...]  #: files
@@ -29,7 +29,6 @@ class Extra:
     pinned: bool = True  #: False where it holds nothing: the package wants older releases of most of it
 
 
-ELEMENTS = ("tests/sound/fem/test_elements.py", "tests/sound/fem/test_accuracy.py")
 RENDERERS = "tests/vision/test_renderers.py"
 LEROBOT, NERFSTUDIO = (f"tests/benchmarks/datasets/test_{name}.py" for name in ("lerobot", "nerfstudio"))
 # The last for Python 3.11, and the last.
@@ -38,7 +37,6 @@ LEROBOTS = ("lerobot==0.4.4; python_version < '3.12'", "lerobot[dataset]==0.6.1;
 NERFSTUDIOS = ("nerfstudio==1.1.5", "torch==2.10.0", "fpsample<1")
 REACH, RELEASE = "tests/sim/test_reach.py", "tests/hub/release/test_release.py"
 EXTRAS = (
-    Extra("tet", ("[tet]", "[inspect]"), "pytetwild", "tet", ELEMENTS),
     Extra("raster", ("[raster]",), "pyrender", "raster or tacto", (RENDERERS, "tests/touch/test_tacto.py")),
     Extra("cycles", ("[cycles]",), "bpy", "cycles", (RENDERERS,)),
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),

@@ -19,10 +19,13 @@ NODES_PER_WAVE = 6  #: that resolve a wave: three quadratic elements
 
 
 class Discretisation:
-    """A solid on one grid, longest side in metres. What its error estimate solves is kept for all modes."""
+    """A solid on one mesh, longest side in metres. What its error estimate solves is kept for all modes.
 
-    def __init__(self, solid: Solid, material: Material, scale: float):
-        self.solid, self.material, self.scale = solid, material, scale
+    The solid in larger elements is given where it does not follow from the solid, as it does for cut cells.
+    """
+
+    def __init__(self, solid: Solid, material: Material, scale: float, coarse: Solid | None = None):
+        self.solid, self.material, self.scale, self.coarse = solid, material, scale, coarse
 
     @cached_property
     def vibration(self) -> FreeVibration:
@@ -32,7 +35,7 @@ class Discretisation:
     @cached_property
     def coarser(self) -> list[np.ndarray]:
         """Lowest frequencies on the grids of half and quarter resolution, as far as they exist; Hz."""
-        half = coarser(self.solid)
+        half = self.coarse or coarser(self.solid)
         quarter = coarser(half) if half is not None else None
         grids = [solid for solid in (half, quarter) if solid is not None]
         return [Discretisation(solid, self.material, self.scale).lowest_frequencies() for solid in grids]
@@ -54,7 +57,10 @@ class Discretisation:
 
         One per frequency (see `discretisation_error`); None for elements without a coarser grid.
         """
-        return discretisation_error(frequencies, *self.coarser) if len(frequencies) and self.coarser else None
+        if not len(frequencies) or not self.coarser:
+            return None
+        ratio = 2.0 if self.coarse is None else float(np.cbrt(self.solid.elements / self.coarse.elements))
+        return discretisation_error(frequencies, *self.coarser, ratio=ratio)
 
 
 def coarser(solid: Solid) -> CutCells | None:
@@ -66,7 +72,7 @@ def coarser(solid: Solid) -> CutCells | None:
 
 
 def discretisation_error(
-    frequencies: np.ndarray, half: np.ndarray, quarter: np.ndarray | None = None
+    frequencies: np.ndarray, half: np.ndarray, quarter: np.ndarray | None = None, ratio: float = 2
 ) -> list[float]:
     """Estimate the relative errors of frequencies, Hz, from those on grids of half and quarter resolution.
 
@@ -74,7 +80,8 @@ def discretisation_error(
     the difference between the last two grids divided by 2^p - 1. Smooth shells converge with p of about 2,
     inner edges and walls thinner than a cell with 1 to 1.5. The order observed on three coarse grids is not
     yet the final one, so the estimate assumes ``ORDER``, which is right within a factor of two for p from 1
-    to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``MIN_FALL``.
+    to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``MIN_FALL``. ``ratio`` is that of the
+    sizes of elements, where it is not a half.
     """
     count = min(len(frequencies), len(half))
     last = half[:count] / frequencies[:count] - 1
@@ -83,7 +90,7 @@ def discretisation_error(
         seen = min(count, len(quarter))
         former = quarter[:seen] / half[:seen] - 1
         order[:seen][former < MIN_FALL * last[:seen]] = LOW_ORDER
-    return np.abs(last / (2**order - 1)).tolist()
+    return np.abs(last / (ratio**order - 1)).tolist()
 
 
 def resolved_frequency(solid: Solid, material: Material, scale: float, wall: float) -> float:

@@ -1,11 +1,13 @@
-"""Choice of the cut-cell grid: limited by model size, refined until the lowest modes are accurate."""
+"""Choice of the mesh: cut cells, refined until the lowest modes are accurate; tetrahedra where they are not."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material
+from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, signed_volume
 from objectfolder.sound.fem.accuracy import ORDER, Discretisation
@@ -15,6 +17,7 @@ from objectfolder.sound.fem.elasticity import Solid
 from objectfolder.sound.fem.local import refine_locally
 from objectfolder.sound.fem.occupancy import MARGIN
 from objectfolder.sound.fem.settings import FineGrids
+from objectfolder.sound.fem.tetrahedra import tetrahedra
 
 _SAMPLES, _MORE_SAMPLES = 100_000, 400_000  # surface points, to find the cells that the surface touches
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
@@ -26,6 +29,10 @@ _MIXED_RESOLUTIONS = 192, 160, 128, 96  # cells along the longest side where siz
 _SUBDIVISIONS = 4  # of its cells: eight columns through each suffice, and cutting costs less than half
 _MAX_CUT_CELLS = 60_000  # at the surface, and eight times as many inside, that may be cut for it
 _EXTRA_SIZE, _EXTRA_ERROR = 1 / 5, 1 / 3  # grids of this share of the limit refine to that share of the error
+UNSURE = 0.05  #: estimated error of cut cells above which tetrahedra are tried
+#: Of tetrahedra, coarse and fine: the envelope, at most that in diagonals of the bounding box and that share of
+#: the wall; and the longest edge, at most that in the unit frame and as many walls.
+ENVELOPES, WALLS, EDGES, SLENDERNESS = (3e-3, 1e-3), (0.2, 0.07), (1 / 6, 1 / 10), (6.0, 3.5)
 
 
 def adaptive_cut_cells(
@@ -98,6 +105,31 @@ def refine_grid(
         else:
             resolutions = [step for step in resolutions if step < chosen]
     return candidate
+
+
+def fill_unsure(candidate: Discretisation, surface: Mesh, name: str = "object") -> Discretisation:
+    """Return a solid in tetrahedra where cut cells stay unsure and the tetrahedra are surer.
+
+    Slender joints under a cell, panels of a third of a cell, seams: a mesh that follows the surface is as
+    fine as these there. Its error is estimated from a coarser one. The surface is in the unit frame.
+    """
+    solid = candidate.solid
+    if not isinstance(solid, CutCells):
+        return candidate
+    errors = candidate.errors(candidate.lowest_frequencies())
+    if errors is not None and max(errors) <= UNSURE:
+        return candidate
+    wall, diagonal = wall_thickness(*surface), float(np.linalg.norm(np.ptp(surface[0], axis=0)))
+    try:
+        coarse, fine = (
+            tetrahedra(*surface, 1 / min(edge, slenderness * wall), name, min(envelope, share * wall / diagonal))
+            for envelope, share, edge, slenderness in zip(ENVELOPES, WALLS, EDGES, SLENDERNESS)
+        )
+    except ObjectFolderError:  # it falls apart in pieces
+        return candidate
+    filled = Discretisation(fine, candidate.material, candidate.scale, coarse)
+    estimates = filled.errors(filled.lowest_frequencies())
+    return filled if estimates and (errors is None or max(estimates) < max(errors)) else candidate
 
 
 def _mixed(

@@ -1,7 +1,6 @@
-"""Quadratic tetrahedra on a surface-conforming mesh: an independent check of the grids.
+"""Quadratic tetrahedra on a surface-conforming mesh: where cut cells stay uncertain, and as a check of them.
 
-fTetWild (Hu et al. 2020; through pytetwild, MPL-2.0, an optional dependency) makes the mesh. It is not
-reproducible, and needs more unknowns than cut cells for the same accuracy.
+fTetWild (Hu et al. 2020; through pytetwild, MPL-2.0) makes the mesh. It is not reproducible.
 """
 
 from contextlib import chdir
@@ -29,7 +28,7 @@ from objectfolder.sound.fem.elasticity import (
     upper_blocks,
 )
 
-ENVELOPE = 5e-4  # allowed distance of the mesh from the surface, in bounding-box diagonals
+ENVELOPE = 5e-4  #: allowed distance of the mesh from the surface, in bounding-box diagonals
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # their midpoints are nodes 5 to 10
 _SEARCHED = 32  # nearest centroids among which a point's tetrahedron is searched
 
@@ -96,35 +95,45 @@ class Tetrahedra(Solid):
         return mix_nodes(weights, values, self.connectivity[near[row, best]])
 
 
-def tetrahedra(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh") -> Tetrahedra:
+def tetrahedra(
+    vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str = "mesh", envelope: float = ENVELOPE
+) -> Tetrahedra:
     """Fill a closed surface, (V, 3) in the unit frame and (F, 3), with tetrahedra.
 
-    The resolution is the longest side divided by the edge length. Raises ObjectFolderError, with the object's
-    name, if pytetwild is not installed, or the solid is in several pieces.
+    The resolution is the longest side divided by the largest edge; the mesh is within the envelope, in
+    diagonals of the bounding box. Raises ObjectFolderError, with the object's name, if pytetwild is not
+    installed, or the solid is in several pieces.
     """
     try:
         import pytetwild
     except ImportError as missing:
         raise ObjectFolderError(
-            "element tet10 needs pytetwild: install objectfolder[tet] or choose another voxelize.element"
+            "element tet10 needs pytetwild: install objectfolder[build] or choose another voxelize.element"
         ) from missing
     with TemporaryDirectory() as folder, chdir(folder):  # fTetWild writes a file into the working directory
         points, cells = pytetwild.tetrahedralize(
             np.ascontiguousarray(vertices, np.float64),
             np.ascontiguousarray(faces, np.int32),
             edge_length_abs=1 / resolution,
-            epsilon=ENVELOPE,
+            epsilon=envelope,
             num_threads=1,
         )
     cells = cells.astype(np.int64)
     corner = points[cells]
     volumes = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1]))
-    link = np.repeat(np.arange(len(cells)), 4), cells.ravel() + len(cells)
-    piece = components(*link, len(cells) + len(points))[1][: len(cells)]
+    piece = joined_by_faces(cells)
     keep, dropped = main_piece(piece, volumes, name)
     solid = quadratic(points, cells[keep], resolution)
     error = solid.volume / signed_volume(vertices, faces) - 1
     return replace(solid, dropped_volume=dropped, volume_error=error)
+
+
+def joined_by_faces(cells: np.ndarray) -> np.ndarray:
+    """Return the piece of each tetrahedron; (E, 4) -> (E,). What shares an edge or a corner is a hinge."""
+    sides = np.sort(cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
+    side = np.unique(sides, axis=0, return_inverse=True)[1].ravel()
+    link = np.repeat(np.arange(len(cells)), 4), side + len(cells)
+    return components(*link, len(cells) + int(side.max()) + 1)[1][: len(cells)]
 
 
 def quadratic(points: np.ndarray, cells: np.ndarray, resolution: int) -> Tetrahedra:

@@ -127,7 +127,6 @@ def test_shapes_are_the_same_with_one_thread_and_two():
 @pytest.mark.slow
 def test_mug_with_a_wall_of_four_millimetres_agrees_with_tetrahedra():
     """Within the error that a build accepts (`modal.fine.max_error`), which docs/modal.md claims."""
-    pytest.importorskip("pytetwild")
     assert perf.mug().value <= 0.02
 
 

@@ -148,8 +148,6 @@ def test_voxels_lose_walls_that_are_thinner_than_a_cell():
 
 @pytest.mark.parametrize("kind", ["cut_cell_hex20", "hex8", "tet10"])
 def test_a_solid_in_two_pieces_is_refused_by_name_with_their_shares(kind):
-    if kind == "tet10":
-        pytest.importorskip("pytetwild")
     pair = join(box((0.2, 0.4, 0.4), (-0.35, 0, 0)), box((0.3, 0.4, 0.4), (0.35, 0, 0)))
     refused(
         r"^lamp: the solid is in 2 separate pieces.*6\d\.\d+%, .*of the volume",
@@ -165,7 +163,6 @@ def test_a_solid_in_two_pieces_is_refused_by_name_with_their_shares(kind):
 
 @pytest.mark.slow
 def test_a_tetrahedral_mesh_of_a_turned_box_agrees_with_cut_cells():
-    pytest.importorskip("pytetwild")
     solid = box(0.7 * SIDES, (0, 0, 0), TURN)
     mesh = discretize(*solid, "tet10", [16], 4, 10**6)  # 0.7 % too stiff at 8, 0.13 % at 16
     assert abs(mesh.volume_error) < 1e-3
