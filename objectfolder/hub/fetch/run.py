@@ -168,8 +168,17 @@ def fetch_all(
 def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
     """Return the notice stored with a mesh: origin, licence, attribution and changes."""
     entry, source = catalogue.objects[key], catalogue.source(key)
+    if entry.id is None:
+        number, chosen = "", (f"Material and size: objectfolder, real objects, version {catalogue.version}",)
+    else:
+        number = f", object {entry.id} of ObjectFolder 1.0"
+        chosen = (
+            "Name, material and size: ObjectFolder, Gao et al., CoRL 2021, CC BY 4.0",
+            "(https://creativecommons.org/licenses/by/4.0/)",
+        )
+    note = f"; {entry.note}" if entry.note else ""
     lines = (
-        f"{entry.name}, object {entry.id} of ObjectFolder 1.0",
+        f"{entry.name}{number}",
         "",
         f"Mesh and textures: {source.title}, {catalogue.page(key)}",
         f"Taken from: {origin}",
@@ -177,8 +186,8 @@ def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
         f"Attribution: {source.attribution}",
         "Changes: the mesh is renamed; files that it does not refer to are omitted.",
         "",
-        "Name, material and size: ObjectFolder, Gao et al., CoRL 2021, CC BY 4.0",
-        "(https://creativecommons.org/licenses/by/4.0/)" + (f"; {entry.note}" if entry.note else ""),
+        *chosen[:-1],
+        f"{chosen[-1]}{note}",
     )
     # A line break in a name would begin a line of its own, such as another licence.
     return "".join(f"{visible(line)}\n" for line in lines)
