@@ -87,10 +87,10 @@ def object_url(template: str, model: str) -> str:
 def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
     """Read a catalogue.
 
-    ``path``: YAML with ``sources`` and ``objects``. ``extends`` names another catalogue in the same folder: its
-    sources are added, and fields that an object lacks are those of its object with the same key. ``urls``:
-    ``SOURCE=TEMPLATE``: URL templates to use instead of those in the catalogue. Raises ObjectFolderError if
-    one of the files is missing or invalid, an object has an unknown source, or a template is not a URL.
+    ``path``: YAML with ``sources`` and ``objects``; with ``extends``, sources and whatever its objects lack are
+    those of this other catalogue in the same folder. ``urls``: ``SOURCE=TEMPLATE``: URL templates to use
+    instead of those in the catalogue. Raises ObjectFolderError if one of the files is missing or invalid, an
+    object has an unknown source, or a template is not a URL.
     """
     existing_file(path, "expected a catalogue of published objects, such as catalogs/objectfolder1.yaml")
     catalogue = _validated(_with_base(read_yaml(path), path), path)
@@ -114,14 +114,14 @@ def _with_base(values: Any, path: Path) -> Any:
     """Complete a catalogue's values by those of the one that it extends, which may not extend another."""
     if not isinstance(values, Mapping) or "extends" not in values:
         return values
-    own = dict(values)
+    own = {"sources": {}, **values}
     name = own.pop("extends")
     if not isinstance(name, str) or not name or Path(name).name != name:
         raise ObjectFolderError(f"{path}: extends is {quoted(name)}, expected a file name in the same folder")
     base_path = existing_file(path.with_name(name), f"{path} extends it")
     base = _validated(read_yaml(base_path), base_path).model_dump()
     for section, kept in (("sources", base["sources"]), ("objects", {})):
-        if isinstance(given := own.get(section, {}), Mapping):
+        if isinstance(given := own.get(section), Mapping):
             known = base[section]
             completed = {
                 key: {**known.get(key, {}), **entry} if isinstance(entry, Mapping) else entry
