@@ -87,8 +87,8 @@ def object_url(template: str, model: str) -> str:
 def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
     """Read a catalogue.
 
-    ``path``: YAML with ``sources`` and ``objects``; with ``extends``, sources and whatever its objects lack are
-    those of this other catalogue in the same folder. ``urls``: ``SOURCE=TEMPLATE``: URL templates to use
+    ``path``: YAML with ``sources`` and ``objects``; with ``extends``, sources and whatever its objects lack
+    are those of this other catalogue in the same folder. ``urls``: ``SOURCE=TEMPLATE``: URL templates to use
     instead of those in the catalogue. Raises ObjectFolderError if one of the files is missing or invalid, an
     object has an unknown source, or a template is not a URL.
     """

@@ -168,15 +168,14 @@ def fetch_all(
 def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
     """Return the notice stored with a mesh: origin, licence, attribution and changes."""
     entry, source = catalogue.objects[key], catalogue.source(key)
-    if entry.id is None:
-        number, chosen = "", (f"Material and size: objectfolder, real objects, version {catalogue.version}",)
-    else:
-        number = f", object {entry.id} of ObjectFolder 1.0"
-        chosen = (
+    number = "" if entry.id is None else f", object {entry.id} of ObjectFolder 1.0"
+    chosen = [f"Material and size: objectfolder, real objects, version {catalogue.version}"]
+    if number:
+        chosen = [
             "Name, material and size: ObjectFolder, Gao et al., CoRL 2021, CC BY 4.0",
             "(https://creativecommons.org/licenses/by/4.0/)",
-        )
-    note = f"; {entry.note}" if entry.note else ""
+        ]
+    chosen[-1] += f"; {entry.note}" if entry.note else ""
     lines = (
         f"{entry.name}{number}",
         "",
@@ -186,8 +185,7 @@ def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
         f"Attribution: {source.attribution}",
         "Changes: the mesh is renamed; files that it does not refer to are omitted.",
         "",
-        *chosen[:-1],
-        f"{chosen[-1]}{note}",
+        *chosen,
     )
     # A line break in a name would begin a line of its own, such as another licence.
     return "".join(f"{visible(line)}\n" for line in lines)

