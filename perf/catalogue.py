@@ -7,6 +7,7 @@ the most relief, and a strike's spectrogram. Exits with 1 if a target is missed.
 
 import argparse
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -75,6 +76,20 @@ def measured(key: str, root: Path, entry: dict[str, Any], generator: str) -> dic
         "cpu_seconds": sum(cost.cpu_seconds for cost in costs.values()),
         "slowest": max(costs, key=lambda stage: costs[stage].cpu_seconds, default=None),
     }
+
+
+def mass_rows(real: Mapping[str, float], root: Path) -> list[dict[str, Any]]:
+    """Return a row for each object of known mass whose modes are solved, in the given order.
+
+    ``real``: kg by key, such as those of `objectfolder.hub.fetch.catalogue.Entry`. A row has ``object``,
+    ``solid`` and ``real``, kg, of the solid filled with the material and of the real object, and ``ratio`` of
+    these two: how many times too heavy the solid is, such as 10 for a hollow object that was scanned as full.
+    """
+    solids = {key: Build(key, root).modal for key in real}
+    found = {key: read_json(path)["mass_kg"] for key, path in solids.items() if path.is_file()}
+    return [
+        {"object": key, "solid": kg, "real": real[key], "ratio": kg / real[key]} for key, kg in found.items()
+    ]
 
 
 def worst_share(build: Build) -> float:
@@ -192,6 +207,9 @@ def main() -> None:
     if arguments.pictures:
         built = [Build(row["object"], root).object_file for row in rows if "failed" not in row]
         sheets(built, arguments.pictures)
+    masses = mass_rows({key: e["mass"] for key, e in values["objects"].items() if e.get("mass")}, root)
+    for row in masses:
+        console.print(f"{row['object']}: {row['solid']:.3g} kg as a solid, {row['real']:.3g} kg weighed")
     targets = (
         f"medians: vision at least {LEAST['vision']:g} dB, touch at least {LEAST['touch']:g} dB, gain error "
         f"at most {MOST_GAIN_ERROR:.0%}; {MOST_BYTES / 1e6:.0f} MB in all"
@@ -203,6 +221,7 @@ def main() -> None:
         "wall": arguments.wall,
         "poor": POOR,
         "rows": rows,
+        **({"masses": masses} if masses else {}),
     }
     found = missed(rows)
     write_record(arguments.json, record, targets, found)

@@ -10,7 +10,7 @@ from objectfolder.base.seeding import numpy_generator
 from objectfolder.base.text import visible
 from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.sampling import split_rows
-from objectfolder.sound.fem.certainty import solver_warning, uncertainty_warning
+from objectfolder.sound.fem.certainty import is_uncertain, solver_warning, uncertainty_warning
 from objectfolder.sound.fem.elements import solid_from_arrays
 from objectfolder.sound.fem.modal import Request, refined_analysis, shape_points
 from objectfolder.sound.fem.settings import ModalConfig
@@ -35,8 +35,9 @@ def main(key: str) -> None:
     with suppress(ObjectFolderError):  # no earlier solve, or not a readable one
         earlier = read_npz(build.solved_modes, "solution", "band_hz")
     modes, report = compute_modes(solid, surface, points, request, settings.fine, problem, earlier, key)
-    uncertain = uncertainty_warning(report, settings.allow_uncertain, key)
-    for warning in filter(None, (uncertain, solver_warning(report, key))):
+    if is_uncertain(report) and not settings.allow_uncertain:
+        report |= {"uncertain": True}
+    for warning in filter(None, (uncertainty_warning(report, key), solver_warning(report, key))):
         print(f"warning: {visible(warning)}")
     write_npz(build.modes, points=points, split=split_rows(len(points), rng), **modes)
     if not report["reused"]:

@@ -1,9 +1,10 @@
-"""pack: three nets, radiation.safetensors, sdf.npz, normalize.json, modal.json -> ObjectFile.safetensors."""
+"""pack: nets, radiation.safetensors, sdf.npz, normalize.json, modal.json, mass -> ObjectFile.safetensors."""
 
 from objectfolder.base.arrays import read_npz, read_safetensors, write_safetensors
 from objectfolder.base.io import file_digest, read_json
 from objectfolder.objectfile.packing import pack_object_file
 from objectfolder.workspace.layout import MODALITIES, Build
+from objectfolder.workspace.params import object_entry, read
 from stages import run
 
 
@@ -19,6 +20,7 @@ def main(key: str) -> None:
         {modality: read_safetensors(build.net(modality)) for modality in MODALITIES},
         {name: file_digest(path) for name, path in inputs.items()},
         read_safetensors(build.radiation),
+        object_entry(key, read()).mass,
     )
     write_safetensors(build.object_file, tensors, header)
 

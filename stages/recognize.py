@@ -1,6 +1,6 @@
 """recognize: observations of all objects -> benchmarks/recognize_<split>.json, .csv: instance recognition."""
 
-from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.datasets.observations import certain_observations
 from objectfolder.benchmarks.tasks.recognize import TASK
 from objectfolder.benchmarks.tasks.recognize_training import recognize
 from objectfolder.benchmarks.tasks.running import run_stage
@@ -10,7 +10,7 @@ from stages import run
 
 
 def main(split: str) -> None:
-    samples = Observations({key: Benchmarks().observations(key) for key in read()["objects"]})
+    samples = certain_observations({key: Benchmarks().observations(key) for key in read()["objects"]})
     run_stage(TASK, recognize, split, samples)
 
 

@@ -1,6 +1,6 @@
 """reconstruct: observations of all objects -> benchmarks/reconstruct_<split>.{json,csv,safetensors,png}."""
 
-from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.datasets.observations import certain_observations
 from objectfolder.benchmarks.tasks.reconstruct import TASK
 from objectfolder.benchmarks.tasks.reconstruct_training import reconstruct
 from objectfolder.benchmarks.tasks.running import run_stage
@@ -10,7 +10,7 @@ from stages import run
 
 
 def main(split: str) -> None:
-    samples = Observations({key: Benchmarks().observations(key) for key in read()["objects"]})
+    samples = certain_observations({key: Benchmarks().observations(key) for key in read()["objects"]})
     run_stage(TASK, reconstruct, split, samples)
 
 

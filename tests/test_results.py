@@ -10,6 +10,7 @@ import sys
 import harness
 import pytest
 import results
+from catalogue import mass_rows
 from folders import contents
 from harness import encoded, rewrite, write_record
 
@@ -228,3 +229,14 @@ def test_scores_and_benchmarks_are_collected(repository):
     assert "| touch + sound | cup | 10.0 | 8.0 | 2.0 |" in page
     assert "`objectfolder bench grasp-policy --preset quick --seeds 1 build/cup`: 2 min" in page
     assert "`objectfolder bench grasp-policy --preset quick build/tonic_bottle`: 86 min" in page  # kept
+
+
+def test_computed_masses_stand_beside_real_ones(tmp_path):
+    for key, kilograms in (("mug", 0.84), ("fork", 0.15), ("die", 0.3)):
+        (tmp_path / "build" / key).mkdir(parents=True)
+        write_json(tmp_path / "build" / key / "modal.json", {"mass_kg": kilograms})
+    rows = mass_rows({"fork": 0.03, "plate": 0.2, "mug": 0.12}, tmp_path)  # the plate is not built
+    assert rows == [
+        {"object": "fork", "solid": 0.15, "real": 0.03, "ratio": pytest.approx(5)},
+        {"object": "mug", "solid": 0.84, "real": 0.12, "ratio": pytest.approx(7)},
+    ]

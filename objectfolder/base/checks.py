@@ -16,6 +16,8 @@ from objectfolder.base.text import visible
 #: Why a query of tensors that torch has wrapped is refused.
 TRANSFORMED = "torch.func and vmap are not supported; use torch.autograd.grad with ObjectFile.torch()"
 
+DENSITIES = (1.0, 25_000.0)  #: least and greatest of a body, kg/m^3: lighter than foam, heavier than osmium
+
 #: An address of the web without a user's name or password, of the characters that RFC 3986 allows.
 _WEB_ADDRESS = re.compile(
     r"https?://(?:[A-Za-z0-9](?:[A-Za-z0-9.-]*[A-Za-z0-9])?|\[[0-9A-Fa-f:.]+\])(?::[0-9]{1,5})?"
@@ -34,6 +36,18 @@ def finite_number(name: str, value: object) -> float:
             if math.isfinite(number := float(given)):
                 return number
     raise ObjectFolderError(f"{name} is {quoted(value)}, expected a finite number")
+
+
+def check_mass(name: str, mass: float, volume: float, space: str = "its volume") -> None:
+    """Raise ObjectFolderError if a body of this mass, kg, in this volume, m^3, is not in `DENSITIES`."""
+    least, most = DENSITIES
+    density = mass / volume
+    if not least <= density <= most:
+        grams = f": {mass / 1000:g} for {mass:g} g" if least <= density / 1000 <= most else ""
+        raise ObjectFolderError(
+            f"{name}: mass is {mass:g} kg, in {space} of {volume * 1e6:.4g} cm³ a density of {density:,.4g} "
+            f"kg/m³, expected {least:g} to {most:,g}; give kilograms{grams}, or check the scale, in metres"
+        )
 
 
 def real_array(name: str, values: Any) -> np.ndarray:

@@ -19,10 +19,11 @@ from threadpoolctl import threadpool_limits
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.io import read_json, write_json
 from objectfolder.benchmarks.datasets import close_ups, grasps, observations, sampling
-from objectfolder.benchmarks.datasets.samples import Samples, object_digest
+from objectfolder.benchmarks.datasets.samples import Samples, has_uncertain_sound, object_digest
 from objectfolder.benchmarks.datasets.settings import DecomposeConfig, GraspDataConfig, ObserveConfig
 from objectfolder.benchmarks.datasets.splits import label_order, named_split
 from objectfolder.benchmarks.models.encoders import check_encoder, read_weights
+from objectfolder.benchmarks.reporting.tables import describe_uncertain
 from objectfolder.benchmarks.tasks.job import Report
 from objectfolder.benchmarks.tasks.running import KnownObject, Run, machine, run_benchmark, training_device
 from objectfolder.benchmarks.tasks.task import Objects, Scores, Task, TaskParams, find_task
@@ -44,7 +45,7 @@ Tracker = Callable[[Iterable[Any], str, int], Iterable[Any]]
 Sources = Mapping[str, "LoadedFile"]  #: by object key
 #: Open the samples that tasks name, given their folders by key.
 SAMPLES: dict[str, Callable[[Mapping[str, Path]], Samples]] = {
-    "observations": observations.Observations,
+    "observations": observations.certain_observations,
     "close_ups": observations.CloseUps,
     "grasps": grasps.Grasps,
 }
@@ -168,7 +169,12 @@ def _possible_splits(
     report: Report,
 ) -> list[str]:
     """Return the splits that the task can be trained on; report what is left out, unless it was asked for."""
-    keys = label_order(sources)
+    marked = []
+    if task.samples == "observations":  # of tasks that use sound
+        marked = [key for key in label_order(sources) if has_uncertain_sound(sources[key].file)]
+    if marked:
+        report(describe_uncertain(marked))
+    keys = label_order(sources.keys() - marked)
     labels = np.repeat(np.arange(len(keys)), count)
     objects = Objects(keys, labels, [sources[key].file.material for key in keys])
     problems = {}
@@ -182,7 +188,7 @@ def _possible_splits(
     for problem in problems.values():
         report(f"left out: {problem}")
     samples = {"close_ups": "close views and touches"}.get(task.samples or "", task.samples)
-    report(f"{plural(len(sources), 'object')}, {count} {samples} of each")
+    report(f"{plural(len(keys), 'object')}, {count} {samples} of each")
     return [split for split in splits if split not in problems]
 
 

@@ -63,8 +63,10 @@ def info(file: FileArgument) -> None:
     table = Table(title=f"{obj.key} ({file.stat().st_size / 1000:.0f} kB)", show_header=False)
     rows = {"material": obj.material, "longest side": f"{obj.scale:g} m"}
     if {"solid", "material_properties"} <= obj.header.keys():
-        volume = obj.header["solid"]["volume"] * obj.scale**3
+        volume, given = obj.header["solid"]["volume"] * obj.scale**3, obj.header.get("mass")
         rows["mass"] = f"{obj.header['material_properties']['density'] * volume:.3g} kg"
+        if given is not None:
+            rows["mass"] = f"{given:.3g} kg (given; solid volume x density would be {rows['mass']})"
     rows |= {part: _summary_of(obj, part) for part in PARTS}
     heard = RADIATION in obj.header
     rows[RADIATION] = obj.header[RADIATION]["kind"] if heard else "none: no listener hears it"
@@ -360,6 +362,8 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
         certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")
     if described.get("frequency_uncertainty_unknown"):
         certain = ", their error not known: walls are too thin for the grid"
+    if described.get("uncertain"):
+        certain += "; the sound is marked uncertain"
     span = f"{frequencies.min():.0f} to {frequencies.max():.0f} Hz"
     cut = f", truncated above {described['band_hz'][1]:.0f} Hz" if described.get("truncated") else ""
     return f"{kind}, {plural(len(frequencies), 'mode')} from {span}{cut}{certain}"

@@ -27,6 +27,15 @@ def _metres(text: str) -> float:
         raise typer.BadParameter(f"{text!r} is not a number of metres, such as {example:g}") from None
 
 
+def _kilograms(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        number = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) *(k?g)", text)
+        example = float(number[1]) / (1 if number[2] == "kg" else 1000) if number else 0.118
+        raise typer.BadParameter(f"{text!r} is not a number of kilograms, such as {example:g}") from None
+
+
 def add(
     mesh: Annotated[
         Path,
@@ -56,6 +65,14 @@ def add(
     bridge: Annotated[
         str, typer.Option(help="Fill gaps under half an FEM cell: all, fem (for sound only) or off.")
     ] = "all",
+    mass: Annotated[
+        float | None,
+        typer.Option(
+            metavar="KG",
+            parser=_kilograms,
+            help="Mass of the real object, which no sound depends on; default: solid volume times density.",
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show the examined meshes; add nothing.")
     ] = False,
@@ -67,7 +84,8 @@ def add(
     `objectfolder build NAME`.
 
     In a folder, each mesh file and each subfolder with a mesh is an object. --material applies to all;
-    materials.csv (lines `name,material`) or materials.yaml in the folder overrides it by object.
+    materials.csv (lines `name,material` or `name,material,mass`) or materials.yaml in the folder overrides it
+    by object.
     """
     from objectfolder.workspace.discover import Candidate, discover
 
@@ -80,10 +98,11 @@ def add(
             "--unit": None if unit == "m" else unit,
             "--wall": wall,
             "--bridge": None if bridge == "all" else bridge,
+            "--mass": mass,
             "--dry-run": dry_run or None,
         }
         return _add_catalogue(mesh, [option for option, value in for_meshes.items() if value is not None])
-    _check_options(scale, up, unit, wall, bridge)
+    _check_options(scale, up, unit, wall, bridge, mass)
     options = {"up": up, "unit": unit, "wall": wall, "bridge": bridge}
     values = _read_params()
     if not mesh.exists():
@@ -93,15 +112,18 @@ def add(
             raise ObjectFolderError(
                 f"{mesh}: a mesh needs --name and --material; see objectfolder add --help"
             )
-        return _add_one(Candidate(name, mesh, material), values, scale, options, dry_run)
-    if name is not None or scale is not None:
+        return _add_one(Candidate(name, mesh, material, mass=mass), values, scale, options, dry_run)
+    if name is not None or scale is not None or mass is not None:
         raise ObjectFolderError(
-            f"{mesh} is a folder; --name and --scale are for one mesh, such as {discover(mesh)[0].mesh}"
+            f"{mesh} is a folder; --name, --scale and --mass are for one mesh, such as "
+            f"{discover(mesh)[0].mesh}"
         )
     raise typer.Exit(not _add_folder(mesh, values, material, options, dry_run))
 
 
-def _check_options(scale: float | None, up: str | None, unit: str, wall: float | None, bridge: str) -> None:
+def _check_options(
+    scale: float | None, up: str | None, unit: str, wall: float | None, bridge: str, mass: float | None
+) -> None:
     from objectfolder.workspace.discover import UNITS
     from objectfolder.workspace.params import Bridge
 
@@ -113,6 +135,10 @@ def _check_options(scale: float | None, up: str | None, unit: str, wall: float |
         raise ObjectFolderError(f"bridge {bridge!r} is not one of {', '.join(get_args(Bridge))}")
     if wall is not None and not 0 < wall < inf:
         raise ObjectFolderError(f"wall is {wall:g}, expected a thickness in metres")
+    if mass is not None and not 0 < mass < inf:
+        raise ObjectFolderError(
+            f"mass is {mass:g}, expected kilograms above 0; leave it out if it is not known"
+        )
     if scale is not None and unit != "m":
         raise ObjectFolderError(
             f"--scale {scale:g} is in metres, whatever the unit of the mesh's coordinates; give --scale, or "
@@ -159,8 +185,9 @@ def _add_one(
     _print_findings([finding], options)
     if not dry_run:
         entry = _add_examined(finding, options)
+        weighed = f"{entry['mass']:.4g} kg, " if "mass" in entry else ""
         console.print(
-            f"added {candidate.key}: {entry['material']}, longest side {entry['scale']:.4g} m, "
+            f"added {candidate.key}: {entry['material']}, {weighed}longest side {entry['scale']:.4g} m, "
             f"{entry['up']} up; next: objectfolder build {candidate.key}",
             soft_wrap=True,
         )
@@ -224,6 +251,7 @@ def _add_examined(finding: "Examination", options: dict[str, Any]) -> dict[str, 
         wall=options["wall"],
         bridge=options["bridge"],
         examined=True,
+        mass=candidate.mass,
         track=track,
     )
 

@@ -190,7 +190,7 @@ def _print_metrics(keys: list[str]) -> None:
     console.print(table)
     for key in keys:
         b = Build(key)
-        if warning := uncertainty_warning(read_json(b.modal), allow=True, name=key):
+        if warning := uncertainty_warning(read_json(b.modal), key):
             console.print(f"warning: {warning}", style="yellow", soft_wrap=True, highlight=False)
         sheets = (b.views_sheet, b.touch_sheet, b.vision_sheet, b.sound_sheet)
         print_line(f"{b.object_file}  pictures: {' '.join(map(str, sheets))}")

@@ -16,7 +16,7 @@ def summary_row(key: str, metrics: dict[str, Any]) -> dict[str, str]:
         "object": key,
         "vision / white": beside(v, "psnr", "baseline_white"),
         "lit": f"{v['psnr_lit_foreground']:.1f}" if "psnr_lit_foreground" in v else "-",
-        "audio / silence": beside(a, "psnr", "baseline_silence"),
+        "audio / silence": beside(a, "psnr", "baseline_silence") + ", uncertain" * a.get("uncertain", False),
         "gain error / nearest": beside(a, "gain_error", "baseline_nearest", form=".1%", none="-"),
         "modes": f"{kept}" if found in (None, kept) else f"{kept} of {found}",
         "touch / mean": beside(t, "psnr", "baseline_mean_image"),

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from objectfolder.base.checks import check_mass
 from objectfolder.mesh.featurecodec import Features, pack_features
 from objectfolder.mesh.gridcodec import pack_grid
 from objectfolder.stored.header import MODALITIES, RADIATION, checked_header, format_name
@@ -19,6 +20,7 @@ def pack_object_file(
     nets: dict[str, tuple[dict[str, np.ndarray], dict[str, Any]]],
     provenance: dict[str, str],
     radiation: tuple[dict[str, np.ndarray], dict[str, Any]] | None = None,
+    mass: float | None = None,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the header and the tensors of an Object File.
 
@@ -27,7 +29,8 @@ def pack_object_file(
     the source mesh. ``sdf`` holds ``values`` int8, ``band``, and the arrays of `Features`, if the surface has
     any; ``nets`` per modality its tensors and header, as the training stages wrote them; ``provenance`` the
     SHA-256 of each input, by name; ``radiation`` what its stage wrote, which is left out with an audio net
-    without modes. Raises ObjectFolderError if the header breaks the schema.
+    without modes; ``mass`` that of the real object, kg, if it was weighed. Raises ObjectFolderError if the
+    header breaks the schema, or a body of this mass and volume is impossible.
     """
     stream, predictor = pack_grid(sdf["values"])
     tensors = {"geometry.distances": stream}
@@ -52,6 +55,9 @@ def pack_object_file(
         "geometry": geometry,
         "provenance": provenance,
     }
+    if mass is not None:
+        check_mass(key, mass, normalize["solid"]["volume"] * modal["scale_m"] ** 3)
+        header["mass"] = mass
     for modality in MODALITIES:
         net_tensors, net_header = nets[modality]
         tensors.update({f"{modality}.{name}": value for name, value in net_tensors.items()})
@@ -65,8 +71,9 @@ def pack_object_file(
 
 def certainty(modal: dict[str, Any]) -> dict[str, Any]:
     """Return what the header says of the error of frequencies, from ``modal.json``."""
+    marked = {"uncertain": True} if modal.get("uncertain") else {}
     if modal.get("frequency_uncertainty") is not None:
-        return {"frequency_uncertainty": modal["frequency_uncertainty"]}
+        return {"frequency_uncertainty": modal["frequency_uncertainty"]} | marked
     if modal.get("element") == ESTIMATING and modal["modes"]:
-        return {"frequency_uncertainty_unknown": True}
+        return {"frequency_uncertainty_unknown": True} | marked
     return {}

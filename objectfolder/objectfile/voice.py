@@ -40,7 +40,7 @@ class Voice:
     scale : float
         m
     mass : float
-        kg
+        kg, of the solid filled with the material, whatever the real object weighs
     """
 
     def __init__(
@@ -54,6 +54,7 @@ class Voice:
         sense, self.key = parts.audio, parts.key
         if not isinstance(sense, ModalSense):
             raise no_modes(self.key)
+        sense.warn_if_uncertain()
         self._sense, self._surface = sense, parts.surface
         self.material, self.scale = sense.struck(material, scale)
         self._resized = self.scale / self._surface.scale

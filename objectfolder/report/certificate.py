@@ -1,6 +1,7 @@
 """Certificate of an object: physical checks, each with its figure and its limit."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -94,11 +95,13 @@ def _sound_checks(file: ObjectFile) -> list[PhysicalCheck]:
     if not {"geometry", "audio"} <= file.header.keys() or not len(file.frequencies):
         return []
     checks = []
-    if (error := file.header["audio"].get("frequency_uncertainty")) is not None:
-        checks.append(_most_share("Estimated error of frequencies", error, MAX_UNWARNED_ERROR))
-    elif file.header["audio"].get("frequency_uncertainty_unknown"):
-        limit = f"at most {MAX_UNWARNED_ERROR * 100:.3g} %"
-        checks.append(PhysicalCheck("Estimated error of frequencies", "not known", limit, False))
+    audio = file.header["audio"]
+    unknown = math.inf if audio.get("frequency_uncertainty_unknown") else None
+    if (error := audio.get("frequency_uncertainty", unknown)) is not None:
+        check = _most_share("Estimated error of frequencies", error, MAX_UNWARNED_ERROR)
+        figure = "not known" if math.isinf(error) else check.figure
+        figure += ", sound marked uncertain" if audio.get("uncertain") else ""
+        checks.append(replace(check, figure=figure))
     points, rate = file.sample_surface(STRIKES, seed=0), playing_rate(file)
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=(2, STRIKES, 3))

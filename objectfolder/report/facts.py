@@ -20,6 +20,7 @@ from objectfolder.report.comparison import join_images, join_spectrograms
 from objectfolder.report.pictures import picture_uri, playing_rate, sound_uri
 from objectfolder.sound.evaluation import UnitStrikes, compare_sounds
 from objectfolder.sound.fem.certainty import uncertainty_warning
+from objectfolder.sound.query import uncertainty_note
 from objectfolder.stored.header import PARTS
 from objectfolder.vision.evaluation import choose_views, compare_views
 from objectfolder.workspace.layout import Build
@@ -86,8 +87,9 @@ def object_report(path: Path, costs: bool = True) -> ObjectReport:
         left_out = "its scores and truth are of another Object File and left out"
         warnings.append(f"{left_out}: run `objectfolder build {file.key}`")
     truth = build if metrics else None
-    if modal and (text := uncertainty_warning(modal, allow=True, name=file.key)):
-        warnings.append(text)
+    note = uncertainty_warning(modal, file.key) if modal else uncertainty_note(file.header.get("audio", {}))
+    if note:
+        warnings.append(note)
     frequencies = file.frequencies if "audio" in file.header else np.zeros(0)
     if file.header.get("audio", {}).get("truncated"):
         warnings.append(f"only the lowest {len(frequencies)} modes are stored")

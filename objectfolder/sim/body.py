@@ -51,10 +51,11 @@ class RigidBody:
 
 
 def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
-    """Compute the mass properties of the solid, filled with the object's material.
+    """Compute the mass properties of the solid, evenly filled: with the object's material, or to its mass.
 
     The file stores volume, centre and inertia of the source's closed surface. Files older than format 1.1 do
-    not; their solid is bounded by the stored surface.
+    not; their solid is bounded by the stored surface. If the file holds the mass of the real object, which
+    may be hollow where the solid is not, that counts, and the inertia is in proportion.
 
     Parameters
     ----------
@@ -78,9 +79,10 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
         found = surface.mass_properties
         volume, centre = float(found.volume), np.asarray(found.center_mass)
         inertia = np.asarray(found.inertia)
+    filled = body_density(file)
     return RigidBody(
-        key=file.key, hulls=tuple(hulls), mass=density(file) * volume, centre=centre,
-        inertia=density(file) * inertia, friction=file.friction, bounds=np.asarray(surface.bounds),
+        key=file.key, hulls=tuple(hulls), mass=file.header.get("mass", filled * volume), centre=centre,
+        inertia=filled * inertia, friction=file.friction, bounds=np.asarray(surface.bounds),
     )  # fmt: skip
 
 
@@ -138,6 +140,15 @@ def density(file: ObjectFile) -> float:
             f"none of {', '.join(materials.material_names())}; import the file again with --material"
         )
     return materials.material(file.material).density
+
+
+def body_density(file: ObjectFile) -> float:
+    """Return the mean density of the object's solid, kg/m^3: of its mass, if the file holds it.
+
+    Else that of its material; raises ObjectFolderError as `density`.
+    """
+    given = file.header.get("mass")
+    return density(file) if given is None else given / (file.header["solid"]["volume"] * file.scale**3)
 
 
 def add_body(

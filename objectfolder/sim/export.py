@@ -14,7 +14,7 @@ from objectfolder.base.disk import new_folder
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.base.io import write_text
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.sim.body import ROLLING, TORSIONAL, RigidBody, add_body, density, rigid_body
+from objectfolder.sim.body import ROLLING, TORSIONAL, RigidBody, add_body, body_density, rigid_body
 from objectfolder.sim.hulls import MAX_HULLS, convex_hulls
 from objectfolder.sim.visual import GREY, visual_mesh
 
@@ -50,7 +50,7 @@ def write_mjcf(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hu
     """
     with export_folder(file, out, max_hulls, hulls) as (new, body):
         textured = _write_meshes(new, file, body)
-        write_text(new / f"{file.key}.xml", _mjcf(new, body, density(file), textured))
+        write_text(new / f"{file.key}.xml", _mjcf(new, body, body_density(file), textured))
     return Path(out) / file.key / f"{file.key}.xml"
 
 

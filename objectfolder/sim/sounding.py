@@ -13,7 +13,7 @@ from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.base.materials import Material, material
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.voice import Voice
-from objectfolder.sim.body import rotation, solid_moments
+from objectfolder.sim.body import body_density, density, rotation, solid_moments
 from objectfolder.sound.tuning import HEARING_HZ
 
 #: Half sides of the boxes of simple geoms, by their sizes.
@@ -164,14 +164,16 @@ def check_body(model: mujoco.MjModel, name: str, one: Sounding, voice: Voice) ->
         "`objectfolder.sim.body.add_body`"
     )
     mass = float(model.body_mass[body])
-    if abs(mass / voice.mass - 1) > _MASS:
+    # A real object that was weighed is as full of another material, and in another size, as of its own.
+    fill = body_density(one.file) / density(one.file) if "mass" in one.file.header else 1.0
+    if abs(mass / (fill * voice.mass) - 1) > _MASS:
         raise ObjectFolderError(
             f"body {name!r} weighs {mass:.4g} kg in the scene, but {one.file.key} of {voice.material.name} "
-            f"and {voice.scale:.4g} m weighs {voice.mass:.4g} kg; {advice}"
+            f"and {voice.scale:.4g} m weighs {fill * voice.mass:.4g} kg; {advice}"
         )
     if "solid" in one.file.header:  # since format 1.1
         ratio = voice.scale / one.file.scale
-        expected = voice.material.density * ratio**5 * solid_moments(one.file)[2]
+        expected = fill * voice.material.density * ratio**5 * solid_moments(one.file)[2]
         axes = rotation(model.body_iquat[body])
         found = axes * model.body_inertia[body] @ axes.T
         times = scipy.linalg.eigvalsh(found, expected)  # of the object's own, about the axes that differ most

@@ -8,7 +8,7 @@ import trimesh
 
 from objectfolder.mesh.srgb import decode
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.sim.body import RigidBody, density
+from objectfolder.sim.body import RigidBody, body_density
 from objectfolder.sim.export import OwnHulls, export_folder
 from objectfolder.sim.hulls import MAX_HULLS
 from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image, visual_mesh
@@ -40,7 +40,7 @@ def write_usd(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hul
         UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
         _add_body(stage, body)
         _add_look(stage, body.key, look, image is not None)
-        _add_hulls(stage, body, density(file))
+        _add_hulls(stage, body, body_density(file))
         stage.GetRootLayer().Export(str(new / f"{file.key}.usda"), comment="")
     return Path(out) / file.key / f"{file.key}.usda"
 

@@ -58,12 +58,15 @@ class SoundTruth:
 def evaluate_sound(file: SoundQueries, truth: SoundTruth) -> dict[str, Any]:
     """Score gains at held-out surface points, and spectrograms of strikes; count the modes left out.
 
+    ``uncertain`` says that the truth itself is marked so.
+
     Raises ObjectFolderError if the Object File was made from other modes.
     """
     modes = truth.modes
     gained = score_gains(file, modes, np.flatnonzero(modes["split"] == 2)) if file.has_modes else {}
     heard = score_spectrograms(file, modes, truth.strikes, truth.rng)
-    return gained | heard | count_lost_modes(modes, truth.report)
+    marked = {"uncertain": True} if truth.report.get("uncertain") else {}
+    return gained | heard | count_lost_modes(modes, truth.report) | marked
 
 
 def score_gains(file: SoundQueries, modes: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:

@@ -85,6 +85,7 @@ class Sound(AnswerModule):
         super().__init__()
         if not (isinstance(sense, ModalSense) and isinstance(sense.net, GainsNet)):
             raise ObjectFolderError("gradients of sound need an audio net of kind gains")
+        sense.warn_if_uncertain()
         self._sense, self._surface, self._dtype = sense, surface, dtype
         self.net = copy.deepcopy(sense.net).cpu().to(dtype).requires_grad_(False)
 

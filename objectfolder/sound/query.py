@@ -1,5 +1,6 @@
 """Sound of an Object File: strikes in, sounds out."""
 
+import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -31,6 +32,7 @@ from objectfolder.stored.reading import StoredNet, StoredObject
 from objectfolder.stored.surface import TOLERANCE
 
 _BYTES_PER_SAMPLE = 8  # of an answer, while it is made
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -130,6 +132,18 @@ class SoundSense(ABC):
     def __init__(self, stored: StoredNet):
         self.net = stored.load()
         self._stored, self._key, self._surface = stored, stored.key, stored.surface
+        self._said: set[str] = set()
+
+    def warn_once(self, note: str) -> None:
+        """Warn of something that holds for this object: once, not at every strike."""
+        if note not in self._said:
+            self._said.add(note)
+            log.warning("%s: %s", self._key, note)
+
+    def warn_if_uncertain(self) -> None:
+        """Warn, once, if the sound is marked uncertain."""
+        if note := uncertainty_note(self._stored.header["audio"]):
+            self.warn_once(note)
 
     @property
     def damped_frequency(self) -> torch.Tensor:
@@ -161,6 +175,20 @@ class SoundSense(ABC):
         precision, a listener is inside the object's ball, or the struck object's sound has other wavelengths,
         relative to its size, than the stored one's.
         """
+
+
+def uncertainty_note(audio: dict[str, Any]) -> str | None:
+    """Return what is to be said of a sound that is marked uncertain, from its part of the header."""
+    if not audio.get("uncertain"):
+        return None
+    error = audio.get("frequency_uncertainty")
+    known = "how wrong its frequencies are is not known"
+    return (
+        "its sound is marked uncertain: "
+        f"{known if error is None else f'its lowest frequencies may be {error:.0%} wrong'}, since walls or "
+        "joints are thin for the grid that they were solved on; thicken them and build again, or raise "
+        "modal.fine.max_degrees_of_freedom (docs/modal.md#accuracy)"
+    )
 
 
 def no_modes(key: str) -> ObjectFolderError:
@@ -267,6 +295,7 @@ class SoundQueries(StoredObject):
         played = sample_rate, duration, response, contact_time, material, scale, striker, listener is not None
         settings = SoundSettings(*played).checked(len(strikes.points))
         sense: SoundSense = self._parts.audio
+        sense.warn_if_uncertain()
         return like_first(sense.impact(strikes, settings, lambda: self._parts.radiation), points)
 
     def listen(

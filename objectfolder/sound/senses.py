@@ -42,7 +42,6 @@ class ModalSense(SoundSense):
     def __init__(self, stored: StoredNet):
         super().__init__(stored)
         self._banks: Recent[tuple[Tuning, Bank]] = Recent(_BANKS)
-        self._said: set[str] = set()
 
     @override
     def tuning(self, material: str | Material | None, scale: float | None) -> Tuning:
@@ -204,9 +203,7 @@ class ModalSense(SoundSense):
         """Yield parts of the strikes, and their gains of the bank's modes; (rows, H) float32."""
         tuning, bank = self._bank(settings)
         for note in tuning.notes:
-            if note not in self._said:  # once, not at every strike
-                self._said.add(note)
-                log.warning("%s: %s", self._key, note)
+            self.warn_once(note)
         surface = self._surface.resized(settings.scale)
         places = torch.from_numpy(surface.to_unit(surface.snap(strikes.points, strikes.tolerance)))
         for start in range(0, len(places), _BATCH):

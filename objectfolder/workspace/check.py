@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from pydantic import create_model
 
+from objectfolder.base.checks import check_mass
 from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.base.materials import own_material
 from objectfolder.workspace.params import (
@@ -87,10 +88,9 @@ def check_own(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
             check_key(key, f"{path}: {group}")
     for key, entry in values["objects"].items():
         check_object(key, values, path)
-        lacking = [name for name in ObjectEntry.model_fields if name not in entry]
+        lacking = {n: v for n, v in ObjectEntry.model_construct().model_dump().items() if n not in entry}
         if lacking:
-            default = ObjectEntry.model_construct()
-            fields = ", ".join(f"{name}: {json.dumps(getattr(default, name))}" for name in lacking)
+            fields = ", ".join(f"{name}: {json.dumps(value)}" for name, value in lacking.items())
             raise ObjectFolderError(
                 f"{path}: objects.{key} lacks {', '.join(lacking)}, which DVC tracks; add `{fields}`"
             )
@@ -100,7 +100,7 @@ def check_own(values: dict[str, Any], path: str | Path = PARAMS_FILE) -> None:
 
 
 def check_object(key: str, values: dict[str, Any], path: str | Path = PARAMS_FILE) -> ObjectEntry:
-    """Return one object's entry, whose material must be known and whose wall must have room.
+    """Return one object's entry, whose material must be known, wall have room and mass be possible.
 
     Raises ObjectFolderError if there is no such entry, or a field is wrong.
     """
@@ -114,6 +114,8 @@ def check_object(key: str, values: dict[str, Any], path: str | Path = PARAMS_FIL
             f"{path}: objects.{key}: wall: got {entry.wall:g} m, expected less than half of the scale, "
             f"{entry.scale:g} m; give it in metres"
         )
+    if entry.mass is not None and entry.mass > entry.scale**3:  # in the cube around it it is the least dense
+        check_mass(f"{path}: objects.{key}", entry.mass, entry.scale**3, "the cube around it")
     return entry
 
 

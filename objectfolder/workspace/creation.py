@@ -152,8 +152,7 @@ def upgrade_workspace(root: Path) -> Upgrade:
 def _add_settings(values: Any, defaults: dict[str, Any]) -> list[str]:
     """Add what the settings and the objects lack; return the names."""
     added = _add_missing(values, {name: defaults[name] for name in defaults if name not in GROUPS})
-    entry = ObjectEntry.model_construct()
-    fields = {name: getattr(entry, name) for name in ObjectEntry.model_fields if hasattr(entry, name)}
+    fields = ObjectEntry.model_construct().model_dump()
     for key, present in values["objects"].items():
         added += _add_missing(present, fields, f"objects.{key}.")
     return added

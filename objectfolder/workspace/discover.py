@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from objectfolder.base.checks import check_mass
 from objectfolder.base.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.base.materials import own_material
 from objectfolder.base.yamlfile import is_yaml_name, read_yaml
@@ -76,6 +78,7 @@ class Candidate:
     material: str | None = None
     refusal: str | None = None  #: reason why its location alone rules it out
     others: tuple[Path, ...] = ()  #: further meshes in its folder, of which the one with a texture counts
+    mass: float | None = None  #: of the real object, kg
 
 
 @dataclass(frozen=True)
@@ -114,10 +117,11 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
 
     Keys are made from file or subfolder names, which keep their numbers where others have the same words.
     Folders such as ``meshes`` or ``google_16k`` belong to the object of the folder above.
-    ``materials.csv`` (lines ``name,material``) or ``materials.yaml`` (``name: material``) in the folder
-    assigns materials by file, subfolder or key; ``material`` is that of the others. Returns candidates by
-    name; those with a duplicate key have a refusal. Raises ObjectFolderError if there is no mesh, or the list
-    of materials is invalid or names an unknown object.
+    ``materials.csv`` (lines ``name,material`` or ``name,material,mass``, kg) or ``materials.yaml``
+    (``name: material``) in the folder assigns materials by file, subfolder or key, and masses of the real
+    objects; ``material`` is that of the others. Returns candidates by name; those with a duplicate key have a
+    refusal. Raises ObjectFolderError if there is no mesh, or the list of materials is invalid or names an
+    unknown object.
     """
     listed = _materials(folder)
     found = [(path.stem, [path]) for path in _meshes(folder)]
@@ -158,8 +162,8 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
                 f"{_listed(sharing[key])} in {folder} would {each} be named {key!r}; rename all but one, or "
                 "add one by its path"
             )
-        own = next((listed[n] for n in names if n in listed), material)
-        candidates.append(Candidate(key, mesh, own, refusal, tuple(inside[1:])))
+        own, mass = next((listed[n] for n in names if n in listed), (material, None))
+        candidates.append(Candidate(key, mesh, own, refusal, tuple(inside[1:]), mass))
     unknown = sorted(set(listed) - named)
     if unknown:
         raise ObjectFolderError(
@@ -197,47 +201,62 @@ def _meshes(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if _is_mesh(path))
 
 
-def _materials(folder: Path) -> dict[str, str]:
+def _materials(folder: Path) -> dict[str, tuple[str, float | None]]:
+    """Read the list of a folder: material and mass, kg, by name."""
     lists = [folder / name for name in LISTS if (folder / name).is_file()]
     if len(lists) > 1:
         raise ObjectFolderError(f"{' and '.join(map(str, lists))} both assign materials; keep one")
     if not lists:
         return {}
     path = lists[0]
-    expected = "lines `name,material`" if path.suffix == ".csv" else "lines `name: material`"
+    expected = (
+        "lines `name,material` or `name,material,mass`" if path.suffix == ".csv" else "lines `name: material`"
+    )
     try:
         if path.suffix == ".csv":
-            values: Any = _csv_pairs(path)
+            values: Any = _csv_rows(path)
         else:
             values = read_yaml(path)
+            values = {n: (v, None) for n, v in values.items()} if isinstance(values, dict) else values
     except ObjectFolderError:
         raise
     except (ValueError, csv.Error) as error:
         raise ObjectFolderError(f"{path} cannot be read: {error}; expected {expected}") from error
     if not isinstance(values, dict):
         raise ObjectFolderError(f"{path} holds {type(values).__name__}; expected {expected}")
-    for name, value in values.items():
+    assigned = {}
+    for name, (value, mass) in values.items():
         if isinstance(value, dict | list):
             raise ObjectFolderError(f"{path}: {quoted(name)} is {quoted(value)}; expected {expected}")
-    beside = {name: folder / str(value) for name, value in values.items() if is_yaml_name(value)}
-    # File systems may have names in decomposed Unicode.
-    assigned = {name: str(beside.get(name, value)) for name, value in values.items()}
-    return {unicodedata.normalize("NFC", str(name)): value for name, value in assigned.items()}
+        # File systems may have names in decomposed Unicode.
+        material = str(folder / str(value)) if is_yaml_name(value) else str(value)
+        assigned[unicodedata.normalize("NFC", str(name))] = material, mass
+    return assigned
 
 
-def _csv_pairs(path: Path) -> dict[str, str]:
-    """Read lines ``name,material``; they may follow a line with these words."""
+def _csv_rows(path: Path) -> dict[str, tuple[str, float | None]]:
+    """Read lines ``name,material`` or ``name,material,mass``; they may follow a line with these words."""
     lines = csv.reader(path.read_text(encoding="utf-8-sig").splitlines())
-    pairs = {}
+    rows = {}
     for row in lines:
-        if row and len(row) != 2:
+        where = f"{path}, line {lines.line_num}"
+        if row and len(row) not in (2, 3):
             raise ObjectFolderError(
-                f"{path}, line {lines.line_num} is {quoted(','.join(row))}, expected `name,material`"
+                f"{where} is {quoted(','.join(row))}, expected `name,material` or `name,material,mass`"
             )
-        name, material = (cell.strip() for cell in row) if row else ("", "")
-        if row and (name.lower(), material.lower()) != ("name", "material"):
-            pairs[name] = material
-    return pairs
+        name, material, mass = [*(cell.strip() for cell in row), ""][:3] if row else ("", "", "")
+        if row and [cell.strip().lower() for cell in row] != ["name", "material", "mass"][: len(row)]:
+            rows[name] = material, _kilograms(mass, f"{where}: mass of {quoted(name)}") if mass else None
+    return rows
+
+
+def _kilograms(text: str, where: str) -> float:
+    with suppress(ValueError):
+        if 0 < (mass := float(text)) < inf:
+            return mass
+    raise ObjectFolderError(
+        f"{where} is {quoted(text)}, expected kilograms above 0, such as 0.118, or nothing"
+    )
 
 
 def examine(
@@ -299,6 +318,8 @@ def examine(
     config = settings(VoxelizeConfig, values)
     voxelize(normalized.select_visible(bridge), normalized.surface.mesh, config, key)  # raises
     report = normalized.report(size, up or default_up(mesh))
+    if candidate.mass is not None:
+        check_mass(key, candidate.mass, report["volume_m3"])
     notes = [*found, *report["warnings"], *report["appearance"].get("notes", [])]
     if size > LARGE:
         remedy = _size_in_other_units(own, unit) if scale is None else _in_metres(scale)

@@ -36,6 +36,7 @@ def add_mesh(
     wall: float | None = None,
     bridge: str = "all",
     examined: bool = False,
+    mass: float | None = None,
     *,
     track: Callable[[Path, Path], None],
 ) -> dict[str, Any]:
@@ -61,6 +62,8 @@ def add_mesh(
         Where to fill small gaps.
     examined : bool
         Whether the mesh is known to load; it is not loaded again if its scale is given too.
+    mass : float, optional
+        Of the real object, kg; default: that of the solid, filled with the material.
     track : callable
         Puts a folder of a workspace under version control, with all its files, or raises; takes both paths.
 
@@ -97,6 +100,7 @@ def add_mesh(
         "up": up,
         "wall": wall,
         "bridge": bridge,
+        "mass": mass,
     }
     sources = object_files(mesh, attachments)
     placed = False
@@ -252,7 +256,7 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
                         _check_mesh(key, entry["mesh"], catalogue, root)
                     document[group][key] = _one_line(entry)
                     added += [key] if group == "objects" else []
-                elif present != entry:
+                elif {"mass": None, **present} != {"mass": None, **entry}:
                     raise ObjectFolderError(
                         f"{catalogue}: {group}.{key} differs from the one in {params_path}; rename or remove "
                         "one"

@@ -16,7 +16,16 @@ from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    TypeAdapter,
+    ValidationError,
+    field_validator,
+    model_serializer,
+)
 from pydantic_core import ErrorDetails
 
 from objectfolder.base.errors import ObjectFolderError, quoted, shortened
@@ -58,8 +67,14 @@ class ObjectEntry(Record):
     up: Literal["y", "z"] = "z"  #: up axis of the source mesh
     wall: float | None = Field(default=None, gt=0)  #: thickness given to open sheets, metres; null: 2 %
     bridge: Bridge = "all"  #: fill small gaps: everywhere, for sound alone, nowhere
+    mass: float | None = Field(default=None, gt=0, le=1e6)  #: weighed, kg; absent: of the solid's material
 
-    @field_validator("scale", "wall", mode="before")
+    @model_serializer(mode="wrap")
+    def _written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields that are written for every object, and the mass of one that was weighed."""
+        return {name: value for name, value in write(self).items() if name != "mass" or value is not None}
+
+    @field_validator("scale", "wall", "mass", mode="before")
     @classmethod
     def _number(cls, value: Any) -> Any:
         if not isinstance(value, int) or isinstance(value, bool):

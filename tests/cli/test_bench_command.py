@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from objectfolder.base.arrays import open_safetensors, write_safetensors
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks import run
+from objectfolder.benchmarks.datasets.observations import certain_observations
 from objectfolder.benchmarks.datasets.sampling import sample_observations
 from objectfolder.benchmarks.datasets.splits import object_split
 from objectfolder.benchmarks.tasks import recognize, retrieve
@@ -166,6 +167,55 @@ def test_a_split_beside_another_gives_what_it_gives_alone(files, workspace):
     assert all(f"reconstruct_{split}.json" in output for split in ("seen", "unseen"))
     assert alone.items() < results(Path("second")).items()
     assert json.loads(Path("second/reconstruct_unseen_machine.json").read_text())["threads"] == 1
+
+
+@pytest.fixture
+def marked(files, brick, tmp_path):
+    """Object Files of the bricks, and of one whose sound is marked uncertain."""
+    header = {**brick.header, "key": "flimsy", "audio": {**brick.header["audio"], "uncertain": True}}
+    folder = shutil.copytree(files, tmp_path / "marked")
+    (folder / "flimsy").mkdir()
+    write_safetensors(folder / "flimsy/ObjectFile.safetensors", dict(brick.tensors), header)
+    return folder
+
+
+def test_an_object_whose_sound_is_uncertain_is_left_out_where_sound_is_used(files, marked, workspace):
+    line = "left out, since their sound is marked uncertain: flimsy"
+    bench("recognize", files, "--out", "first", "--seeds", "1")
+    output = bench("recognize", marked, "--out", "second", "--seeds", "1")
+    assert output.count(line) == 2  # before the task, and below the table
+    assert "2 objects, 10 observations of each" in output
+    scores, plain = (json.loads(Path(f"{at}/recognize_seen.json").read_text()) for at in ("second", "first"))
+    assert scores == plain | {"uncertain": ["flimsy"]}
+    stage = certain_observations(
+        {key: Path("second/observations") / key for key in (*plain["keys"], "flimsy")}
+    )
+    assert stage.uncertain == ("flimsy",)
+    one = min(files.iterdir())
+    with pytest.raises(ObjectFolderError, match="needs two at least"):
+        bench("recognize", one, marked / "flimsy", "--out", "third")
+
+
+def test_an_object_whose_sound_is_uncertain_is_localized_by_touch_alone(marked, workspace):
+    output = bench("localize", marked / "flimsy", "--out", "first")
+    assert "flimsy: its sound is marked uncertain, so contacts are localized by touch alone" in output
+    assert "By touch alone, since their sound is marked uncertain: flimsy." in output
+    assert "touch + sound" not in output
+    scores = json.loads(Path("first/localize_flimsy.json").read_text())
+    assert scores["uncertain"]
+    assert "T" in scores
+    assert not {"A", "TA"} & scores.keys()
+    heard = {"T": scores["T"], "A": scores["T"], "TA": scores["T"], "constant": 1.0, "random": 1.0}
+    [table] = find_task("localize").tables(
+        {"flimsy": scores, "other": heard | {"contacts": scores["contacts"]}}
+    )
+    assert [row[:2] for row in table.rows] == [
+        ("touch", "flimsy"),
+        ("touch", "other"),
+        ("touch", "mean of 2"),
+        ("sound", "other"),
+        ("touch + sound", "other"),
+    ]
 
 
 def test_another_seed_or_encoder_begins_anew(files, workspace):

@@ -331,9 +331,22 @@ def test_a_list_names_materials(workspace, collection, file, text):
     ("file", "text", "message"),
     [
         ("materials.csv", "name,material\nbrik,iron\n", "names brik, which it does not contain"),
-        ("materials.csv", "brick\n", r"materials\.csv, line 1 is 'brick', expected `name,material`$"),
+        ("materials.csv", "brick\n", r"line 1 is 'brick', expected `name,material` or `name,material,mass`$"),
+        ("materials.csv", "brick,a,1,b\n", r"line 1 is 'brick,a,1,b', expected `name,material` or `name,mat"),
+        *(
+            (
+                "materials.csv",
+                f"name,material,mass\nBrick,iron,{mass}\n",
+                f"line 2: mass of 'Brick' is '{mass}'",
+            )
+            for mass in ("0", "-0.1", "nan", "inf", "118 g", "red")
+        ),
         ("materials.csv", "Brick,iron\n\nopen;steel\n", r"materials\.csv, line 3 is 'open;steel', expected"),
-        ("materials.csv", "Brick,iron,red\n", r"materials\.csv, line 1 is 'Brick,iron,red', expected"),
+        (
+            "materials.csv",
+            "Brick,iron,red\n",
+            r"'red', expected kilograms above 0, such as 0\.118, or nothing",
+        ),
         ("materials.yaml", "- brick\n", r"materials\.yaml holds list; expected"),
         ("materials.yaml", "{", r"materials\.yaml, line [12] is not valid YAML"),
     ],
@@ -343,6 +356,45 @@ def test_a_bad_list_of_materials_is_refused(collection, file, text, message):
     refused(r"(?s)" + message, discover, collection)
     (collection / "materials.yml").write_text("brick: iron\n")
     refused("both assign materials", discover, collection)
+
+
+@pytest.mark.usefixtures("coarse")
+def test_masses_of_a_list_are_entered_and_impossible_ones_refused(workspace, collection):
+    lines = "name,material,mass\n025_Mug (blue),ceramic,0.35\nbrick,iron,\nopen,wood\nboth,wood,3\n"
+    (collection / "materials.csv").write_text(lines)
+    found = {one.key: one.mass for one in discover(collection)}
+    assert found == {"mug_blue": 0.35, "brick": None, "open": None, "both": 3}
+    run(collection)
+    objects = params.read()["objects"]
+    assert objects["mug_blue"]["mass"] == 0.35
+    assert "mass" not in objects["brick"]
+    (collection / "materials.csv").write_text(lines.replace("0.35", "350").replace("_Mug", "_Cup"))
+    (collection / "025_Mug (blue)").rename(collection / "025_Cup (blue)")
+    said = re.search(r"refused cup_blue: (.*)", run(collection).output)[1]
+    assert re.match(r"mass is 350 kg, in its volume of .* for 350 g, or check the scale, in metres", said)
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_mass_is_entered_with_the_mesh(workspace, box):
+    crate = (box, "--name", "crate", "--material", "wood", "--mass")
+    before = snapshot(workspace)
+    for mass, said in (
+        ("0", "mass is 0, expected kilograms above 0; leave it out if it is not known"),
+        ("-0.1", "mass is -0.1, expected kilograms"),
+        ("nan", "mass is nan, expected kilograms"),
+        (
+            "800",
+            "crate: mass is 800 kg, in its volume of 2000 cm³ a density of 4e+05 kg/m³, expected 1 to 25,000",
+        ),
+    ):
+        assert said in str(run(*crate, mass).exception)
+    for mass, example in (("118 g", "0.118"), ("2kg", "2"), ("heavy", "0.118")):
+        said = re.sub(r"[│\s]+", " ", run(*crate, mass).output)
+        assert f"'{mass}' is not a number of kilograms, such as {example}" in said
+    assert snapshot(workspace) == before
+    assert "added crate: wood, 0.8 kg, longest side 0.2 m" in run(*crate, "0.8").output
+    assert params.read()["objects"]["crate"]["mass"] == 0.8
+    check_all(params.read())
 
 
 @pytest.mark.usefixtures("coarse")
@@ -571,7 +623,8 @@ def test_one_mesh_is_examined_before_it_is_added(workspace, collection, monkeypa
     ("arguments", "message"),
     [
         (["--name", "x"], "my objects/Brick.STL"),
-        (["--scale", "0.1"], "is a folder; --name and --scale are for one mesh, such as /"),
+        (["--scale", "0.1"], "is a folder; --name, --scale and --mass are for one mesh, such as /"),
+        (["--mass", "0.1"], "is a folder; --name, --scale and --mass are for one mesh, such as /"),
         (["--unit", "inch"], "unit 'inch' is not one of m, cm, mm"),
         (["--up", "x"], "up axis 'x' is neither 'y' nor 'z'"),
         (["--wall", "inf"], "wall is inf, expected a thickness in metres"),
@@ -591,7 +644,7 @@ def test_bad_options_change_nothing(workspace, collection, arguments, message):
         ("--dry-run",),
         ("--material", "steel"),
         *(("--scale", "3"), ("--unit", "mm"), ("--up", "y"), ("--name", "foo"), ("--wall", "0.1")),
-        ("--bridge", "off"),
+        *(("--bridge", "off"), ("--mass", "0.1")),
     ],
 )
 def test_options_for_meshes_are_refused_for_a_catalogue(workspace, options):

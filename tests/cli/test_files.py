@@ -80,21 +80,30 @@ def test_the_frequency_above_which_modes_are_not_stored_is_shown(brick, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("error", "said"),
+    ("error", "mark", "said"),
     [
-        (3e-4, "lowest ten within 0.1%"),
-        (0.017, "lowest ten within about 1.7%"),
-        (2.22, "uncertain: the lowest ten may be 222% wrong"),
+        (3e-4, {}, "lowest ten within 0.1%"),
+        (0.017, {}, "lowest ten within about 1.7%"),
+        (2.22, {}, "uncertain: the lowest ten may be 222% wrong"),
+        (0.48, {"uncertain": True}, "may be 48% wrong; the sound is marked uncertain"),
     ],
 )
-def test_how_far_frequencies_may_be_off_is_shown(brick, tmp_path, capsys, error, said):
-    header = brick.header | {"audio": brick.header["audio"] | {"frequency_uncertainty": error}}
+def test_how_far_frequencies_may_be_off_is_shown(brick, tmp_path, capsys, error, mark, said):
+    header = brick.header | {"audio": brick.header["audio"] | {"frequency_uncertainty": error} | mark}
     ObjectFile(header, brick.tensors).save(tmp_path / "brick.safetensors")
     app(["info", str(tmp_path / "brick.safetensors")], standalone_mode=False)
     shown = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
     assert said in shown
+    assert ("marked" in shown) == bool(mark)
     mass = np.prod(SIDES) * SCALE**3 * header["material_properties"]["density"]
     assert float(re.search(r"mass (\S+) kg", shown)[1]) == pytest.approx(mass, rel=0.01)
+
+
+def test_the_real_mass_is_shown_beside_that_of_the_solid(brick, tmp_path, capsys):
+    ObjectFile(brick.header | {"mass": 0.118}, brick.tensors).save(tmp_path / "brick.safetensors")
+    app(["info", str(tmp_path / "brick.safetensors")], standalone_mode=False)
+    shown = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
+    assert "mass 0.118 kg (given; solid volume x density would be 0.193 kg)" in shown
 
 
 def test_a_sample_is_shown_sampled_queried_and_seen(tmp_path, monkeypatch, capsys):

@@ -191,6 +191,10 @@ def test_the_summary_shows_baselines_beside_scores_and_the_modes_that_were_not_s
     assert row["audio / silence"] == "101.2 / 50.1"
     assert row["gain error / nearest"] == "0.3% / 4.0%"
     assert row["modes"] == "12 of 40"
+    marked = summary_row(
+        "x", {"vision": {}, "audio": audio | {"uncertain": True}, "touch": {}, "file_bytes": 1}
+    )
+    assert marked == row | {"audio / silence": "101.2 / 50.1, uncertain"}
 
 
 def test_strikes_across_a_mode_score_finitely(brick, modes, strikes):

@@ -186,7 +186,13 @@ def test_the_schema_is_a_valid_one_that_describes_every_field_of_a_file(brick):
         rules = {rule["if"]["properties"]["kind"]["const"]: rule["then"]["properties"] for rule in rules}
         rule = rules[brick.header[part]["kind"]]
         rule |= schema()["properties"][part]["properties"]
-        optional = {"truncated", "frequency_uncertainty", "frequency_uncertainty_unknown", *COUNTED}
+        optional = {
+            "truncated",
+            "frequency_uncertainty",
+            "frequency_uncertainty_unknown",
+            "uncertain",
+            *COUNTED,
+        }
         assert brick.header[part].keys() == rule.keys() - optional
         if "net" in rule:
             assert brick.header[part]["net"].keys() == rule["net"]["properties"].keys()

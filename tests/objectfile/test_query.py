@@ -274,6 +274,41 @@ def test_an_object_whose_highest_modes_are_not_stored_says_so(brick, caplog):
     assert caplog.text.count(f"brick: {own.notes[0]}") == 1  # not at every strike
 
 
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        ({"frequency_uncertainty": 0.48}, "its lowest frequencies may be 48% wrong"),
+        ({"frequency_uncertainty_unknown": True}, "how wrong its frequencies are is not known"),
+    ],
+)
+def test_a_sound_that_is_marked_uncertain_says_so_once(brick, spectrograms, caplog, known, said):
+    for file in (brick, spectrograms):
+        audio = {k: v for k, v in file.header["audio"].items() if k != "frequency_uncertainty"} | known
+        unmarked, marked = (
+            ObjectFile(file.header | {"audio": audio | mark}, file.tensors)
+            for mark in ({}, {"uncertain": True})
+        )
+        caplog.clear()
+        expected = unmarked.impact(TOP, UP, duration=0.1)
+        assert "uncertain" not in caplog.text  # whoever built it accepted the error
+        for _ in range(2):
+            np.testing.assert_array_equal(marked.impact(TOP, UP, duration=0.1), expected)
+        if file is brick:
+            marked.voice()
+            assert marked.torch().sound is not None
+        [record] = [record for record in caplog.records if "uncertain" in record.getMessage()]
+        assert record.levelno == logging.WARNING
+        assert record.getMessage().startswith(f"brick: its sound is marked uncertain: {said}, since walls or")
+        assert "thicken them" in record.getMessage()
+
+
+@pytest.mark.parametrize("ask", [lambda file: file.voice(), lambda file: file.torch().sound])
+def test_sounds_that_go_on_or_carry_gradients_say_that_they_are_uncertain(brick, caplog, ask):
+    audio = brick.header["audio"] | {"uncertain": True, "frequency_uncertainty": 0.48}
+    ask(ObjectFile(brick.header | {"audio": audio}, brick.tensors))
+    assert caplog.text.count("brick: its sound is marked uncertain") == 1
+
+
 def test_an_object_without_any_mode_is_silent(tmp_path, caplog):
     tiny = build_brick(scale=0.002)
     tiny.save(tmp_path / "tiny.safetensors")

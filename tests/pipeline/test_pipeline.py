@@ -1,6 +1,7 @@
 """The real DAG on two tiny objects: what runs, what does not, and that it gives the same bytes twice."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -118,6 +119,29 @@ def test_a_material_of_ones_own_reruns_the_objects_that_name_it(built):
     assert not built.build() - {"hash_code"}  # restored
 
 
+def test_a_mass_is_packed_and_nothing_is_solved_or_trained_again(built):
+    path = built.root / "build/cube/ObjectFile.safetensors"
+    before, params_text = ObjectFile.load(path), (built.root / "params.yaml").read_text()
+    packed = path.read_bytes()
+    with built.edit() as values:
+        values["objects"]["cube"]["mass"] = 1.5
+    try:
+        assert built.build("evaluate@cube", "evaluate@bell") == {"hash_code", "pack@cube", "evaluate@cube"}
+        weighed = ObjectFile.load(path)
+        assert weighed.header == before.header | {"mass": 1.5}
+        assert {n: t.tobytes() for n, t in weighed.tensors.items()} == {
+            n: t.tobytes() for n, t in before.tensors.items()
+        }
+        with built.edit() as values:
+            values["objects"]["cube"]["mass"] = 900.0
+        failed = built.cli("build", "pack@cube", ok=False)
+        assert "expected 1 to 25,000; give kilograms: 0.9 for 900 g" in failed.stdout + failed.stderr
+    finally:
+        (built.root / "params.yaml").write_text(params_text)
+        assert not built.build() - {"hash_code"}  # restored
+    assert path.read_bytes() == packed
+
+
 @pytest.mark.slow
 def test_a_smaller_object_is_not_solved_again(built):
     """Its modes are those of the solve, scaled; without the solve's file they are found anew."""
@@ -153,6 +177,42 @@ def test_a_smaller_object_is_not_solved_again(built):
         build.solved_modes.write_bytes(solved)
     built.build("cube")
     assert build.modes.read_bytes() == before
+
+
+def test_an_object_whose_frequencies_stay_uncertain_is_packed_with_a_mark(built, caplog):
+    build = Build("bell", built.root)
+    coarse = {"resolutions": [8], "subdivisions": 4, "max_degrees_of_freedom": 20000, "max_error": 0.5}
+    with built.edited(modal={"fine": coarse, "allow_uncertain": False}):
+        summary = built.cli("build", "bell", "-j", "2").stdout
+        modal, marked = read_json(build.modal), ObjectFile.load(build.object_file)
+        error = modal["frequency_uncertainty"]
+        assert error > 0.3
+        assert modal["uncertain"]
+        audio = marked.header["audio"]
+        assert (audio["uncertain"], audio["frequency_uncertainty"]) == (True, error)
+        assert re.search(rf"warning: bell: .* {error:.0%} wrong.*the sound is marked uncertain", summary)
+        assert read_json(build.metrics)["audio"]["uncertain"]
+        assert ", uncertain" in summary  # beside its scores
+        for _ in range(2):
+            marked.impact(marked.sample_surface(1), [0, 0, 1], duration=0.1)
+        assert (
+            caplog.text.count(
+                f"bell: its sound is marked uncertain: its lowest frequencies may be {error:.0%}"
+            )
+            == 1
+        )
+        modes, tensors = build.modes.read_bytes(), dict(marked.tensors)
+    with built.edited(modal={"fine": coarse}):  # whose error the tiny workspace accepts
+        for stage in ("modal", "pack"):
+            built.run("-m", f"stages.{stage}", "bell")
+        assert build.modes.read_bytes() == modes
+        assert read_json(build.modal) == {k: v for k, v in modal.items() if k != "uncertain"}
+        accepted = ObjectFile.load(build.object_file)
+        assert accepted.header["audio"] == {k: v for k, v in audio.items() if k != "uncertain"}
+        for name, tensor in accepted.tensors.items():
+            np.testing.assert_array_equal(tensor, tensors[name])
+    built.build("bell")
+    assert read_json(build.modal)["frequency_uncertainty"] < 0.3  # restored
 
 
 @pytest.mark.slow

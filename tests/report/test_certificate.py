@@ -56,7 +56,15 @@ def test_a_uniform_brick_has_the_figures_of_theory(brick):
 
 @pytest.mark.parametrize(
     ("change", "figure"),
-    [({"frequency_uncertainty": 0.2}, "20 %"), ({"frequency_uncertainty_unknown": True}, "not known")],
+    [
+        ({"frequency_uncertainty": 0.2}, "20 %"),
+        ({"frequency_uncertainty_unknown": True}, "not known"),
+        ({"frequency_uncertainty": 0.48, "uncertain": True}, "48 %, sound marked uncertain"),
+        (
+            {"frequency_uncertainty_unknown": True, "uncertain": True},
+            "not known, sound marked uncertain",
+        ),
+    ],
 )
 def test_uncertain_frequencies_fail(brick, change, figure):
     audio = {k: v for k, v in brick.header["audio"].items() if k != "frequency_uncertainty"} | change

@@ -73,6 +73,17 @@ def quick(report, monkeypatch):
     monkeypatch.setattr("objectfolder.report.site.object_report", lambda path, costs: report)
 
 
+def test_a_sound_that_is_marked_uncertain_is_warned_of(brick, report, tmp_path):
+    audio = brick.header["audio"] | {"uncertain": True, "frequency_uncertainty": 0.48}
+    ObjectFile(brick.header | {"audio": audio}, brick.tensors).save(tmp_path / "marked.safetensors")
+    marked = object_report(tmp_path / "marked.safetensors").row
+    assert [
+        text for text in marked["warnings"] if "marked uncertain: its lowest frequencies may be 48%" in text
+    ]
+    assert marked["failed"] == [*report.row["failed"], "Estimated error of frequencies"]
+    assert not any("uncertain" in text for text in report.row["warnings"])
+
+
 def test_truth_that_the_file_answers_differs_by_nothing(workspace):
     report = object_report(workspace.object_file)
     assert report.row["scores"] == {"vision.psnr": 40.0, "file_bytes": 1000.0}

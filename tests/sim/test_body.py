@@ -11,7 +11,7 @@ from objectfolder.base.materials import material
 from objectfolder.mesh.gridcodec import pack_grid
 from objectfolder.mesh.sdf import distance_grid
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.sim.body import RigidBody, add_body, density, rigid_body, rotation
+from objectfolder.sim.body import RigidBody, add_body, body_density, density, rigid_body, rotation
 from objectfolder.sim.hulls import convex_hulls
 from objectfolder.stored.header import format_name
 
@@ -99,6 +99,16 @@ def test_mass_is_that_of_the_source_if_the_file_stores_it(brick):
     assert body.mass == pytest.approx(mass, rel=1e-12)
     np.testing.assert_allclose(body.inertia, inertia, atol=1e-12 * inertia.max())
     np.testing.assert_allclose(body.centre, 0, atol=1e-15)
+
+
+def test_a_real_object_has_the_mass_that_it_was_given(brick):
+    hulls = [brick.to_mesh().convex_hull]
+    solid, real = (rigid_body(file, hulls) for file in (brick, changed(brick, mass=0.05)))
+    assert real.mass == 0.05
+    np.testing.assert_allclose(real.inertia, solid.inertia * 0.05 / solid.mass, rtol=1e-12)
+    np.testing.assert_array_equal(real.centre, solid.centre)
+    assert body_density(changed(brick, mass=0.05)) == pytest.approx(0.05 / (0.1 * 0.06 * 0.03))
+    assert density(changed(brick, mass=0.05)) == body_density(brick) == density(brick) == 1070
 
 
 def test_products_of_inertia_keep_their_places(brick):

@@ -1,5 +1,7 @@
 """Objects that MuJoCo and PyBullet load."""
 
+import json
+import re
 import sys
 from importlib.util import find_spec
 from xml.etree import ElementTree
@@ -169,6 +171,29 @@ def test_a_model_that_mujoco_refuses_is_named(brick, body, tmp_path):
 def test_the_same_object_gives_the_same_bytes(brick, body, tmp_path, write):
     first, again = (write(brick, tmp_path / name, hulls=body.hulls).parent for name in ("first", "again"))
     assert content(first) == content(again)
+
+
+def told_by(path):
+    """Mass and moments of inertia, ascending, that an exported file tells."""
+    if path.suffix in (".xml", ".urdf"):
+        found = mujoco.MjModel.from_xml_path(str(path)).body("brick")
+        return found.mass[0], sorted(found.inertia)
+    if path.suffix == ".glb":
+        document = json.loads(path.read_bytes()[20:].split(b"\0")[0].partition(b"BIN")[0][:-4].decode())
+        motion = document["nodes"][0]["extensions"]["KHR_physics_rigid_bodies"]["motion"]
+        return motion["mass"], sorted(motion["inertiaDiagonal"])
+    text = path.read_text()
+    mass, moments = (re.search(rf"{name} = (.*)", text)[1] for name in ("physics:mass", "diagonalInertia"))
+    return float(mass), sorted(map(float, moments.strip("()").split(",")))
+
+
+@WRITERS
+def test_exports_have_the_mass_of_the_real_object_and_its_inertia(brick, body, tmp_path, write):
+    real = ObjectFile(brick.header | {"mass": 0.05}, brick.tensors)
+    mass, moments = told_by(write(brick, tmp_path / "solid", hulls=body.hulls))
+    given, less = told_by(write(real, tmp_path / "real", hulls=body.hulls))
+    assert (mass, given) == (pytest.approx(body.mass, rel=1e-5), pytest.approx(0.05, rel=1e-6))
+    np.testing.assert_allclose(less, np.multiply(moments, 0.05 / body.mass), rtol=1e-5)
 
 
 @WRITERS

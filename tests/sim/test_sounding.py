@@ -6,7 +6,8 @@ import pytest
 from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.sim.body import add_body, scaled_body
+from objectfolder.objectfile.file import ObjectFile
+from objectfolder.sim.body import add_body, rigid_body, scaled_body
 from objectfolder.sim.feeling import Feeling
 from objectfolder.sim.hearing import Hearing
 from objectfolder.sim.sounding import Sounding, name_objects
@@ -133,3 +134,14 @@ def test_an_object_that_is_fixed_to_a_cart_is_heard_in_its_frame(body, brick):
     np.testing.assert_allclose(sum(strike.impulse for strike in strikes), [0, got[0], 0], atol=0.15 * got[0])
     assert strikes[0].point[1] == pytest.approx(body.bounds[0, 1], abs=1e-3)
     assert loudest > 1e-3
+
+
+def test_a_real_object_is_as_full_of_another_material_and_size_as_of_its_own(body, brick):
+    real = ObjectFile(brick.header | {"mass": 0.25 * body.mass}, brick.tensors)
+    weighed = rigid_body(real, body.hulls)
+    Hearing(scene(weighed, "brick").compile(), [real], EAR)
+    refused("weighs 0.1926 kg in the scene, but brick of plastic and 0.1 m weighs 0.04815 kg", Hearing,
+            scene(body, "brick").compile(), [real], EAR)  # fmt: skip
+    model = scene(scaled_body(weighed, 1.5, 7850 / 1070), "brick").compile()
+    assert model.body("brick").mass[0] == pytest.approx(0.25 * 7850 * 0.1 * 0.06 * 0.03 * 1.5**3)
+    Hearing(model, {"brick": Sounding(real, "steel", 1.5 * brick.scale)}, EAR)

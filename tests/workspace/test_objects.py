@@ -299,3 +299,27 @@ def test_what_another_process_added_under_the_same_name_stays(workspace, tmp_pat
     assert params.read()["objects"]["crate"]["material"] == "wood"
     assert Path("data/objects/crate/mesh.obj").is_file()
     assert Path("data/objects/crate.dvc").is_file()
+
+
+def test_a_catalogue_brings_masses(workspace):
+    mesh = Path("data/objects/crate/mesh.glb")
+    mesh.parent.mkdir(parents=True)
+    mesh.touch()
+    entry = "mesh: data/objects/crate/mesh.glb, material: wood, scale: 0.1, up: y, wall: null, bridge: all"
+    catalogue, path = Path("new.yaml"), Path("params.yaml")
+    catalogue.write_text(f"procedural: {{}}\nobjects:\n  crate: {{{entry}, mass: 0.2}}\n")
+    assert add_catalogue(catalogue) == ["crate"]
+    assert params.read()["objects"]["crate"]["mass"] == 0.2
+    assert add_catalogue(catalogue) == []
+    catalogue.write_text(f"procedural: {{}}\nobjects:\n  crate: {{{entry}}}\n")
+    with pytest.raises(ObjectFolderError, match=r"objects\.crate differs from the one in params\.yaml"):
+        add_catalogue(catalogue)
+    path.write_text(path.read_text().replace("mass: 0.2", "mass: null"))
+    assert add_catalogue(catalogue) == []
+    catalogue.write_text(
+        f"procedural: {{}}\nobjects:\n  box: {{{entry.replace('crate', 'box')}, mass: 200}}\n"
+    )
+    with pytest.raises(
+        ObjectFolderError, match=r"objects\.box: mass is 200 kg, in the cube .*: 0\.2 for 200 g"
+    ):
+        add_catalogue(catalogue)

@@ -429,3 +429,27 @@ def test_only_the_presets_of_the_paper_damp_as_the_paper():
     presets = ("quick", "laptop", "standard", "faithful", "faithful-small")
     laws = [read_preset(name, REPOSITORY)[0]["modal"]["damping"] for name in presets]
     assert laws == ["loss_factor"] * 3 + ["rayleigh"] * 2
+
+
+@pytest.mark.parametrize(
+    ("mass", "said"),
+    [
+        *((mass, f"mass: Input should be greater than 0, got {float(mass)}") for mass in (0, -0.118)),
+        *((mass, "mass: Input should be a valid number, got") for mass in ("heavy", True, [0.1])),
+        *((mass, "mass: Input should be a finite number, got") for mass in (float("nan"), float("inf"))),
+        (
+            40.0,
+            r"mass is 40 kg, in the cube around it of 1000 cm³ .* 4e\+04 kg/m³, .*: 0\.04 for 40 g, or check",
+        ),
+    ],
+)
+def test_a_wrong_mass_is_refused_with_the_object(values, mass, said):
+    values["objects"]["mug"]["mass"] = mass
+    assert refused(said, check_all, values).startswith("params.yaml: objects.mug: ")
+
+
+def test_a_mass_may_be_absent_or_null_and_is_written_only_if_known(values):
+    for said, written in (({}, {}), ({"mass": None}, {}), ({"mass": 1}, {"mass": 1.0})):
+        values["objects"]["mug"] = MUG | said
+        check_all(values)
+        assert object_entry("mug", values).model_dump() == MUG | written

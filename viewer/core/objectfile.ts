@@ -50,7 +50,13 @@ export interface Header {
   material_properties?: Omit<Material, "name">;
   geometry?: GridConfig;
   vision?: { kind: string; net: VisionConfig };
-  audio?: { kind: string; net: AudioConfig; band_hz?: [number, number] };
+  audio?: {
+    kind: string;
+    net: AudioConfig;
+    band_hz?: [number, number];
+    frequency_uncertainty?: number;
+    uncertain?: boolean;
+  };
   touch?: { kind: string; net: TouchConfig };
   radiation?: RadiationConfig;
   solid?: { volume: number };

@@ -41,7 +41,10 @@ export function tuned(gains: Gains, header: Header, material: Material | null, s
       which: Int32Array.from(gains.frequency, (_, n) => n),
       shapeFactor: 1,
       bounds: [1, 1],
-      notes: header.audio?.band_hz ? missingAbove(header.audio.band_hz[1]) : [],
+      notes: [
+        ...uncertainty(header),
+        ...(header.audio?.band_hz ? missingAbove(header.audio.band_hz[1]) : []),
+      ],
     };
   const density = wanted.density / own.density;
   const factor = wanted.youngs_modulus / own.youngs_modulus / density / size ** 2;
@@ -63,7 +66,7 @@ export function tuned(gains: Gains, header: Header, material: Material | null, s
     which: Int32Array.from(kept.which),
     shapeFactor: 1 / Math.sqrt(density * size ** 3),
     bounds: bounds(own, wanted),
-    notes: notes(band, own, wanted),
+    notes: [...uncertainty(header), ...notes(band, own, wanted)],
   };
 }
 
@@ -89,6 +92,20 @@ function notes(band: [number, number], own: Material, wanted: Material): string[
   if (band[0] > HEARING[0] * (1 + ROUNDING))
     found.push(`Incomplete: modes below ${band[0].toFixed(0)} Hz were not solved and are missing.`);
   return found;
+}
+
+/** What is to be said of a sound that is marked uncertain. */
+function uncertainty(header: Header): string[] {
+  if (!header.audio?.uncertain) return [];
+  const error = header.audio.frequency_uncertainty;
+  const wrong =
+    error === undefined
+      ? "how wrong its frequencies are is not known"
+      : `its lowest frequencies may be ${(100 * error).toFixed(0)}% wrong`;
+  return [
+    `Uncertain: ${wrong}, since walls or joints are thin for the grid that they were solved on. ` +
+      "Thicken them and build again, or raise modal.fine.max_degrees_of_freedom.",
+  ];
 }
 
 /** The gap between the end of the solved band (Hz) and that of hearing. */

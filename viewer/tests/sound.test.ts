@@ -94,6 +94,18 @@ describe("another material or size", () => {
     expect(found.notes).toEqual(["Incomplete: modes above 10000 Hz were not solved and are missing."]);
   });
 
+  it("tells that the sound is marked uncertain, by how much if that is known", () => {
+    const marked = (error?: number): Header => {
+      const plain = header([0, 20000]);
+      return { ...plain, audio: { ...plain.audio!, uncertain: true, frequency_uncertainty: error } };
+    };
+    for (const size of [1, 0.5])
+      expect(tuned(gains([1000]), marked(0.48), null, size).notes[0]).toContain("may be 48% wrong");
+    expect(tuned(gains([1000]), marked(), null, 1).notes).toHaveLength(1);
+    expect(tuned(gains([1000]), marked(), null, 1).notes[0]).toContain("not known");
+    expect(tuned(gains([1000]), header([0, 20000]), null, 1).notes).toEqual([]);
+  });
+
   it("tells that another Poisson ratio is approximate", () => {
     const found = tuned(gains([1000]), header([0, 1e6]), { ...STEEL, name: "cork", poisson_ratio: 0 }, 1);
     expect(found.notes[0]).toContain("Poisson ratio 0.29, cork has 0");

@@ -3,7 +3,7 @@
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.benchmarks.datasets.samples import Samples, object_digest
+from objectfolder.benchmarks.datasets.samples import Samples, has_uncertain_sound, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, Split
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.query_files import sample_depths, sample_strikes
@@ -18,7 +18,7 @@ def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
 
     The samples are of one object: ``touch`` (count, H, W, 3) uint8, at random press depths with the sensor
     upright, or as a net of kind ``image`` answers; ``audio`` (count, samples) float32, of strikes along the
-    inward normal; ``point`` (count, 3), unit frame.
+    inward normal, but of objects whose sound is marked uncertain; ``point`` (count, 3), unit frame.
     """
     strikes = sample_strikes(file, count, seed)
     points, impulses = strikes[:, :3], strikes[:, 3:]
@@ -26,16 +26,12 @@ def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
     parts = np.array_split(np.arange(count), -(-count // CHUNK))
     arrays = {
         "touch": np.concatenate([file.touch(points[rows], depths[rows]) for rows in parts]),
-        "audio": np.concatenate(
-            [
-                file.impact(
-                    points[rows], impulses[rows], SAMPLE_RATE, DURATION, "displacement", contact_time=0.0
-                )
-                for rows in parts
-            ]
-        ),
         "point": points / file.scale,
     }
+    if not has_uncertain_sound(file):
+        played = SAMPLE_RATE, DURATION, "displacement"
+        sounds = [file.impact(points[rows], impulses[rows], *played, contact_time=0.0) for rows in parts]
+        arrays["audio"] = np.concatenate(sounds)
     record = {"count": count, "seed": seed, "object": object_digest(file)}
     return Samples({file.key: record}, {name: [array] for name, array in arrays.items()})
 

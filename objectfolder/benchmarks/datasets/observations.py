@@ -20,6 +20,7 @@ from objectfolder.benchmarks.datasets.samples import (
     gather_rows,
     map_array,
     read_sample_record,
+    read_stored,
 )
 from objectfolder.benchmarks.datasets.splits import label_order
 from objectfolder.workspace.layout import MODALITIES
@@ -110,6 +111,23 @@ class Observations(Samples):
     def object_file(self, key: str) -> Path:
         """Return the path of the observed Object File."""
         return self._folders[key] / SOURCE
+
+
+def certain_observations(folders: Mapping[str, Path]) -> Observations:
+    """Return `Observations` for a task that uses sound: without objects whose sound is marked uncertain.
+
+    They are named in ``uncertain``. Raises ObjectFolderError as that, or if no object is left.
+    """
+    records = {key: read_stored(Path(folders[key]) / RECORD) for key in label_order(folders)}
+    marked = [key for key, record in records.items() if record.get("uncertain")]
+    if marked and len(marked) == len(folders):
+        raise ObjectFolderError(
+            f"{', '.join(marked)}: the sound of all objects is marked uncertain, and tasks that use sound "
+            "leave such objects out; accept it by `modal.allow_uncertain: true` (docs/modal.md#accuracy)"
+        )
+    samples = Observations({key: folder for key, folder in folders.items() if key not in marked})
+    samples.uncertain = tuple(marked)
+    return samples
 
 
 class CloseUps(Samples):

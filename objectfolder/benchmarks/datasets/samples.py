@@ -37,6 +37,8 @@ class Samples:
         remedy: str = "sample all objects with the same settings",
     ):
         self.keys, self.records = tuple(records), dict(records)
+        #: objects left out, since a task uses sound and theirs is marked uncertain
+        self.uncertain: tuple[str, ...] = ()
         self.count = int(records[self.keys[0]]["count"])  #: samples per object, N
         #: (K N,) int64, object index of each row.
         self.labels = np.repeat(np.arange(len(self.keys), dtype=np.int64), self.count)
@@ -82,6 +84,11 @@ def object_digest(file: "ObjectFile") -> str:
         tensor = np.ascontiguousarray(file.tensors[name])
         digest.update(f"{name} {tensor.dtype.str} {tensor.shape}".encode() + tensor.tobytes())
     return digest.hexdigest()
+
+
+def has_uncertain_sound(file: "ObjectFile") -> bool:
+    """Return whether the sound of an Object File is marked uncertain: benchmarks leave it out."""
+    return bool(file.header.get("audio", {}).get("uncertain"))
 
 
 def require_parts(file: "ObjectFile", parts: Collection[str], use: str) -> None:

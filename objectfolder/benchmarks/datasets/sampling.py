@@ -17,7 +17,13 @@ from objectfolder.base.io import atomic_stream, write_json
 from objectfolder.base.locks import exclusive
 from objectfolder.base.seeding import numpy_generator
 from objectfolder.benchmarks.datasets.observations import QUERIES, RECORD, RELIEF, SOURCE, UNTOUCHED, VERSION
-from objectfolder.benchmarks.datasets.samples import array_path, object_digest, read_stored, require_parts
+from objectfolder.benchmarks.datasets.samples import (
+    array_path,
+    has_uncertain_sound,
+    object_digest,
+    read_stored,
+    require_parts,
+)
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
@@ -110,13 +116,15 @@ def _find_untouched(file: ObjectFile, folder: Path) -> np.ndarray:
 def observation_request(file: ObjectFile, count: int, resolution: int, seed: int) -> dict[str, Any]:
     """Identify the observations that `sample_observations` writes; hashes the Object File.
 
-    Raises ObjectFolderError if the count is not a multiple of ten, or the Object File lacks a part.
+    A sound that is marked uncertain is so here, too. Raises ObjectFolderError if the count is not a multiple
+    of ten, or the Object File lacks a part.
     """
     check_count(count)
     if resolution < 1:
         raise ObjectFolderError(f"{file.key}: views of {resolution} pixels, expected a positive number")
     require_parts(file, PARTS, "benchmarks")
-    return {
+    marked = {"uncertain": True} if has_uncertain_sound(file) else {}
+    return marked | {
         "version": VERSION,
         "code": code_digest(sample_observations),
         "key": file.key,

@@ -46,6 +46,11 @@ def describe_repeats(scores: Mapping[str, Any], repeated: str) -> str:
     return f"test rows that {repeated}: {found or 'none'}.{untested}"
 
 
+def describe_uncertain(keys: Sequence[str]) -> str:
+    """Name objects that a task leaves out, since it uses sound."""
+    return f"left out, since their sound is marked uncertain: {', '.join(keys)}"
+
+
 def format_rate(share: Mapping[str, Any]) -> str:
     """Format a success rate and its interval, in percent."""
     low, high = share["interval_95"]

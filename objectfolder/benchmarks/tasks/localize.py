@@ -32,8 +32,9 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
     """Lay out the scores of `objectfolder.benchmarks.tasks.localization.localize` by object."""
     rows: list[tuple[str, ...]] = []
     for senses, name in SENSES.items():
-        found = [score[senses] for score in scores.values()]
-        for key, one in zip(scores, found):
+        heard = [key for key, score in scores.items() if senses == "T" or not score.get("uncertain")]
+        found = [scores[key][senses] for key in heard]
+        for key, one in zip(heard, found):
             net, nearest = one["net"], one["nearest"]
             rows.append(
                 (
@@ -48,10 +49,11 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
             means = [
                 *(fmean(one["net"][kind] for one in found) for kind in ("mean", "median", "together")),
                 *(fmean(one["nearest"][kind] for one in found) for kind in ("mean", "together")),
-                *(fmean(score[kind] for score in scores.values()) for kind in ("constant", "random")),
+                *(fmean(scores[key][kind] for key in heard) for kind in ("constant", "random")),
             ]
             rows.append((name, f"mean of {len(found)}", *(f"{100 * value:.1f}" for value in means)))
     contacts = next(iter(scores.values()))["contacts"]
+    silent = [key for key, score in scores.items() if score.get("uncertain")]
     return Table(
         "Localization of contacts: mean error in % of the longest side",
         ("from", "object", "net", "median", "eight", "nearest", "eight nearest", "constant", "random"),
@@ -59,7 +61,8 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         f"{contacts['train']} contacts to train with, {contacts['val']} for validation, "
         f"{contacts['test']} for the test. Eight: after eight contacts with known moves between them. "
         "Nearest: the training contact with the most similar input, for eight a belief by similarity. "
-        "Constant: the best single answer.",
+        "Constant: the best single answer."
+        + (f" By touch alone, since their sound is marked uncertain: {', '.join(silent)}." if silent else ""),
     )
 
 

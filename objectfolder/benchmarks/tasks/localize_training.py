@@ -19,6 +19,7 @@ from torch.nn import functional as F
 from objectfolder.base.arrays import read_npz, write_npz
 from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.datasets.contacts import TOGETHER, contact_split, sample_contacts
+from objectfolder.benchmarks.datasets.samples import has_uncertain_sound
 from objectfolder.benchmarks.models.inputs import shift_each
 from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, add_beliefs, choose_likeliest
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
@@ -35,14 +36,14 @@ POOLED = {"touch": (16, 12), "audio": (64, 8)}  #: sizes of inputs that the near
 Batch = tuple[torch.Tensor, torch.Tensor]  #: inputs, and beliefs
 
 
-def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
+def localize(job: Job[LocalizeConfig], letters: str = "TA") -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the localization of contacts on one object.
 
     Nets learn a belief with a deviation of `SOFTNESS` around the true place. The answer is the place with
     the least expected distance. The best epoch is chosen on the validation contacts. At a known place, what
     is felt and what is heard are independent, so that the belief by both senses is the product of the two
     nets'; how much touch counts in it is chosen on the validation contacts. ``together`` are the answers
-    after `TOGETHER` contacts with known moves between them.
+    after `TOGETHER` contacts with known moves between them. Letters are the senses: ``TA``, or ``T`` alone.
 
     Returns scores: errors as shares of the longest side. By senses (``T``, ``A``, ``TA``): ``net`` and
     ``nearest`` (the training contact with the most similar input), each with ``mean``, ``median`` and
@@ -51,12 +52,12 @@ def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     ``contacts`` by part, and ``seconds``.
     """
     points = job.observations.read("point", np.arange(len(job.observations)))
-    setting = _Setting.of(job, points)
+    setting = _Setting.of(job, points, letters)
     seeds = range(job.params.seeds)
-    finished = {(run, letter): _train_once(job, setting, run, letter) for run in seeds for letter in LETTERS}
-    weights = [_touch_weight(job, setting, run) for run in seeds]
+    finished = {(run, letter): _train_once(job, setting, run, letter) for run in seeds for letter in letters}
+    weights = [_touch_weight(job, setting, run) for run in seeds] if letters == "TA" else []
     scores: dict[str, Any] = {}
-    for name in COMBINATIONS:
+    for name in COMBINATIONS if letters == "TA" else letters:
         if name == "TA":
             runs = [setting.scores(_both(job, run, "test", weight)) for run, weight in enumerate(weights)]
         else:
@@ -64,7 +65,8 @@ def localize(job: Job[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]
         net = {kind: float(np.mean([run[kind] for run in runs])) for kind in runs[0]}
         net |= over_seeds("mean", [run["mean"] for run in runs])
         scores[name] = {"net": net, "nearest": _nearest(job, setting, name)}
-    scores["TA"]["touch_weights"] = weights
+    if weights:
+        scores["TA"]["touch_weights"] = weights
     train, test = points[job.split.train], points[job.split.test]
     spread = _between(setting.places, test)
     constant = np.argmin(_between(setting.places, train).mean(1))
@@ -90,7 +92,7 @@ class _Setting:
     groups: np.ndarray  #: (n, TOGETHER) test contacts of each sequence, the last of which is asked for
 
     @classmethod
-    def of(cls, job: Job[LocalizeConfig], points: np.ndarray) -> "_Setting":
+    def of(cls, job: Job[LocalizeConfig], points: np.ndarray, letters: str) -> "_Setting":
         rng = numpy_generator(job.seed, "localize", "places")
         train, test = points[job.split.train], points[job.split.test]
         places = train[rng.permutation(len(train))[:PLACES]]
@@ -104,7 +106,7 @@ class _Setting:
             places,
             _between(places, places),
             torch.softmax(-squares / (2 * SOFTNESS**2), 1).float(),
-            {letter: in_chunks(partial(job.inputs, name), every) for letter, name in LETTERS.items()},
+            {letter: in_chunks(partial(job.inputs, LETTERS[letter]), every) for letter in letters},
             test,
             np.array(groups),
         )
@@ -234,11 +236,16 @@ def _belief(setting: _Setting, net: Localizer, letter: str, rows: np.ndarray) ->
 def localize_object(job: ObjectJob[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Touch and strike an object, and `localize` these contacts; scores also hold its ``scale``.
 
+    If its sound is marked uncertain, contacts are localized by touch alone, and scores say so: ``uncertain``.
+
     Raises ObjectFolderError if the object cannot be touched or heard, or there are too few contacts.
     """
     assert job.encode is not None
     count = job.params.contacts
     contacts, split = sample_contacts(job.file, count, job.seed), contact_split(count)
     given = job.params, job.encode, job.seed, job.progress, job.weights, job.device, job.report
-    scores, curve = localize(Job(contacts, split, *given))
-    return scores | {"scale": job.file.scale}, curve
+    marked = has_uncertain_sound(job.file)
+    if marked:
+        job.report(f"{job.file.key}: its sound is marked uncertain, so contacts are localized by touch alone")
+    scores, curve = localize(Job(contacts, split, *given), "T" if marked else "TA")
+    return scores | {"scale": job.file.scale} | ({"uncertain": True} if marked else {}), curve

@@ -19,6 +19,7 @@ from objectfolder.base.locks import exclusive, remove_unused
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, named_split
 from objectfolder.benchmarks.models.encoders import Weights, own_code
+from objectfolder.benchmarks.reporting.tables import describe_uncertain
 from objectfolder.benchmarks.tasks.job import Job, ObjectJob, Report
 from objectfolder.benchmarks.tasks.task import Scores, Task, TaskParams
 from objectfolder.workspace.code_digests import code_digest
@@ -116,6 +117,8 @@ def run_stage(
     """Run a task as a stage of a build: with the settings and in the folder of the workspace."""
     params, folder = task.params(), Benchmarks()
     run = Run(task=task, training=training, part=part, inputs=inputs, params=params, folder=folder)
+    if isinstance(inputs, Samples) and inputs.uncertain:
+        print(describe_uncertain(inputs.uncertain))
     run_benchmark(run, print)
 
 
@@ -140,7 +143,8 @@ def run_benchmark(run: Run, report: Report) -> RunTime:
 
         scores, curve = run.training(run.job(progress, keep_and_report))
         if not isinstance(run.inputs, KnownObject):
-            scores |= {"keys": run.inputs.keys}
+            left_out = run.inputs.uncertain
+            scores |= {"keys": run.inputs.keys} | ({"uncertain": left_out} if left_out else {})
         write_results(task, part, folder, progress, scores, curve)
         cost = RunTime(scores["seconds"], spent())
     for other in folder.outdated_progress(task.name, part, progress):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models.settings import EncodeConfig
-from objectfolder.benchmarks.reporting.tables import Table
+from objectfolder.benchmarks.reporting.tables import Table, describe_uncertain
 from objectfolder.workspace.params import PARAMS_FILE, read, settings, shared
 
 if TYPE_CHECKING:
@@ -108,12 +108,18 @@ class Task:
         try:
             if not self.splits:
                 return [self.table(scores)]
-            return [self.table(split, found) for split, found in scores.items()]
+            return [_with_left_out(self.table(split, found), found) for split, found in scores.items()]
         except KeyError as error:
             raise ObjectFolderError(
                 f"{self.name}, {', '.join(scores)}: it lacks {error}, so it is of an earlier version; "
                 "run it again"
             ) from error
+
+
+def _with_left_out(table: Table, scores: Scores) -> Table:
+    """Name the objects that were left out below a table."""
+    left_out = scores.get("uncertain")
+    return replace(table, note=f"{table.note} Objects {describe_uncertain(left_out)}.") if left_out else table
 
 
 def find_task(name: str) -> Task:

@@ -30,6 +30,7 @@ class MeshSource(params.Record):
     up: Literal["y", "z"]
     licence: str
     attribution: str
+    masses: str = ""  #: where the masses of its objects are published
 
 
 class Entry(params.Record):
@@ -39,6 +40,7 @@ class Entry(params.Record):
     name: str
     material: str
     scale: float = Field(gt=0, le=100)  #: longest side, metres
+    mass: float | None = Field(default=None, gt=0, le=1e6)  #: of the real object, kg
     source: str
     model: str = ""  #: id at the source, if not the name
     category: str = ""

@@ -120,12 +120,12 @@ def _fetch(
             own_size = float(np.ptp(load_mesh(mesh, texture_size=most).bounds, axis=0).max())
             # The source's up axis applies to its own format only.
             up = source.up if mesh.suffix.lower() == Path(source.mesh).suffix else None
-            add_mesh(mesh, key, entry.material, entry.scale, up, root, [notice], track=track)
+            add_mesh(mesh, key, entry.material, entry.scale, up, root, [notice], mass=entry.mass, track=track)
         except (ObjectFolderError, OSError) as error:
             message = str(error).replace(f"{scratch / 'object'}/", "")
             raise ObjectFolderError(f"{message} (from {origin})") from error
     record_checksums(lock, key, digests)
-    detail = f"{entry.material}, {entry.scale:g} m"
+    detail = f"{entry.material}, {entry.scale:g} m" + (f", {entry.mass:g} kg" if entry.mass else "")
     if abs(own_size / entry.scale - 1) > SIZE_TOLERANCE:
         detail += f" (scaled: the mesh itself measures {own_size:.3g} m)"
     return FetchResult(key, FetchStatus.ADDED, detail + (f"; {entry.note}" if entry.note else ""))
@@ -186,6 +186,7 @@ def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
         "Changes: the mesh is renamed; files that it does not refer to are omitted.",
         "",
         *chosen,
+        *([f"Mass: {entry.mass:g} kg; {source.masses or source.attribution}"] if entry.mass else []),
     )
     # A line break in a name would begin a line of its own, such as another licence.
     return "".join(f"{visible(line)}\n" for line in lines)

@@ -41,8 +41,9 @@ def entry_of(
 
     ``licences``, ``categories``: by key. Those of key "" are of all other objects whose mesh has no
     SOURCE.txt, or whose category `CATEGORIES` does not know. Raises ObjectFolderError if the object is not
-    built or of another material or size than params.yaml says, its scores are of another build, its mesh is
-    not there and so no SOURCE.txt, or its licence is not known or not the one that its SOURCE.txt states.
+    built or of another material, size or mass than params.yaml says, its scores are of another build, its
+    mesh is not there and so no SOURCE.txt, or its licence is not known or not the one that its SOURCE.txt
+    states.
     """
     build, again = Build(key, root), f"run `objectfolder build {key}`"
     if not build.object_file.is_file():
@@ -50,9 +51,10 @@ def entry_of(
     file, digest = ObjectFile.load(build.object_file), file_digest(build.object_file)
     entry = object_entry(key, dict(values))
     material = own_material(entry.material, root=root).name
-    if (file.material, file.scale) != (material, entry.scale):
-        found = f"{build.object_file} is of {file.material}, {file.scale:g} m"
-        wanted = f"params.yaml says {material}, {entry.scale:g} m"
+    mass = file.header.get("mass")
+    if (file.material, file.scale, mass) != (material, entry.scale, entry.mass):
+        found = f"{build.object_file} is of {_said(file.material, file.scale, mass)}"
+        wanted = f"params.yaml says {_said(material, entry.scale, entry.mass)}"
         raise ObjectFolderError(f"{key}: {found}, {wanted}; {again}")
     scores = read_json(build.metrics) if build.metrics.is_file() else {}
     if scores and scores.get("file_sha256") != digest:
@@ -140,6 +142,10 @@ def _of_generator(values: Mapping[str, Any], key: str) -> str:
 def _score(scores: Mapping[str, Any], sense: str, name: str) -> float | None:
     value = scores.get(sense, {}).get(name)
     return None if value is None else _round(value)
+
+
+def _said(material: str, size: float, mass: float | None) -> str:
+    return f"{material}, {size:g} m" + ("" if mass is None else f", {mass:g} kg")
 
 
 def _round(value: float) -> float:

@@ -1,29 +1,34 @@
 """How far the report of a modal analysis, ``modal.json``, can be trusted; imports no numerical library."""
 
-import math
 from typing import Any
-
-from objectfolder.base.errors import ObjectFolderError
 
 CUT_CELLS = "hex20 cut cells"  #: name of the element
 MAX_RESIDUAL = 1e-8
 MAX_RIGID = 1e-3  #: frequency of rigid modes, over the lowest elastic one
-MAX_UNWARNED_ERROR, MAX_ERROR = 0.1, 0.3  #: uncertainty of frequencies that needs no warning; that is refused
+MAX_UNWARNED_ERROR, MAX_ERROR = 0.1, 0.3  #: of frequencies: largest error without a warning, without a mark
 
 
-def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object") -> str | None:
+def is_uncertain(report: dict[str, Any]) -> bool:
+    """Return whether the lowest frequencies are too uncertain to be used unmarked.
+
+    Their estimated error exceeds `MAX_ERROR`, or is not known: of cut cells half of whose grid falls apart.
+    Other elements have no estimates. The report is the content of ``modal.json``.
+    """
+    error = report["frequency_uncertainty"]
+    if error is None:
+        return report["element"] == CUT_CELLS and report["modes"] > 0
+    return bool(error > MAX_ERROR)
+
+
+def uncertainty_warning(report: dict[str, Any], name: str) -> str | None:
     """Describe an estimated error of the lowest frequencies above `MAX_UNWARNED_ERROR`; None below.
 
-    Cut cells whose error cannot be estimated, since half of their grid falls apart, count as above
-    `MAX_ERROR`. Other elements have no estimates. The report is the content of ``modal.json``. Raises
-    ObjectFolderError, with the object's name, if the error exceeds `MAX_ERROR`, or is not known, and is not
-    allowed.
+    Of a report with a mark, ``uncertain``, also what the mark means and how to be rid of it.
     """
     error, grid = report["frequency_uncertainty"], f"{report['resolution']}^3"
+    if not is_uncertain(report) and (error is None or error <= MAX_UNWARNED_ERROR):
+        return None
     if error is None:
-        if report["element"] != CUT_CELLS or not report["modes"]:
-            return None
-        error = math.inf
         text = f"{name}: frequencies may be wrong; walls are too thin for the {grid} grid to say how much"
     else:
         errors = report["discretisation_error"]
@@ -32,14 +37,13 @@ def uncertainty_warning(report: dict[str, Any], allow: bool, name: str = "object
             f"{name}: frequencies may be {error:.0%} wrong, mode {worst + 1} most: walls or joints are thin "
             f"for the {grid} grid"
         )
-    if error <= MAX_UNWARNED_ERROR:
-        return None
-    if error > MAX_ERROR and not allow:
-        raise ObjectFolderError(
-            f"{text}; thicken them, raise modal.fine.max_degrees_of_freedom in params.yaml, or accept the "
-            "error there: `modal.allow_uncertain: true` (docs/modal.md#accuracy)"
-        )
-    return text
+    if not report.get("uncertain"):
+        return text
+    return (
+        f"{text}; the sound is marked uncertain, and benchmarks leave it out: thicken them, raise "
+        "modal.fine.max_degrees_of_freedom in params.yaml, or accept the error there: "
+        "`modal.allow_uncertain: true` (docs/modal.md#accuracy)"
+    )
 
 
 def solver_checks(report: dict[str, Any]) -> dict[str, bool]:

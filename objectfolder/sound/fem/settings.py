@@ -56,4 +56,4 @@ class ModalConfig:
     max_modes: Count = 256
     surface_points: Annotated[int, Ge(0)] = 8000  #: random points, besides the surface's vertices
     damping: Literal["rayleigh", "loss_factor"] = "loss_factor"  #: law of objects whose entry gives none
-    allow_uncertain: bool = False  #: whether to keep modes whose estimated error exceeds `MAX_ERROR`
+    allow_uncertain: bool = False  #: whether sounds whose estimated error exceeds `MAX_ERROR` get no mark

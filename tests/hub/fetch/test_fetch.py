@@ -77,9 +77,11 @@ def test_every_layout_is_fetched_added_and_tracked(published, publisher):
     check_all(values)
     assert values["objects"]["ycb_mug"] == {
         **{"mesh": "data/objects/ycb_mug/mesh.obj", "material": "steel", "scale": 0.117, "up": "z"},
-        **{"wall": None, "bridge": "all"},
+        **{"wall": None, "bridge": "all", "mass": 0.118},
     }
+    assert results[0].detail.startswith("steel, 0.117 m, 0.118 kg")
     assert values["objects"]["polyhaven_barrel_01"]["up"] == "y"
+    assert "mass" not in values["objects"]["polyhaven_barrel_01"]
     expected = {
         "ycb_mug": {"mesh.obj", "textured.mtl", "texture_map.png"},
         "gso_bunny_racer": {"mesh.obj", "model.mtl", "texture.png"},
@@ -192,7 +194,7 @@ def test_one_that_fails_does_not_stop_the_others(published, publisher):
     assert result.exit_code == 1
     assert "failed  gso_bunny_racer" in result.output
     assert "/BUNNY_RACER.zip answered 404" in result.output
-    assert "added   ycb_mug: steel, 0.117 m; published 0.082 is the height" in result.output
+    assert "added   ycb_mug: steel, 0.117 m, 0.118 kg; published 0.082 is the height" in result.output
     assert "1 added, 1 failed (gso_bunny_racer); next: objectfolder build" in result.output
     assert set(params.read()["objects"]) == {"mug", "die", "bell", "ycb_mug"}
     again = run(publisher, "ycb_mug")

@@ -264,7 +264,13 @@ def test_a_licence_may_be_the_address_of_a_page(built):
     assert Dataset("out").entry("mug").licence == address
 
 
-@pytest.mark.parametrize("change", [("material: ceramic", "material: steel"), ("scale: 0.112", "scale: 0.2")])
+@pytest.mark.parametrize(
+    "change",
+    [
+        *(("material: ceramic", "material: steel"), ("scale: 0.112", "scale: 0.2")),
+        ("scale: 0.112", "mass: 0.3, scale: 0.112"),
+    ],
+)
 def test_an_object_of_earlier_parameters_is_not_released(built, change):
     path = built / "params.yaml"
     path.write_text(path.read_text().replace(*change))

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from solids import box
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import material
 from objectfolder.sound.fem import modal
-from objectfolder.sound.fem.certainty import solver_warning, uncertainty_warning
+from objectfolder.sound.fem.certainty import is_uncertain, solver_warning, uncertainty_warning
 from objectfolder.sound.fem.cutcell import cut_cells
 from objectfolder.sound.fem.modal import Request, modal_analysis, shape_points
 
@@ -77,7 +76,7 @@ def test_the_uncertainty_is_the_largest_estimated_error(cells):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said", "refused"),
+    ("changes", "said", "uncertain"),
     [
         ({"discretisation_error": [0.1]}, None, False),
         ({"discretisation_error": [0.11]}, "frequencies may be 11% wrong, mode 1 most", False),
@@ -88,18 +87,18 @@ def test_the_uncertainty_is_the_largest_estimated_error(cells):
         ({"modes": 0}, None, False),
     ],
 )
-def test_uncertain_frequencies_are_warned_of_or_refused(changes, said, refused):
+def test_uncertain_frequencies_are_warned_of(changes, said, uncertain):
     """Cut cells without an estimate are as uncertain as can be."""
     report = {"discretisation_error": None, "resolution": 32, "element": "hex20 cut cells", "modes": 3}
     report |= changes
     report["frequency_uncertainty"] = max(report["discretisation_error"] or [None])
-    allowed = uncertainty_warning(report, True, "cabinet")
-    assert allowed is None if said is None else re.search(rf"^cabinet: .*{said}", allowed)
-    if refused:
-        with pytest.raises(ObjectFolderError, match=rf"^cabinet: .*{said}.*; thicken .*allow_uncertain"):
-            uncertainty_warning(report, False, "cabinet")
-    else:
-        assert uncertainty_warning(report, False, "cabinet") == allowed
+    assert is_uncertain(report) == uncertain
+    text = uncertainty_warning(report, "cabinet")
+    assert text is None if said is None else re.search(rf"^cabinet: .*{said}", text)
+    assert not text or "marked" not in text  # accepted
+    if uncertain:
+        marked = uncertainty_warning(report | {"uncertain": True}, "cabinet")
+        assert re.search(rf"^cabinet: .*{said}.*; the sound is marked .*: thicken .*allow_uncertain", marked)
 
 
 def test_a_solve_whose_checks_fail_is_warned_of(cells):
