@@ -235,7 +235,7 @@ def add_catalogue(catalogue: Path, root: Path = Path()) -> list[str]:
     if not catalogue.is_file():
         problem = "is a folder" if catalogue.is_dir() else "does not exist"
         raise ObjectFolderError(f"{catalogue} {problem}; expected a catalogue such as catalogs/starter.yaml")
-    if re.search(r"^sources:", catalogue.read_text(errors="replace"), re.MULTILINE):
+    if re.search(r"^(sources|extends):", catalogue.read_text(errors="replace"), re.MULTILINE):
         raise ObjectFolderError(
             f"{catalogue} lists published objects whose meshes are not here; download them with "
             f"`objectfolder fetch --catalogue {catalogue}`"

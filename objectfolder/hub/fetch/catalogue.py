@@ -36,13 +36,14 @@ class MeshSource(params.Record):
 class Entry(params.Record):
     """One published object."""
 
-    id: int  #: number in the publication
+    id: int | None = None  #: number in the paper's table, if it is there
     name: str
     material: str
     scale: float = Field(gt=0, le=100)  #: longest side, metres
     mass: float | None = Field(default=None, gt=0, le=1e6)  #: of the real object, kg
     source: str
     model: str = ""  #: id at the source, if not the name
+    category: str = ""
     note: str = ""
 
     @field_validator("material")
@@ -59,6 +60,7 @@ class Entry(params.Record):
 class Catalogue(params.Record):
     """Sources and objects by key."""
 
+    version: int = 1
     sources: dict[str, MeshSource]
     objects: dict[str, Entry]
 
@@ -87,22 +89,48 @@ def object_url(template: str, model: str) -> str:
 def read_catalogue(path: Path, urls: Sequence[str] = ()) -> Catalogue:
     """Read a catalogue.
 
-    ``path``: YAML with ``sources`` and ``objects``; ``urls``: ``SOURCE=TEMPLATE``: URL templates to use
-    instead of those in the catalogue. Raises ObjectFolderError if it is missing or invalid, an object has an
-    unknown source, or a template is not a URL.
+    ``path``: YAML with ``sources`` and ``objects``; with ``extends``, sources and whatever its objects lack
+    are those of this other catalogue in the same folder. ``urls``: ``SOURCE=TEMPLATE``: URL templates to use
+    instead of those in the catalogue. Raises ObjectFolderError if one of the files is missing or invalid, an
+    object has an unknown source, or a template is not a URL.
     """
     existing_file(path, "expected a catalogue of published objects, such as catalogs/objectfolder1.yaml")
-    try:
-        catalogue = Catalogue.model_validate(read_yaml(path))
-    except ValidationError as error:
-        problems = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
-        raise ObjectFolderError(f"{path} is not a catalogue of published objects: {problems}") from error
+    catalogue = _validated(_with_base(read_yaml(path), path), path)
     for key, entry in catalogue.objects.items():
         check_key(key, f"{path}: objects")
         if entry.source not in catalogue.sources:
             wrong, expected = f"objects.{key}.source is {quoted(entry.source)}", ", ".join(catalogue.sources)
             raise ObjectFolderError(f"{path}: {wrong}, expected one of {expected}")
     return catalogue.model_copy(update={"sources": _with_urls(catalogue.sources, urls)})
+
+
+def _validated(values: Any, path: Path) -> Catalogue:
+    try:
+        return Catalogue.model_validate(values)
+    except ValidationError as error:
+        problems = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        raise ObjectFolderError(f"{path} is not a catalogue of published objects: {problems}") from error
+
+
+def _with_base(values: Any, path: Path) -> Any:
+    """Complete a catalogue's values by those of the one that it extends, which may not extend another."""
+    if not isinstance(values, Mapping) or "extends" not in values:
+        return values
+    own = {"sources": {}, **values}
+    name = own.pop("extends")
+    if not isinstance(name, str) or not name or Path(name).name != name:
+        raise ObjectFolderError(f"{path}: extends is {quoted(name)}, expected a file name in the same folder")
+    base_path = existing_file(path.with_name(name), f"{path} extends it")
+    base = _validated(read_yaml(base_path), base_path).model_dump()
+    for section, kept in (("sources", base["sources"]), ("objects", {})):
+        if isinstance(given := own.get(section), Mapping):
+            known = base[section]
+            completed = {
+                key: {**known.get(key, {}), **entry} if isinstance(entry, Mapping) else entry
+                for key, entry in given.items()
+            }
+            own[section] = kept | completed
+    return own
 
 
 def _with_urls(sources: Mapping[str, MeshSource], urls: Sequence[str]) -> dict[str, MeshSource]:

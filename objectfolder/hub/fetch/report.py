@@ -19,9 +19,11 @@ STYLES = {FetchStatus.ADDED: "green", FetchStatus.PRESENT: "dim", FetchStatus.FA
 def print_catalogue(catalogue: Catalogue, present: Collection[str], console: Console) -> None:
     """Print one line per object, with a mark if it is in the workspace."""
     width = max(map(len, catalogue.objects))
+    longest = max(len(entry.category) for entry in catalogue.objects.values())
     for key, entry in catalogue.objects.items():
         name = f"{'✓' if key in present else ' '} {key:{width}}"
-        line = f"{name}  {entry.material:13}  {entry.scale:6.4g} m  {entry.name}"
+        category = f"{entry.category:{longest}}  " if longest else ""
+        line = f"{name}  {entry.material:13}  {entry.scale:6.4g} m  {category}{entry.name}"
         console.print(line, soft_wrap=True, highlight=False)
     print_overview(catalogue, present, console)
 

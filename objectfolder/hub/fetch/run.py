@@ -168,8 +168,16 @@ def fetch_all(
 def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
     """Return the notice stored with a mesh: origin, licence, attribution and changes."""
     entry, source = catalogue.objects[key], catalogue.source(key)
+    number = "" if entry.id is None else f", object {entry.id} of ObjectFolder 1.0"
+    chosen = [f"Material and size: objectfolder, real objects, version {catalogue.version}"]
+    if number:
+        chosen = [
+            "Name, material and size: ObjectFolder, Gao et al., CoRL 2021, CC BY 4.0",
+            "(https://creativecommons.org/licenses/by/4.0/)",
+        ]
+    chosen[-1] += f"; {entry.note}" if entry.note else ""
     lines = (
-        f"{entry.name}, object {entry.id} of ObjectFolder 1.0",
+        f"{entry.name}{number}",
         "",
         f"Mesh and textures: {source.title}, {catalogue.page(key)}",
         f"Taken from: {origin}",
@@ -177,8 +185,7 @@ def source_text(key: str, catalogue: Catalogue, origin: str) -> str:
         f"Attribution: {source.attribution}",
         "Changes: the mesh is renamed; files that it does not refer to are omitted.",
         "",
-        "Name, material and size: ObjectFolder, Gao et al., CoRL 2021, CC BY 4.0",
-        "(https://creativecommons.org/licenses/by/4.0/)" + (f"; {entry.note}" if entry.note else ""),
+        *chosen,
         *([f"Mass: {entry.mass:g} kg; {source.masses or source.attribution}"] if entry.mass else []),
     )
     # A line break in a name would begin a line of its own, such as another licence.

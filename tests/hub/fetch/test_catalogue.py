@@ -1,24 +1,31 @@
-"""The catalogue of the paper's objects, and finding objects in it by name."""
+"""The catalogues of the paper's and of the real objects, and finding objects in it by name."""
 
 import csv
+import hashlib
 import json
+import re
 from collections import Counter
+from io import StringIO
 from pathlib import Path
 
 import pytest
 from hostile import WORDS
 from own_workspace import ROOT
 from refusals import refused
+from rich.console import Console
 
 from objectfolder.base.materials import material_names
 from objectfolder.base.text import visible
 from objectfolder.base.yamlfile import read_yaml
 from objectfolder.hub.fetch.catalogue import read_catalogue, select_objects
+from objectfolder.hub.fetch.report import print_catalogue
 from objectfolder.hub.fetch.run import source_text
+from objectfolder.hub.release.entries import CATEGORIES
 from objectfolder.hub.release.notices import read_notice
 from objectfolder.workspace import params, stages
 
 PATH = ROOT / "catalogs/objectfolder1.yaml"
+REAL = ROOT / "catalogs/real.yaml"
 TABLE = ROOT.parent / "shared/reference/objectfolder1_objects.csv"
 SIZE_SLIPS = {"ycb_mug": "0.082", "ycb_medium_clamp": "0.115", "ycb_nine_hole_peg_test": "1.2"}
 
@@ -39,7 +46,7 @@ def test_every_entry_can_be_added_beside_those_of_other_catalogues(catalogue):
         assert entry.material in material_names()
         assert 0.01 < entry.scale < 2.5
     for other in (ROOT / "catalogs").glob("*.yaml"):
-        if other != PATH:
+        if other not in (PATH, REAL):  # the second is of the first
             assert not set(catalogue.objects) & set(params.read(other)["objects"])
 
 
@@ -198,3 +205,82 @@ def test_a_catalogue_of_another_kind_is_refused():
     starters = ROOT / "catalogs/starter.yaml"
     refused(r"starter\.yaml is not a catalogue of published objects", read_catalogue, starters)
     refused(r"nothing\.yaml does not exist", read_catalogue, Path("nothing.yaml"))
+
+
+def test_the_real_hundred_is_of_the_paper_but_for_39(catalogue):
+    real = read_catalogue(REAL)
+    own = {key: entry for key, entry in real.objects.items() if key not in catalogue.objects}
+    assert (len(real.objects), len(own)) == (100, 39)
+    assert len({entry.source_model for entry in real.objects.values()}) == 100
+    for key, entry in real.objects.items():
+        assert entry.category in CATEGORIES
+        if key not in own:
+            published = catalogue.objects[key]
+            assert entry.scale == pytest.approx(published.scale, rel=0.03) or f"{entry.scale:g}" in entry.note
+            kept = {field: getattr(published, field) for field in ("scale", "note", "category")}
+            assert entry.model_copy(update=kept) == published
+    assert not any(entry.id for entry in own.values())
+    assert real.sources == catalogue.sources
+
+
+def test_version_1_of_the_real_hundred_never_changes():
+    real = read_catalogue(REAL)
+    objects = {key: entry.model_dump(exclude={"note"}) for key, entry in real.objects.items()}
+    text = json.dumps([real.version, objects], sort_keys=True)
+    digest = "6fbe0635992efdd8705ab7f429857284a4eaf35b5111a1b6dcafbe31874a10d1"
+    message = "version 1 is frozen: put other objects into another catalogue"
+    assert hashlib.sha256(text.encode()).hexdigest() == digest, message
+
+
+def test_the_notice_of_an_object_that_the_paper_lacks_does_not_name_the_paper():
+    real = read_catalogue(REAL)
+    text = source_text("ycb_golf_ball", real, "x")
+    assert "Calli et al." in text
+    assert "Material and size: objectfolder, real objects, version 1" in text
+    assert not re.search("ObjectFolder 1.0|Gao", text)
+    assert "object 21 of ObjectFolder 1.0" in source_text("ycb_pitcher", real, "x")
+
+
+@pytest.mark.parametrize(("path", "category"), [(PATH, []), (REAL, ["kitchen"])])
+def test_a_list_has_the_categories_that_a_catalogue_names(path, category):
+    console = Console(file=StringIO(), width=200)
+    print_catalogue(read_catalogue(path), {"gso_frypan"}, console)
+    lines = [line.split() for line in console.file.getvalue().splitlines()]
+    assert ["✓", "gso_frypan", "steel", "0.356", "m", *category, "Chefmate_8_Frypan"] in lines
+
+
+def extending(folder, text):
+    """Write a catalogue that extends the paper's; return its path."""
+    (folder / PATH.name).write_bytes(PATH.read_bytes())
+    (folder / "mine.yaml").write_text(text)
+    return folder / "mine.yaml"
+
+
+def test_an_extended_catalogue_gives_what_is_not_said(tmp_path, catalogue):
+    own = "{name: X, material: glass, scale: 1, source: ycb}"
+    text = f"""extends: objectfolder1.yaml
+sources: {{gso: {{title: Mirror}}}}
+objects: {{ycb_bowl: {{}}, ycb_mug: {{scale: 2}}, own: {own}}}"""
+    found = read_catalogue(extending(tmp_path, text))
+    assert list(found.objects) == ["ycb_bowl", "ycb_mug", "own"]
+    assert found.objects["ycb_bowl"] == catalogue.objects["ycb_bowl"]
+    assert found.objects["ycb_mug"] == catalogue.objects["ycb_mug"].model_copy(update={"scale": 2})
+    gso = catalogue.sources["gso"].model_copy(update={"title": "Mirror"})
+    assert found.sources == catalogue.sources | {"gso": gso}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("extends: ../objectfolder1.yaml", r"extends is '../objectfolder1.yaml', expected a file name"),
+        ("extends: [a]", r"extends is \['a'\], expected a file name"),
+        ("extends: none.yaml", r"none.yaml does not exist; .*mine.yaml extends it"),
+        ("extends: mine.yaml", r"mine.yaml is not a catalogue .*: .*extends: Extra inputs"),
+        ("extends: objectfolder1.yaml", "objects: Field required"),
+        ("extends: objectfolder1.yaml\nobjects: [1]", "objects: Input should be"),
+        ("extends: objectfolder1.yaml\nobjects: {ycb_mug: 1}", "objects.ycb_mug: Input should be"),
+        ("extends: objectfolder1.yaml\nsources: 1\nobjects: {}", "sources: Input should be"),
+    ],
+)
+def test_what_cannot_be_extended_is_said(tmp_path, text, message):
+    refused(message, read_catalogue, extending(tmp_path, text))
