@@ -60,7 +60,7 @@ class Discretisation:
         if not len(frequencies) or not self.coarser:
             return None
         ratio = 2.0 if self.coarse is None else float(np.cbrt(self.solid.elements / self.coarse.elements))
-        return discretisation_error(frequencies, *self.coarser, ratio=ratio)
+        return discretisation_error(ratio, frequencies, *self.coarser)
 
 
 def coarser(solid: Solid) -> CutCells | None:
@@ -72,7 +72,7 @@ def coarser(solid: Solid) -> CutCells | None:
 
 
 def discretisation_error(
-    frequencies: np.ndarray, half: np.ndarray, quarter: np.ndarray | None = None, ratio: float = 2
+    ratio: float, frequencies: np.ndarray, half: np.ndarray, quarter: np.ndarray | None = None
 ) -> list[float]:
     """Estimate the relative errors of frequencies, Hz, from those on grids of half and quarter resolution.
 
@@ -81,7 +81,7 @@ def discretisation_error(
     inner edges and walls thinner than a cell with 1 to 1.5. The order observed on three coarse grids is not
     yet the final one, so the estimate assumes ``ORDER``, which is right within a factor of two for p from 1
     to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``MIN_FALL``. ``ratio`` is that of the
-    sizes of elements, where it is not a half.
+    sizes of elements of the last two grids: 2 for cut cells.
     """
     count = min(len(frequencies), len(half))
     last = half[:count] / frequencies[:count] - 1

@@ -25,17 +25,19 @@ def uncertainty_warning(report: dict[str, Any], name: str) -> str | None:
 
     Of a report with a mark, ``uncertain``, also what the mark means and how to be rid of it.
     """
-    error, grid = report["frequency_uncertainty"], f"{report['resolution']}^3"
+    error, cells = report["frequency_uncertainty"], report["resolution"]
+    cut = report["element"] == CUT_CELLS
+    grid = f"the {cells}^3 grid" if cut else f"elements of 1/{cells} of the longest side"
     if not is_uncertain(report) and (error is None or error <= MAX_UNWARNED_ERROR):
         return None
     if error is None:
-        text = f"{name}: frequencies may be wrong; walls are too thin for the {grid} grid to say how much"
+        text = f"{name}: frequencies may be wrong; walls are too thin for {grid} to say how much"
     else:
         errors = report["discretisation_error"]
         worst = max(range(len(errors)), key=errors.__getitem__)
         text = (
             f"{name}: frequencies may be {error:.0%} wrong, mode {worst + 1} most: walls or joints are thin "
-            f"for the {grid} grid"
+            f"for {grid}"
         )
     if not report.get("uncertain"):
         return text

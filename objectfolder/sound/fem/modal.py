@@ -11,7 +11,7 @@ from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh
 from objectfolder.sound.fem.accuracy import ESTIMATED_MODES, Discretisation, resolved_frequency
-from objectfolder.sound.fem.adaptive import refine_grid
+from objectfolder.sound.fem.adaptive import fill_unsure, refine_grid
 from objectfolder.sound.fem.certainty import solver_checks
 from objectfolder.sound.fem.elasticity import Solid
 from objectfolder.sound.fem.settings import FineGrids
@@ -130,11 +130,12 @@ def refined_analysis(
     request: Request,
     name: str = "object",
 ) -> ModalData:
-    """Compute modes as `modal_analysis`, on a finer grid if `refine_grid` chooses one.
+    """Compute modes as `modal_analysis`, on the mesh that `refine_grid` and `fill_unsure` choose.
 
     The solid is on the first grid; its surface is (V, 3), unit frame, and (F, 3).
     """
     candidate = refine_grid(solid, surface, fine, request.material, request.scale, name)
+    candidate = fill_unsure(candidate, surface, name)
     return _modes_at(candidate, points, request, name, wall_thickness(*surface))
 
 

@@ -30,6 +30,7 @@ from objectfolder.sound.fem.elasticity import (
 
 ENVELOPE = 5e-4  #: allowed distance of the mesh from the surface, in bounding-box diagonals
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # their midpoints are nodes 5 to 10
+_SIMPLIFIED = 0.2  # share of the envelope by which the surface is simplified before: fTetWild takes minutes
 _SEARCHED = 32  # nearest centroids among which a point's tetrahedron is searched
 
 
@@ -110,10 +111,12 @@ def tetrahedra(
         raise ObjectFolderError(
             "element tet10 needs pytetwild: install objectfolder[build] or choose another voxelize.element"
         ) from missing
+    plain = simplified(
+        vertices, faces, _SIMPLIFIED * envelope * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    )
     with TemporaryDirectory() as folder, chdir(folder):  # fTetWild writes a file into the working directory
         points, cells = pytetwild.tetrahedralize(
-            np.ascontiguousarray(vertices, np.float64),
-            np.ascontiguousarray(faces, np.int32),
+            *plain,
             edge_length_abs=1 / resolution,
             epsilon=envelope,
             num_threads=1,
@@ -126,6 +129,16 @@ def tetrahedra(
     solid = quadratic(points, cells[keep], resolution)
     error = solid.volume / signed_volume(vertices, faces) - 1
     return replace(solid, dropped_volume=dropped, volume_error=error)
+
+
+def simplified(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a closed surface with fewer faces, within a tolerance; as it is if it is no manifold."""
+    import manifold3d
+
+    mesh = manifold3d.Mesh64(np.asarray(vertices, np.float64), np.asarray(faces, np.uint64))
+    if not (solid := manifold3d.Manifold(mesh)).is_empty():
+        mesh = solid.simplify(tolerance).to_mesh64()
+    return np.array(mesh.vert_properties)[:, :3], np.array(mesh.tri_verts).astype(np.int32)
 
 
 def joined_by_faces(cells: np.ndarray) -> np.ndarray:
