@@ -12,16 +12,24 @@ import manifold3d
 import numpy as np
 from scipy.sparse import coo_matrix
 
+from objectfolder.mesh.closing.solids import to_arrays
 from objectfolder.mesh.normals import area_vectors
-from objectfolder.mesh.polygon import area_vector, in_plane
+from objectfolder.mesh.polygon import area_vector, in_plane, split_tightly
 from objectfolder.mesh.raycast import RayCaster
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.topology import Mesh, boundary_loops, face_areas, signed_volume
+from objectfolder.mesh.scanline import MAX_OUTSIDE, winding_certificate
+from objectfolder.mesh.topology import Mesh, boundary_loops, face_areas, half_edges, is_closed, signed_volume
 
 SEEN = 0.3  #: unoccluded fraction of the hemisphere above which a cap is visible from outside
 LARGE = 0.05  #: area of a loop, as a fraction of the piece's, above which it is large
 FLAT = 1e-6  #: volume of a capped piece over its area and extent, below which it has no inner side
 NO_ROOM = 0.5  #: area fraction of faces inverted by a wall above which it has no room
+MAX_TIGHT = 512  #: corners of a loop that may get a cap of least area
+_SHARE_OF_GAP = 0.45  # of the way to the next surface behind a sheet that its wall may fill
+_STRAIGHT = 0.1  # area of a face on the inner side, over that outside, below which the wall is too thick
+_FACING = 0.9  # cosine between an outer and inner rim of a frame
+_BESIDE = 0.25  # of an inner rim's width: how far it may lie from the plane of the outer one
+_FITS = 24  # times that a wall is made thinner
 _RAYS = 1024
 _OFFSET = 1e-4  # start of the rays above the cap, unit frame
 
@@ -48,14 +56,41 @@ def close_piece(
         and _is_visible(vertices, loop, scene, flat)
     ]
     chosen = {int(loop[0]) for loop in openings}
+    for outer, inner in _nest(vertices, loops).items():  # a frame is open as a whole
+        if int(loops[outer][0]) in chosen:
+            openings += [loops[k] for k in inner if int(loops[k][0]) not in chosen]
+            chosen |= {int(loops[k][0]) for k in inner}
     holes = [loop for loop in loops if int(loop[0]) not in chosen]
-    closed = cap(vertices, faces, holes)
-    if not openings:
-        return closed, len(holes), 0
-    sheet = thicken(*closed, wall)
-    if _inverted_share(closed[0], sheet[0][len(closed[0]) :], closed[1]) > NO_ROOM:
-        return cap(vertices, faces, loops), len(loops), 0
-    return sheet, len(holes), len(openings)
+    if openings:
+        closed = cap(vertices, faces, holes)
+        sheet = thicken(*closed, wall)
+        room = _inverted_share(closed[0], sheet[0][len(closed[0]) :], closed[1]) <= NO_ROOM
+        if room and _overlap(sheet) > MAX_OUTSIDE:
+            room = not _is_shallow(vertices, faces, loops, openings, wall)
+            sheet = _build_wall(*closed, fit_wall(*closed, wall)) if room else sheet
+        if room:
+            return sheet, len(holes), len(openings)
+    solid = cap(vertices, faces, loops)
+    if not flat and _overlap(solid) > MAX_OUTSIDE:
+        solid = min(solid, cap(vertices, faces, loops, tight=True), key=_overlap)
+    return solid, len(loops), 0
+
+
+def _is_shallow(
+    vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray], openings: list[np.ndarray], wall: float
+) -> bool:
+    """Tell whether a wall would fill a piece: it is on average less deep behind its openings than the wall."""
+    across = np.linalg.norm(sum(area_vector(vertices[loop]) for loop in openings))
+    return bool(abs(signed_volume(*cap(vertices, faces, loops))) < wall * across)
+
+
+def _overlap(piece: Mesh) -> float:
+    """Compute the share of a closed piece, of either orientation, that overlaps itself; 1 if it is open."""
+    vertices, faces = piece
+    if not is_closed(faces):
+        return 1.0
+    outward = faces if signed_volume(*piece) > 0 else faces[:, ::-1]
+    return winding_certificate(vertices, outward).outside_fraction
 
 
 def visible_loops(piece: Mesh, scene: RayCaster, least: float = 0) -> Iterator[float]:
@@ -91,16 +126,32 @@ def _is_visible(vertices: np.ndarray, loop: np.ndarray, scene: RayCaster, flat: 
     )
 
 
-def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> Mesh:
-    """Close loops, given along their boundary half edges, with flat or nearly flat caps."""
+def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray], tight: bool = False) -> Mesh:
+    """Close loops, given along their boundary half edges, with caps of no edge that the faces have.
+
+    They are flat or nearly flat, or if ``tight``, of the least area: such as three sides of a board.
+    """
     new_vertices, new_faces, count = [vertices], [faces], len(vertices)
+    frames = {
+        outer: ring
+        for outer, inner in _nest(vertices, loops).items()
+        if (ring := _cap_frame(vertices, faces, [loops[outer], *(loops[k] for k in inner)])) is not None
+    }
+    capped = {int(vertex) for ring in frames.values() for vertex in ring.ravel()}
+    new_faces += frames.values()
     for loop in loops:
+        if int(loop[0]) in capped:
+            continue
         points = vertices[loop]
         normal = area_vector(points)
         centre = points.mean(0)
         fan = np.cross(points - centre, np.roll(points, -1, 0) - centre) @ normal
-        if len(loop) > 3 and (fan <= 0).any():  # not star-shaped about its centre
+        local = None
+        if not tight and len(loop) > 3 and (fan <= 0).any():  # not star-shaped about its centre
             local = manifold3d.triangulate([in_plane(points, normal)])
+        if len(loop) > 3 and (tight or local is not None):
+            local = _split_apart(points, local, _edges_between(faces, loop))
+        if local is not None:
             new_faces.append(loop[local][:, ::-1])
         else:
             new_faces.append(np.stack([np.roll(loop, -1), loop, np.full(len(loop), count)], 1))
@@ -109,10 +160,109 @@ def cap(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> Mes
     return np.concatenate(new_vertices), np.concatenate(new_faces).astype(np.int64)
 
 
-def thicken(vertices: np.ndarray, faces: np.ndarray, wall: float) -> Mesh:
-    """Add an inner side to a sheet at a distance ``wall``, joined along the boundary."""
+def _nest(vertices: np.ndarray, loops: list[np.ndarray]) -> dict[int, list[int]]:
+    """Find frames: loops with others beside them in the same cap, which are its inner rims.
+
+    An inner rim runs the other way round within the outer one, and is as near to its plane as its own width.
+    """
+    areas = np.array([area_vector(vertices[loop]) for loop in loops]).reshape(-1, 3)
+    sizes = np.linalg.norm(areas, axis=1)
+    frames: dict[int, list[int]] = {}
+    free = np.ones(len(loops), bool)
+    for outer in np.argsort(-sizes, kind="stable") if len(loops) > 1 else ():
+        facing = areas @ areas[outer] < -_FACING * sizes * sizes[outer]
+        for inner in np.flatnonzero(facing & free & (sizes < sizes[outer])) if free[outer] else ():
+            rim, around = vertices[loops[inner]], vertices[loops[outer]]
+            height, bounds = (points @ areas[outer] / sizes[outer] for points in (rim, around))
+            slack = _BESIDE * np.sqrt(sizes[inner])
+            level = height.min() > bounds.min() - slack and height.max() < bounds.max() + slack
+            if level and _encloses(around, rim, areas[outer]):
+                frames.setdefault(int(outer), []).append(int(inner))
+                free[inner] = False
+    return frames
+
+
+def _encloses(around: np.ndarray, points: np.ndarray, normal: np.ndarray) -> bool:
+    """Tell whether points (N, 3) lie within a loop (n, 3), seen along a normal."""
+    outline, inner = in_plane(around, normal), in_plane(points, normal)
+    a, b = outline[:, None], np.roll(outline, -1, 0)[:, None]
+    above = (a[..., 1] > inner[:, 1]) != (b[..., 1] > inner[:, 1])
+    rise = np.where(above, b[..., 1] - a[..., 1], 1)
+    right = a[..., 0] + (inner[:, 1] - a[..., 1]) * (b[..., 0] - a[..., 0]) / rise > inner[:, 0]
+    return bool(((above & right).sum(0) % 2 == 1).all())
+
+
+def _cap_frame(vertices: np.ndarray, faces: np.ndarray, rims: list[np.ndarray]) -> np.ndarray | None:
+    """Close the ring between an outer and inner rims; None if that needs an edge which the faces have."""
+    normal = area_vector(vertices[rims[0]])
+    corners = np.concatenate(rims)
+    ring = manifold3d.triangulate([in_plane(vertices[rim], normal) for rim in rims])
+    if len(ring) != len(corners) + 2 * len(rims) - 4:
+        return None
+    own = np.concatenate([np.stack([rim, np.roll(rim, -1)], 1) for rim in rims])
+    place = np.full(int(corners.max()) + 1, -1)
+    place[corners] = np.arange(len(corners))
+    between = _edges_between(faces, corners)
+    between[place[own[:, 0]], place[own[:, 1]]] = between[place[own[:, 1]], place[own[:, 0]]] = False
+    return None if between[ring, np.roll(ring, -1, 1)].any() else corners[ring][:, ::-1]
+
+
+def _split_apart(points: np.ndarray, local: np.ndarray | None, between: np.ndarray) -> np.ndarray | None:
+    """Return a split of a loop (n, 3) that has no edge ``between`` its corners, or else one of least area."""
+    count = len(points)
+    if local is not None and len(local) == count - 2:
+        own = np.zeros_like(between)
+        own[np.arange(count), np.arange(count) - 1] = True
+        if not (between & ~(own | own.T))[local, np.roll(local, -1, 1)].any():
+            return local
+    return split_tightly(points, between) if count <= MAX_TIGHT else None
+
+
+def _edges_between(faces: np.ndarray, loop: np.ndarray) -> np.ndarray:
+    """Tell which vertices of a loop (n,) are joined by an edge of the faces; (n, n) bool."""
+    place = np.full(int(faces.max()) + 1, -1)
+    place[loop] = np.arange(len(loop))
+    ends = place[half_edges(faces)]
+    ends = ends[(ends >= 0).all(1)]
+    between = np.zeros((len(loop), len(loop)), bool)
+    between[ends[:, 0], ends[:, 1]] = between[ends[:, 1], ends[:, 0]] = True
+    return between
+
+
+def fit_wall(vertices: np.ndarray, faces: np.ndarray, wall: float) -> np.ndarray:
+    """Compute how thick a wall fits behind each vertex of a sheet, at most ``wall``; (V,).
+
+    It ends before the middle of the way to the next surface behind, and where it would turn faces around it
+    is thinner: at ridges and ornaments finer than the wall.
+    """
+    inward = -_offset_directions(vertices, faces)
+    caster = RayCaster(vertices, faces)
+    behind, _ = caster.first_hit(vertices + _OFFSET * inward, inward)
+    thickness = np.minimum(wall, _SHARE_OF_GAP * (behind + _OFFSET))
+    normal = area_vectors(vertices, faces)
+    for _ in range(_FITS):
+        turned = area_vectors(vertices + thickness[:, None] * inward, faces)
+        crossed = np.einsum("ij,ij->i", turned, normal) < _STRAIGHT * (normal**2).sum(1)
+        if not crossed.any():
+            break
+        thickness[np.unique(faces[crossed])] *= 0.75
+    return thickness
+
+
+def _build_wall(vertices: np.ndarray, faces: np.ndarray, thickness: np.ndarray) -> Mesh:
+    """Thicken a sheet; where that overlaps itself, as the union of the hulls over the faces."""
+    sheet = thicken(vertices, faces, thickness)
+    if _overlap(sheet) <= MAX_OUTSIDE:
+        return sheet
+    corners = np.concatenate([vertices[faces], sheet[0][faces + len(vertices)]], 1)
+    hulls = [manifold3d.Manifold.hull_points(points) for points in corners]
+    return to_arrays(manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add))
+
+
+def thicken(vertices: np.ndarray, faces: np.ndarray, wall: float | np.ndarray) -> Mesh:
+    """Add an inner side to a sheet at a distance ``wall``, of all or of each vertex, joined along the boundary."""
     count = len(vertices)
-    inner = vertices - wall * _offset_directions(vertices, faces)
+    inner = vertices - np.reshape(wall, (-1, 1)) * _offset_directions(vertices, faces)
     border = np.concatenate(
         [np.stack([loop, np.roll(loop, -1)], 1) for loop in boundary_loops(faces)]
     )  # from a to b along the sheet
