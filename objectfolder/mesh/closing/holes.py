@@ -13,15 +13,18 @@ import numpy as np
 from scipy.sparse import coo_matrix
 
 from objectfolder.mesh.closing.solids import to_arrays
-from objectfolder.mesh.normals import area_vectors
+from objectfolder.mesh.normals import area_vectors, unit_vectors
 from objectfolder.mesh.polygon import area_vector, in_plane, split_tightly
 from objectfolder.mesh.raycast import RayCaster
-from objectfolder.mesh.sampling import sample_surface
+from objectfolder.mesh.sampling import sample_faces, sample_surface
 from objectfolder.mesh.scanline import MAX_OUTSIDE, winding_certificate
 from objectfolder.mesh.topology import Mesh, boundary_loops, face_areas, half_edges, is_closed, signed_volume
 
 SEEN = 0.3  #: unoccluded fraction of the hemisphere above which a cap is visible from outside
 LARGE = 0.05  #: area of a loop, as a fraction of the piece's, above which it is large
+THIN = 5e-4  #: depth behind the faces of a capped piece, unit frame, at which there is material, or nothing
+EMPTY = 0.5  #: area fraction of a capped piece's faces with nothing behind above which it is a sheet, if seen
+NARROW = 0.05  #: longest side of a piece, unit frame, below which it is no such sheet but a crumb
 FLAT = 1e-6  #: volume of a capped piece over its area and extent, below which it has no inner side
 NO_ROOM = 0.5  #: area fraction of faces inverted by a wall above which it has no room
 MAX_TIGHT = 512  #: corners of a loop that may get a cap of least area
@@ -40,7 +43,8 @@ def close_piece(
     """Close an open manifold piece, consistently oriented, in the unit frame.
 
     A visible loop whose area is more than ``least`` of the piece's is an opening, others are capped;
-    without a ``scene`` of all pieces, for visibility, all are. A piece with an opening is a sheet, which
+    without a ``scene`` of all pieces, for visibility, all are. A piece that is seen, but whose
+    faces the caps would lie against, is a sheet, too. A piece with an opening is a sheet, which
     gets a wall: it becomes the outer side; of a flat one, the side to which its winding points. Where there
     is no room for the wall, the openings are capped instead.
 
@@ -73,7 +77,43 @@ def close_piece(
     solid = cap(vertices, faces, loops)
     if not flat and _overlap(solid) > MAX_OUTSIDE:
         solid = min(solid, cap(vertices, faces, loops, tight=True), key=_overlap)
+    if scene is not None and _empty_share(solid, len(faces)) > EMPTY:
+        sheet = _find_seen_side(piece, scene)
+        if sheet is not None:
+            return _build_wall(*sheet, np.full(len(sheet[0]), wall)), 0, len(loops)
     return solid, len(loops), 0
+
+
+def _empty_share(solid: Mesh, count: int) -> float:
+    """Compute the area fraction of the first ``count`` faces of a capped piece that a cap lies against."""
+    vertices, faces = solid
+    if not np.any(face_areas(vertices, faces[:count])):
+        return 0.0
+    points, face = sample_faces(vertices, faces[:count], _RAYS, np.random.default_rng(0))
+    inward = -unit_vectors(area_vectors(vertices, faces))[face] * np.sign(signed_volume(*solid))
+    winding = np.abs(igl.fast_winding_number(vertices, faces, points + THIN * inward))
+    return float((np.asarray(winding) < 0.5).mean())
+
+
+def _find_seen_side(piece: Mesh, scene: RayCaster) -> Mesh | None:
+    """Turn a piece that caps do not make solid to the side from which it is seen; None if it is hidden or small.
+
+    Seen from both sides, it keeps its winding.
+    """
+    vertices, faces = piece
+    if np.ptp(vertices[faces.ravel()], axis=0).max() < NARROW:
+        return None
+    rng = np.random.default_rng(0)
+    points, face = sample_faces(vertices, faces, _RAYS, rng)
+    normals = unit_vectors(area_vectors(vertices, faces))[face]
+    direction = unit_vectors(rng.normal(size=points.shape))
+    front, back = (
+        1 - scene.occluded(points + _OFFSET * outward, unit_vectors(direction + outward)).mean()
+        for outward in (normals, -normals)
+    )
+    if max(front, back) <= SEEN:
+        return None
+    return (vertices, faces) if front > SEEN else (vertices, np.ascontiguousarray(faces[:, ::-1]))
 
 
 def _is_shallow(

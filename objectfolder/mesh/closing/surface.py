@@ -226,7 +226,7 @@ class _Repair:
             i for i, piece in enumerate(pieces) if is_open[i] and face_areas(*piece).sum() > CRUMB * total
         ]
         closed = {
-            i: close_piece(piece, scene if i in shown else None, wall)
+            i: close_piece(piece, scene, wall, *([] if i in shown else [np.inf]))
             for i, piece in enumerate(pieces)
             if is_open[i]
         }
