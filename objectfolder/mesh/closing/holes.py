@@ -25,6 +25,7 @@ LARGE = 0.05  #: area of a loop, as a fraction of the piece's, above which it is
 THIN = 5e-4  #: depth behind the faces of a capped piece, unit frame, at which there is material, or nothing
 EMPTY = 0.5  #: area fraction of a capped piece's faces with nothing behind above which it is a sheet, if seen
 NARROW = 0.05  #: longest side of a piece, unit frame, below which it is no such sheet but a crumb
+NOTED_HOLE = 1e-3  #: of a piece's area; smaller holes are gaps of a scan
 FLAT = 1e-6  #: volume of a capped piece over its area and extent, below which it has no inner side
 NO_ROOM = 0.5  #: area fraction of faces inverted by a wall above which it has no room
 MAX_TIGHT = 512  #: corners of a loop that may get a cap of least area
@@ -32,6 +33,8 @@ _SHARE_OF_GAP = 0.45  # of the way to the next surface behind a sheet that its w
 _STRAIGHT = 0.1  # area of a face on the inner side, over that outside, below which the wall is too thick
 _FACING = 0.9  # cosine between an outer and inner rim of a frame
 _BESIDE = 0.25  # of an inner rim's width: how far it may lie from the plane of the outer one
+_RECESS = 0.5  # share of the rays into a hole that meet the front of a face, above which it is a recess
+_FLOOR = 0.9  # quantile of their lengths at which the recess ends
 _FITS = 24  # times that a wall is made thinner
 _RAYS = 1024
 _OFFSET = 1e-4  # start of the rays above the cap, unit frame
@@ -77,6 +80,9 @@ def close_piece(
     solid = cap(vertices, faces, loops)
     if not flat and _overlap(solid) > MAX_OUTSIDE:
         solid = min(solid, cap(vertices, faces, loops, tight=True), key=_overlap)
+    if scene is not None and (sunk := _sink(vertices, faces, loops, scene)) is not None:
+        recessed = cap(*sunk, boundary_loops(sunk[1]))
+        solid = recessed if _overlap(recessed) <= MAX_OUTSIDE else solid
     if scene is not None and _empty_share(solid, len(faces)) > EMPTY:
         sheet = _find_seen_side(piece, scene)
         if sheet is not None:
@@ -114,6 +120,32 @@ def _find_seen_side(piece: Mesh, scene: RayCaster) -> Mesh | None:
     if max(front, back) <= SEEN:
         return None
     return (vertices, faces) if front > SEEN else (vertices, np.ascontiguousarray(faces[:, ::-1]))
+
+
+def _sink(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray], scene: RayCaster) -> Mesh | None:
+    """Add the sides of recesses behind visible holes through which fronts of faces are seen.
+
+    A cap would hide those, such as a carved panel behind the opening of a frame. None if there are none.
+    """
+    new_vertices, new_faces, count = [vertices], [faces], len(vertices)
+    least = NOTED_HOLE * face_areas(vertices, faces).sum()
+    for loop in loops:
+        inward = area_vector(vertices[loop])
+        size = np.linalg.norm(inward)
+        if size < least or not _is_visible(vertices, loop, scene, flat=False):
+            continue
+        inward /= size
+        points = _sample_fan(vertices[loop], np.random.default_rng(0))
+        depth, behind = scene.first_crossing(points + _OFFSET * inward, np.tile(inward, (len(points), 1)))
+        front = depth[np.isfinite(depth) & ~behind] + _OFFSET
+        if len(front) > _RECESS * len(points):
+            new_vertices.append(vertices[loop] + np.quantile(front, _FLOOR) * inward)
+            a, b = loop, np.roll(loop, -1)
+            lower = count + np.arange(len(loop))
+            below = np.roll(lower, -1)
+            new_faces += [np.stack([b, a, lower], 1), np.stack([b, lower, below], 1)]
+            count += len(loop)
+    return (np.concatenate(new_vertices), np.concatenate(new_faces)) if count > len(vertices) else None
 
 
 def _is_shallow(
@@ -335,15 +367,20 @@ def _offset_directions(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _measure_visibility(loop: np.ndarray, scene: RayCaster) -> float:
     """Compute the fraction of cosine-weighted outward rays from a cap that hit nothing."""
     rng = np.random.default_rng(0)
-    count = len(loop)
-    fan = np.stack([np.full(count, count), np.arange(count), (np.arange(count) + 1) % count], 1)
     # The loop follows the surface's boundary, so its cap faces the other way.
     outward = -area_vector(loop)
     outward /= np.linalg.norm(outward)
-    points = sample_surface(np.concatenate([loop, loop.mean(0, keepdims=True)]), fan, _RAYS, rng)
+    points = _sample_fan(loop, rng)
     direction = rng.normal(size=(_RAYS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     direction += outward  # cosine-weighted
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     _, face = scene.first_hit(points + _OFFSET * outward, direction)
     return float((face < 0).mean())
+
+
+def _sample_fan(loop: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Sample points on the triangles between a loop (n, 3) and its centre; (_RAYS, 3)."""
+    count = len(loop)
+    fan = np.stack([np.full(count, count), np.arange(count), (np.arange(count) + 1) % count], 1)
+    return sample_surface(np.concatenate([loop, loop.mean(0, keepdims=True)]), fan, _RAYS, rng)
