@@ -68,7 +68,9 @@ def split_tightly(points: np.ndarray, forbidden: np.ndarray) -> np.ndarray | Non
     for span in range(2, count):
         i = np.arange(count - span)
         j, k = i + span, i[:, None] + np.arange(1, span)
-        area = np.linalg.norm(np.cross(points[k] - points[i, None], points[j, None] - points[i, None]), axis=2)
+        area = np.linalg.norm(
+            np.cross(points[k] - points[i, None], points[j, None] - points[i, None]), axis=2
+        )
         total = cost[i[:, None], k] + cost[k, j[:, None]] + area / 2
         best = total.argmin(1)
         cost[i, j], middle[i, j] = total[i, best] + chord[i, j], k[i, best]

@@ -16,6 +16,7 @@ from objectfolder.mesh.topology import Mesh, distance, is_closed, signed_volume
 BLOCK = 8  #: samples along each side of a block
 RESOLUTION = 192  #: samples along each axis of a remeshed surface
 _BOUND = 0.52
+_APART = 1e-3  # of the spacing: distance from the samples at which vertices are kept, where needed
 
 
 def grid_indices(*shape: int) -> np.ndarray:
@@ -51,13 +52,18 @@ def contour(
     values[chosen] = function(lower + spacing * samples).reshape(len(chosen), -1)
     grid = values.reshape(*blocks, BLOCK, BLOCK, BLOCK).transpose(0, 3, 1, 4, 2, 5)
     grid = np.pad(grid.reshape(BLOCK * np.asarray(blocks)), 1, constant_values=spacing)
-    if grid.min() >= 0:
-        return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    v, f, _, _ = marching_cubes(grid, 0.0, allow_degenerate=False)
-    closed = (v - 1) * spacing + lower, f.astype(np.int64)
-    v, f = separate_wedges(*weld(*closed, 1e-9))
-    if not is_closed(f):  # merging vertices in one place left faces that cannot be paired
-        v, f = closed
+    v, f = np.empty((0, 3)), np.empty((0, 3), np.int64)
+    if grid.min() < 0:
+        v, f, _, _ = marching_cubes(grid, 0.0, allow_degenerate=False)
+    if len(f) == 0:
+        return v[:0], f
+    v, f = separate_wedges(*weld((v - 1) * spacing + lower, f.astype(np.int64), 1e-9))
+    if not is_closed(
+        f
+    ):  # vertices in one place cannot be told apart: keep them off the samples, and separate
+        apart = np.where(np.abs(grid) < _APART * spacing, np.copysign(_APART * spacing, grid), grid)
+        v, f, _, _ = marching_cubes(apart, 0.0, allow_degenerate=False)
+        v, f = (v - 1) * spacing + lower, f.astype(np.int64)
     return v, f if signed_volume(v, f) > 0 else np.ascontiguousarray(f[:, ::-1])
 
 
@@ -80,18 +86,6 @@ def remesh_on_grid(vertices: np.ndarray, faces: np.ndarray, wall: float = 0.0) -
     chosen = np.flatnonzero((away < radius + spacing + wall / 2) | (np.abs(winding - 0.5) < 0.4))
 
     def field(points: np.ndarray) -> np.ndarray:
-        # The same again for cells of 2^3 samples: only those by the surface are sampled.
-        cells = points.reshape(-1, *(BLOCK // 2, 2) * 3, 3).transpose(0, 1, 3, 5, 2, 4, 6, 7)
-        samples = cells.reshape(-1, 8, 3)
-        centres = samples.mean(1)
-        away = distance((vertices, faces), centres)
-        winding = np.asarray(igl.fast_winding_number(vertices, faces, centres))
-        near = (away < 1.5 * np.sqrt(3) * spacing + wall / 2) | (np.abs(winding - 0.5) < 0.4)
-        values = np.repeat(np.where(winding > 0.5, -away, away)[:, None], 8, 1)
-        values[near] = sample(samples[near].reshape(-1, 3)).reshape(-1, 8)
-        return values.reshape(cells.shape[:-1]).transpose(0, 1, 4, 2, 5, 3, 6).ravel()
-
-    def sample(points: np.ndarray) -> np.ndarray:
         away = distance((vertices, faces), points)
         inside = np.asarray(igl.fast_winding_number(vertices, faces, points)) > 0.5
         return np.minimum(np.where(inside, -away, away), away - wall / 2 if wall else np.inf)

@@ -80,13 +80,13 @@ def close_piece(
     solid = cap(vertices, faces, loops)
     if not flat and _overlap(solid) > MAX_OUTSIDE:
         solid = min(solid, cap(vertices, faces, loops, tight=True), key=_overlap)
-    if scene is not None and (sunk := _sink(vertices, faces, loops, scene)) is not None:
-        recessed = cap(*sunk, boundary_loops(sunk[1]))
-        solid = recessed if _overlap(recessed) <= MAX_OUTSIDE else solid
     if scene is not None and _empty_share(solid, len(faces)) > EMPTY:
         sheet = _find_seen_side(piece, scene)
         if sheet is not None:
             return _build_wall(*sheet, np.full(len(sheet[0]), wall)), 0, len(loops)
+    if scene is not None and (sunk := _sink(vertices, faces, loops, scene)) is not None:
+        recessed = cap(*sunk, boundary_loops(sunk[1]))
+        solid = recessed if _overlap(recessed) <= MAX_OUTSIDE else solid
     return solid, len(loops), 0
 
 
@@ -102,7 +102,7 @@ def _empty_share(solid: Mesh, count: int) -> float:
 
 
 def _find_seen_side(piece: Mesh, scene: RayCaster) -> Mesh | None:
-    """Turn a piece that caps do not make solid to the side from which it is seen; None if it is hidden or small.
+    """Turn a piece that caps do not fill to the side from which it is seen; None if it is hidden or small.
 
     Seen from both sides, it keeps its winding.
     """
@@ -151,7 +151,7 @@ def _sink(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray], scen
 def _is_shallow(
     vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray], openings: list[np.ndarray], wall: float
 ) -> bool:
-    """Tell whether a wall would fill a piece: it is on average less deep behind its openings than the wall."""
+    """Tell whether a wall would fill a piece, which is less deep behind its openings on average."""
     across = np.linalg.norm(sum(area_vector(vertices[loop]) for loop in openings))
     return bool(abs(signed_volume(*cap(vertices, faces, loops))) < wall * across)
 
@@ -332,7 +332,7 @@ def _build_wall(vertices: np.ndarray, faces: np.ndarray, thickness: np.ndarray) 
 
 
 def thicken(vertices: np.ndarray, faces: np.ndarray, wall: float | np.ndarray) -> Mesh:
-    """Add an inner side to a sheet at a distance ``wall``, of all or of each vertex, joined along the boundary."""
+    """Add an inner side to a sheet at a distance ``wall``, (V,) or of all, joined along the boundary."""
     count = len(vertices)
     inner = vertices - np.reshape(wall, (-1, 1)) * _offset_directions(vertices, faces)
     border = np.concatenate(
