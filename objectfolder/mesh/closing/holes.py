@@ -46,10 +46,10 @@ def close_piece(
     """Close an open manifold piece, consistently oriented, in the unit frame.
 
     A visible loop whose area is more than ``least`` of the piece's is an opening, others are capped;
-    without a ``scene`` of all pieces, for visibility, all are. A piece that is seen, but whose
-    faces the caps would lie against, is a sheet, too. A piece with an opening is a sheet, which
+    without a ``scene`` of all pieces, for visibility, all are. A piece with an opening is a sheet, which
     gets a wall: it becomes the outer side; of a flat one, the side to which its winding points. Where there
-    is no room for the wall, the openings are capped instead.
+    is no room for the wall, the openings are capped instead. A piece that is seen, but whose faces the caps
+    would lie against, is a sheet, too.
 
     Returns the closed piece, the number of capped loops, and that of openings of a sheet.
     """
@@ -81,9 +81,9 @@ def close_piece(
     if not flat and _overlap(solid) > MAX_OUTSIDE:
         solid = min(solid, cap(vertices, faces, loops, tight=True), key=_overlap)
     if scene is not None and _empty_share(solid, len(faces)) > EMPTY:
-        sheet = _find_seen_side(piece, scene)
-        if sheet is not None:
-            return _build_wall(*sheet, np.full(len(sheet[0]), wall)), 0, len(loops)
+        seen = _find_seen_side(piece, scene)
+        if seen is not None:
+            return _build_wall(*seen, np.full(len(seen[0]), wall)), 0, len(loops)
     if scene is not None and (sunk := _sink(vertices, faces, loops, scene)) is not None:
         recessed = cap(*sunk, boundary_loops(sunk[1]))
         solid = recessed if _overlap(recessed) <= MAX_OUTSIDE else solid
