@@ -123,9 +123,9 @@ def _find_seen_side(piece: Mesh, scene: RayCaster) -> Mesh | None:
 
 
 def _sink(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray], scene: RayCaster) -> Mesh | None:
-    """Add the sides of recesses behind visible holes through which fronts of faces are seen.
+    """Add the sides of recesses behind visible holes through which the fronts of other pieces are seen.
 
-    A cap would hide those, such as a carved panel behind the opening of a frame. None if there are none.
+    A cap would hide them, such as a carved panel behind the opening of a frame. None if there are none.
     """
     new_vertices, new_faces, count = [vertices], [faces], len(vertices)
     least = NOTED_HOLE * face_areas(vertices, faces).sum()
@@ -136,8 +136,10 @@ def _sink(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray], scen
             continue
         inward /= size
         points = _sample_fan(vertices[loop], np.random.default_rng(0))
-        depth, behind = scene.first_crossing(points + _OFFSET * inward, np.tile(inward, (len(points), 1)))
-        front = depth[np.isfinite(depth) & ~behind] + _OFFSET
+        rays = points + _OFFSET * inward, np.tile(inward, (len(points), 1))
+        depth, behind = scene.first_crossing(*rays)
+        other = depth < RayCaster(vertices, faces).first_hit(*rays)[0]
+        front = depth[other & ~behind] + _OFFSET
         if len(front) > _RECESS * len(points):
             new_vertices.append(vertices[loop] + np.quantile(front, _FLOOR) * inward)
             a, b = loop, np.roll(loop, -1)
