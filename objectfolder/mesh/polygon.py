@@ -5,6 +5,8 @@ import numpy as np
 
 REVERSED = 1e-9  #: share of a polygon's area below which a reversed triangle of its fan is rounding
 
+_SHORT_CHORDS = 1e-6  # weight of a chord's square beside the areas
+
 
 def area_vector(points: np.ndarray) -> np.ndarray:
     """Compute the area vectors (..., 3) of closed loops (..., n, 3), by Newell's method."""
@@ -48,6 +50,40 @@ def split(points: np.ndarray) -> np.ndarray:
         if len(ears) == corners - 2:  # otherwise the polygon crosses itself
             triangles[i] = ears
     return triangles
+
+
+def split_tightly(points: np.ndarray, forbidden: np.ndarray) -> np.ndarray | None:
+    """Split a loop (n, 3) into the triangles (n - 2, 3) of least area, without ``forbidden`` chords (n, n).
+
+    Dynamic programming after Barequet and Sharir (1995), cubic in n; among equal areas short chords win.
+    None if no split avoids the chords.
+    """
+    count = len(points)
+    chord = ((points[:, None] - points) ** 2).sum(-1) * _SHORT_CHORDS
+    chord[forbidden] = np.inf
+    chord[[0, -1], [-1, 0]] = 0  # the closing edge is no chord
+    cost, middle = np.full((count, count), np.inf), np.zeros((count, count), np.int64)
+    start = np.arange(count - 1)
+    cost[start, start + 1] = 0
+    for span in range(2, count):
+        i = np.arange(count - span)
+        j, k = i + span, i[:, None] + np.arange(1, span)
+        area = np.linalg.norm(
+            np.cross(points[k] - points[i, None], points[j, None] - points[i, None]), axis=2
+        )
+        total = cost[i[:, None], k] + cost[k, j[:, None]] + area / 2
+        best = total.argmin(1)
+        cost[i, j], middle[i, j] = total[i, best] + chord[i, j], k[i, best]
+    if not np.isfinite(cost[0, -1]):
+        return None
+    triangles, pending = [], [(0, count - 1)]
+    while pending:
+        low, high = pending.pop()
+        if high - low > 1:
+            between = int(middle[low, high])
+            triangles.append((low, between, high))
+            pending += [(low, between), (between, high)]
+    return np.array(triangles)
 
 
 def split_loops(points: np.ndarray, vertex: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ import pytest
 from polygons import OUTLINE
 from scipy.spatial.transform import Rotation
 
-from objectfolder.mesh.polygon import area_vector, fan, needs_ears, split
+from objectfolder.mesh.polygon import area_vector, fan, needs_ears, split, split_tightly
 
 TURN = Rotation.from_rotvec([0.3, -0.7, 1.1]).as_matrix()
 
@@ -47,3 +47,38 @@ def test_corners_on_a_line_and_points_at_infinity_keep_the_fan():
     wild = np.full((5, 3), np.inf)
     flat = np.zeros((5, 3))
     np.testing.assert_array_equal(split(np.stack([row, wild, flat])), [fan(5)] * 3)
+
+
+def test_a_tight_split_of_a_flat_polygon_covers_it_once():
+    points = in_space(OUTLINE)
+    triangles = split_tightly(points, np.zeros((len(points),) * 2, bool))
+    assert len(triangles) == len(points) - 2
+    covered = areas(points, triangles)
+    assert (covered > -1e-12).all()
+    assert covered.sum() == pytest.approx(np.linalg.norm(area_vector(points)))
+
+
+def test_a_tight_split_folds_around_corners_and_avoids_chords():
+    """A loop around three sides of a cube, whose own sides are the smallest split."""
+    loop = np.array(
+        [[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [2, 1, 1], [1, 1, 1], [0, 1, 1], [0, 1, 0.0]]
+    )
+    loop[:, 2] *= 0.01
+
+    def split_without(*chords):
+        forbidden = np.zeros((8, 8), bool)
+        for one, other in chords:
+            forbidden[one, other] = forbidden[other, one] = True
+        triangles = split_tightly(loop, forbidden)
+        a, b, c = (loop[triangles[:, k]] for k in range(3))
+        edges = {frozenset((t[k], t[k - 1])) for t in triangles.tolist() for k in range(3)}
+        inner = {edge for edge in edges if max(edge) - min(edge) not in (1, 7)}
+        return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2, inner
+
+    area, chords = split_without()
+    assert len(chords) == 5
+    for chord in chords:
+        other_area, others = split_without(tuple(chord))
+        assert chord not in others
+        assert other_area >= area - 1e-5
+    assert split_tightly(loop, np.ones((8, 8), bool)) is None

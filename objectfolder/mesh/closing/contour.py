@@ -11,11 +11,12 @@ from skimage.measure import marching_cubes
 
 from objectfolder.mesh.closing.wedges import separate_wedges
 from objectfolder.mesh.closing.weld import weld
-from objectfolder.mesh.topology import Mesh, distance, signed_volume
+from objectfolder.mesh.topology import Mesh, distance, is_closed, signed_volume
 
 BLOCK = 8  #: samples along each side of a block
 RESOLUTION = 192  #: samples along each axis of a remeshed surface
 _BOUND = 0.52
+_APART = 1e-3  # of the spacing: distance from the samples at which vertices are kept, where needed
 
 
 def grid_indices(*shape: int) -> np.ndarray:
@@ -51,10 +52,18 @@ def contour(
     values[chosen] = function(lower + spacing * samples).reshape(len(chosen), -1)
     grid = values.reshape(*blocks, BLOCK, BLOCK, BLOCK).transpose(0, 3, 1, 4, 2, 5)
     grid = np.pad(grid.reshape(BLOCK * np.asarray(blocks)), 1, constant_values=spacing)
-    if grid.min() >= 0:
-        return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    v, f, _, _ = marching_cubes(grid, 0.0, allow_degenerate=False)
+    v, f = np.empty((0, 3)), np.empty((0, 3), np.int64)
+    if grid.min() < 0:
+        v, f, _, _ = marching_cubes(grid, 0.0, allow_degenerate=False)
+    if len(f) == 0:
+        return v[:0], f
     v, f = separate_wedges(*weld((v - 1) * spacing + lower, f.astype(np.int64), 1e-9))
+    if not is_closed(
+        f
+    ):  # vertices in one place cannot be told apart: keep them off the samples, and separate
+        apart = np.where(np.abs(grid) < _APART * spacing, np.copysign(_APART * spacing, grid), grid)
+        v, f, _, _ = marching_cubes(apart, 0.0, allow_degenerate=False)
+        v, f = (v - 1) * spacing + lower, f.astype(np.int64)
     return v, f if signed_volume(v, f) > 0 else np.ascontiguousarray(f[:, ::-1])
 
 

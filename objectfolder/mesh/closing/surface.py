@@ -12,7 +12,7 @@ import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.mesh.closing.contour import RESOLUTION, remesh_on_grid
-from objectfolder.mesh.closing.holes import close_piece, visible_loops
+from objectfolder.mesh.closing.holes import NOTED_HOLE, close_piece, visible_loops
 from objectfolder.mesh.closing.solids import SPECKS, bridge, drop_specks, label_bodies, unite, untangle
 from objectfolder.mesh.closing.weld import clean, opposite_pairs
 from objectfolder.mesh.raycast import RayCaster
@@ -36,7 +36,6 @@ SHEET_WALL = 0.02  #: default thickness of a sheet
 MAX_OPEN_PIECES = 256  #: more make a triangle soup, whose holes and gaps are indistinguishable
 MAX_BODIES = 128  #: more are not bridged: each bridge takes the better part of a second
 LEFT_OUT = 1e-3  #: of the size; cancelled faces further from the closed surface are noted
-NOTED_HOLE = 1e-3  #: of a piece's area; smaller holes are gaps of a scan
 CRUMB = 0.01  #: area fraction below which an open piece is never a sheet
 _PROBES = 20_000  # points at which the deviation is measured
 
@@ -226,7 +225,7 @@ class _Repair:
             i for i, piece in enumerate(pieces) if is_open[i] and face_areas(*piece).sum() > CRUMB * total
         ]
         closed = {
-            i: close_piece(piece, scene if i in shown else None, wall)
+            i: close_piece(piece, scene, wall, *([] if i in shown else [np.inf]))
             for i, piece in enumerate(pieces)
             if is_open[i]
         }
