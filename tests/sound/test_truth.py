@@ -101,6 +101,23 @@ def test_it_takes_a_solve(solve, changes, why):
     assert rescaled(stored(solve, few), "task", more) is None
 
 
+def test_the_same_request_on_tetrahedra_takes_no_solve(solve):
+    """fTetWild makes another mesh each time, and the stage is to give the same bytes."""
+    arrays, report = computed(solve, BASE, "task", None)
+    record = json.loads(str(arrays["solution"]))
+    record["report"]["element"] = "tet10"
+    earlier = arrays | {"solution": np.asarray(json.dumps(record, sort_keys=True))}
+    again, told = computed(None, BASE, "task", earlier)
+    assert told == report | {"element": "tet10"}
+    assert told["reused"] is False
+    assert again.keys() == earlier.keys()
+    for name, value in earlier.items():
+        np.testing.assert_array_equal(again[name], value, strict=True)
+    for task, wanted in (("another", BASE), ("task", dataclasses.replace(BASE, max_frequency=20001.0))):
+        with pytest.raises(TypeError):  # it is solved
+            computed(None, wanted, task, earlier)
+
+
 def test_another_solid_or_solver_takes_a_solve(solve):
     wanted, solved = dataclasses.replace(BASE, scale=0.1), stored(solve, BASE)
     for task, earlier, reused in (("task", solved, True), ("another", solved, False), ("task", None, False)):

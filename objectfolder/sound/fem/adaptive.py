@@ -30,10 +30,13 @@ _MIXED_RESOLUTIONS = 192, 160, 128, 96  # cells along the longest side where siz
 _SUBDIVISIONS = 4  # of its cells: eight columns through each suffice, and cutting costs less than half
 _MAX_CUT_CELLS = 60_000  # at the surface, and eight times as many inside, that may be cut for it
 _EXTRA_SIZE, _EXTRA_ERROR = 1 / 5, 1 / 3  # grids of this share of the limit refine to that share of the error
-UNSURE = 0.05  #: estimated error of cut cells above which tetrahedra are tried
-#: Of tetrahedra, coarse and fine: the envelope, at most so many diagonals of the bounding box and that share
-#: of the wall; and the longest edge, at most that in the unit frame and so many walls.
-ENVELOPES, WALLS, EDGES, SLENDERNESS = (3e-3, 1e-3), (0.2, 0.07), (1 / 6, 1 / 10), (6.0, 3.5)
+_UNSURE = 2.5  # estimated error of cut cells, over the accepted one, above which tetrahedra are tried
+# Of the coarse tetrahedra. Longest edge: share of the longest side, thicknesses of walls. Distance from the
+# surface: share of the diagonal, of the walls; it falls with the square of the edge.
+_EDGE, _SLENDERNESS, _ENVELOPE, _OFFSET = 1 / 6, 6.0, 3e-3, 0.2
+_TETRAHEDRAL = 1.5  # their unknowns, over the limit for cut cells, whose matrices are denser
+_FINENESS = 2.8  # power of the edge with which the unknowns grow
+_FINER, _FINEST = 0.75, 0.45  # edges of the fine mesh, over the coarse ones'; the error follows from both
 
 
 def adaptive_cut_cells(
@@ -108,32 +111,33 @@ def refine_grid(
     return candidate
 
 
-def fill_unsure(candidate: Discretisation, surface: Mesh, name: str = "object") -> Discretisation:
+def fill_unsure(
+    candidate: Discretisation, surface: Mesh, fine: FineGrids, name: str = "object"
+) -> Discretisation:
     """Return a solid in tetrahedra where cut cells stay unsure and the tetrahedra are surer.
 
-    Slender joints under a cell, panels of a third of a cell, seams: a mesh that follows the surface is as
-    fine as these there. Its error is estimated from a coarser one. The surface is in the unit frame.
+    A mesh that follows the surface is fine where joints are slender and panels thinner than a cell. Its error
+    is estimated from a coarser one. The surface is in the unit frame.
     """
-    solid = candidate.solid
-    if not isinstance(solid, CutCells):
+    if not isinstance(candidate.solid, CutCells):
         return candidate
     errors = candidate.errors(candidate.lowest_frequencies())
-    if errors is not None and max(errors) <= UNSURE:
+    if errors is not None and max(errors) <= _UNSURE * fine.max_error:
         return candidate
     wall, diagonal = wall_thickness(*surface), float(np.linalg.norm(np.ptp(surface[0], axis=0)))
+    edge, envelope = min(_EDGE, _SLENDERNESS * wall), min(_ENVELOPE, _OFFSET * wall / diagonal)
     try:
-        coarse, fine = (
-            tetrahedra(
-                *(*surface, ceil(1 / min(edge, slenderness * wall)), name),
-                envelope=min(envelope, share * wall / diagonal),
-            )
-            for envelope, share, edge, slenderness in zip(ENVELOPES, WALLS, EDGES, SLENDERNESS)
-        )
-    except ObjectFolderError:  # it falls apart in pieces
+        coarse = tetrahedra(*surface, ceil(1 / edge), name, envelope)
+        growth = _TETRAHEDRAL * fine.max_degrees_of_freedom / coarse.degrees_of_freedom
+        if growth < _FINER**-_FINENESS:
+            return candidate
+        finer = max(growth ** (-1 / _FINENESS), _FINEST)
+        filled = tetrahedra(*surface, ceil(1 / (finer * edge)), name, finer**2 * envelope)
+    except ObjectFolderError:  # it falls apart
         return candidate
-    filled = Discretisation(fine, candidate.material, candidate.scale, coarse)
-    estimates = filled.errors(filled.lowest_frequencies())
-    return filled if estimates and (errors is None or max(estimates) < max(errors)) else candidate
+    found = Discretisation(filled, candidate.material, candidate.scale, coarse)
+    estimates = found.errors(found.lowest_frequencies())
+    return found if estimates and (errors is None or max(estimates) < max(errors)) else candidate
 
 
 def _mixed(

@@ -135,7 +135,7 @@ def refined_analysis(
     The solid is on the first grid; its surface is (V, 3), unit frame, and (F, 3).
     """
     candidate = refine_grid(solid, surface, fine, request.material, request.scale, name)
-    candidate = fill_unsure(candidate, surface, name)
+    candidate = fill_unsure(candidate, surface, fine, name)
     return _modes_at(candidate, points, request, name, wall_thickness(*surface))
 
 

@@ -1,15 +1,18 @@
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
 import pytest
-from solids import STUFF, box, join, sphere
+from solids import STUFF, box, join, sphere, tetrahedral_box
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sound.fem import adaptive
 from objectfolder.sound.fem.accuracy import Discretisation
-from objectfolder.sound.fem.adaptive import adaptive_cut_cells, refine_grid
+from objectfolder.sound.fem.adaptive import adaptive_cut_cells, fill_unsure, refine_grid
 from objectfolder.sound.fem.blocks import merge_full_blocks
-from objectfolder.sound.fem.cutcell import cut_cells
+from objectfolder.sound.fem.cutcell import CutCells, cut_cells
 from objectfolder.sound.fem.settings import FineGrids
+from objectfolder.sound.fem.tetrahedra import Tetrahedra
 from objectfolder.sound.fem.voxel import voxels
 
 FINE = FineGrids(resolutions=(12, 16), subdivisions=4, max_degrees_of_freedom=10**6, max_error=0.02)
@@ -128,3 +131,67 @@ def test_nothing_finer_is_tried_where_there_is_none(monkeypatch):
     assert refine(SHEET, resolution=16).resolution == 16
     other = voxels(*box((1, 1, 0.3)), 8, incompatible=False)
     assert refine_grid(other, THICK, FINE, STUFF, 1.0).solid is other
+
+
+def unsure(monkeypatch, made, errors, cells=8):
+    """Fill `THICK` where cut cells and tetrahedra have these estimated errors; ``made`` makes the latter."""
+    monkeypatch.setattr(adaptive, "tetrahedra", made)
+    monkeypatch.setattr(Discretisation, "lowest_frequencies", lambda *_: np.ones(1))
+    monkeypatch.setattr(Discretisation, "errors", lambda candidate, _: errors[candidate.solid.name])
+    candidate = Discretisation(cut_cells(*THICK, cells, 4), STUFF, 1.0)
+    return candidate, fill_unsure(candidate, THICK, FINE)
+
+
+def blocks(vertices, faces, resolution, name, envelope):
+    return tetrahedral_box((1, 1, 0.06), (resolution, resolution, 1))
+
+
+@pytest.mark.parametrize(
+    ("cut", "filled", "taken"),
+    [([0.051], [0.05], True), (None, [0.2], True), ([0.051], [0.052], False)],
+)
+def test_the_surer_of_cut_cells_and_tetrahedra_is_taken(monkeypatch, cut, filled, taken):
+    candidate, found = unsure(monkeypatch, blocks, {CutCells.name: cut, Tetrahedra.name: filled})
+    assert isinstance(found.solid, Tetrahedra) is taken
+    assert (found is candidate) is not taken
+    assert not taken or found.coarse.elements < found.solid.elements
+
+
+def test_cells_that_are_sure_are_not_filled(monkeypatch):
+    candidate, found = unsure(monkeypatch, no_solve, {CutCells.name: [2.5 * FINE.max_error]})
+    assert found is candidate
+
+
+def test_a_solid_that_falls_apart_in_tetrahedra_keeps_its_cells(monkeypatch):
+    def pieces(*_, **__):
+        raise ObjectFolderError("two pieces")
+
+    candidate, found = unsure(monkeypatch, pieces, {CutCells.name: [0.4]})
+    assert found is candidate
+
+
+def test_the_fine_tetrahedra_are_as_many_as_the_limit_allows(monkeypatch):
+    asked = []
+
+    def made(vertices, faces, resolution, name, envelope):
+        asked.append((resolution, envelope))
+        return tetrahedral_box((1, 1, 0.06), (resolution, resolution, 1))
+
+    coarse = tetrahedral_box((1, 1, 0.06), (6, 6, 1)).degrees_of_freedom
+    for growth, times in ((1.1, 1), (8, 2), (1e9, 2)):
+        monkeypatch.setattr(adaptive, "_TETRAHEDRAL", growth * coarse / FINE.max_degrees_of_freedom)
+        asked.clear()
+        unsure(monkeypatch, made, {CutCells.name: [0.4], Tetrahedra.name: [0.1]})
+        assert len(asked) == times
+        if times == 2:
+            finer = max(growth ** (-1 / 2.8), 0.45)
+            assert asked[1] == (ceil(6 / finer), pytest.approx(asked[0][1] * finer**2))
+
+
+def test_the_error_of_tetrahedra_is_estimated_from_coarser_ones():
+    bars = [tetrahedral_box((1, 0.2, 0.1), counts) for counts in ((5, 1, 1), (10, 2, 1), (30, 6, 4))]
+    found, truth = (Discretisation(bar, STUFF, 1.0).lowest_frequencies(4) for bar in bars[1:])
+    error = np.abs(found / truth - 1)
+    estimate = np.array(Discretisation(bars[1], STUFF, 1.0, bars[0]).errors(found))
+    assert (estimate > 0.9 * error).all()
+    assert estimate.max() < 2 * error.max()
