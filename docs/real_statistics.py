@@ -4,7 +4,6 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-
 from matplotlib.ticker import MaxNLocator
 
 from objectfolder.base.figures import page, save_page

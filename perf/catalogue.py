@@ -56,7 +56,7 @@ def measured(
 ) -> dict[str, Any]:
     """Return the row of one object.
 
-    ``entry``: that of params.yaml, if there is one; ``about``: what else is known of it, such as its generator.
+    ``entry``: that of params.yaml, if there is one; ``about``: what else is known, such as its generator.
     """
     build = Build(key, root)
     if entry is None or not build.metrics.is_file():
