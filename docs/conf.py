@@ -36,7 +36,6 @@ extensions = [
 ]
 
 myst_heading_anchors = 4
-suppress_warnings = ["toc.empty_glob"]  # pages of results that were not measured
 
 # Single backticks in a docstring mark names of this project, which must exist, as must its types.
 default_role = "py:obj"

@@ -7,9 +7,9 @@ under --cache. CPU s is the time of the grids and of the lowest modes; the stage
 
 Needs, for thin walls and scans, `pip install tetgen pymeshfix` (AGPL, GPL: never
 installed by this project). Rows of other objects in the file of `--json` are kept.
-`--objects DIR` adds real meshes, one `mesh.*` in each subfolder. `--workspace DIR` compares the solids instead
-of a workspace, with its materials, sizes and parameters: of the paper's objects that it lists, `--draw` drawn
-by `--seed`, whatever became of them; names are then some of these. Exits with 1 if a target is missed.
+`--objects DIR` adds real meshes, one `mesh.*` in each subfolder. `--workspace DIR` compares instead solids of
+a workspace, with its materials, sizes and parameters: of the paper's objects that it lists, `--draw` drawn by
+`--seed`, whatever became of them; names are then some of these. Exits with 1 if a target is missed.
 """
 
 import argparse

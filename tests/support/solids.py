@@ -13,6 +13,7 @@ from objectfolder.mesh.sdf import distance_grid
 from objectfolder.mesh.topology import signed_volume
 from objectfolder.sound.fem.cutcell import CutCells
 from objectfolder.sound.fem.hex20 import NODES
+from objectfolder.sound.fem.tetrahedra import quadratic
 from objectfolder.sound.fem.voxel import lattice_connectivity
 
 STUFF = Material("stuff", 1000.0, 1e9, 0.3, 0.0, 0.0)
@@ -80,3 +81,14 @@ def full_cells(index, resolution):
     occupancy = np.zeros((len(index), 5, 5, 5), np.float32)
     occupancy[:, 0, 0, 0] = 8  # the volume of [-1, 1]^3
     return CutCells(index, occupancy, lattice_connectivity(index, NODES), resolution)
+
+
+def tetrahedral_box(sides, counts):
+    """Each brick of a grid in six tetrahedra around its diagonal."""
+    shape = np.array(counts) + 1
+    points = (np.indices(shape).reshape(3, -1).T / counts - 0.5) * sides
+    corner = np.indices(counts).reshape(3, -1).T
+    paths = [[0, a, a + b, 7] for a in (1, 2, 4) for b in (1, 2, 4) if a != b]
+    offset = np.array([[(code >> 2) & 1, (code >> 1) & 1, code & 1] for code in range(8)])
+    cells = (corner[:, None, None] + offset[np.array(paths)]).reshape(-1, 4, 3)
+    return quadratic(points, np.ravel_multi_index(cells.transpose(2, 0, 1), shape), max(counts))

@@ -122,7 +122,9 @@ def fill_unsure(candidate: Discretisation, surface: Mesh, name: str = "object") 
     wall, diagonal = wall_thickness(*surface), float(np.linalg.norm(np.ptp(surface[0], axis=0)))
     try:
         coarse, fine = (
-            tetrahedra(*surface, 1 / min(edge, slenderness * wall), name, min(envelope, share * wall / diagonal))
+            tetrahedra(
+                *surface, 1 / min(edge, slenderness * wall), name, min(envelope, share * wall / diagonal)
+            )
             for envelope, share, edge, slenderness in zip(ENVELOPES, WALLS, EDGES, SLENDERNESS)
         )
     except ObjectFolderError:  # it falls apart in pieces

@@ -5,30 +5,18 @@ import tracemalloc
 import numpy as np
 import pytest
 from refusals import refused
-from solids import STUFF, TURN, box, join
+from solids import STUFF, TURN, box, join, tetrahedral_box
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sound.fem.cutcell import cut_cells
 from objectfolder.sound.fem.eigen import rigid_motions, solve_modes
 from objectfolder.sound.fem.elasticity import elasticity
 from objectfolder.sound.fem.elements import discretize, solid_arrays, solid_from_arrays
-from objectfolder.sound.fem.tetrahedra import quadratic
 from objectfolder.sound.fem.voxel import voxels
 
 SIDES = np.array([1.0, 0.6, 0.4])
 OFF_SIDES = np.array([0.36, 0.2, 0.12])
 KINDS = ("cut_cell_hex20", "hex8", "hex8_incompatible", "tet10")
-
-
-def tetrahedral_box(sides, counts):
-    """Each brick of a grid in six tetrahedra around its diagonal."""
-    shape = np.array(counts) + 1
-    points = (np.indices(shape).reshape(3, -1).T / counts - 0.5) * sides
-    corner = np.indices(counts).reshape(3, -1).T
-    paths = [[0, a, a + b, 7] for a in (1, 2, 4) for b in (1, 2, 4) if a != b]
-    offset = np.array([[(code >> 2) & 1, (code >> 1) & 1, code & 1] for code in range(8)])
-    cells = (corner[:, None, None] + offset[np.array(paths)]).reshape(-1, 4, 3)
-    return quadratic(points, np.ravel_multi_index(cells.transpose(2, 0, 1), shape), max(counts))
 
 
 def solid(kind, counts=(10, 6, 4)):
