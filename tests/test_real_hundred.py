@@ -64,7 +64,8 @@ def workspace(tmp_path):
 def records(tmp_path, workspace, monkeypatch):
     """The committed records, and that of the workspace."""
     folder = tmp_path / "records"
-    shutil.copytree(results.RECORDS, folder)
+    measured = ("real.json", "real_modes.json", "benchmarks_real.json")
+    shutil.copytree(results.RECORDS, folder, ignore=shutil.ignore_patterns(*measured))
     words = [str(workspace), "--published", str(harness.ROOT / "catalogs/real.yaml")]
     measure("catalogue", *words, "--json", str(folder / "real.json"), monkeypatch=monkeypatch)
     return folder
