@@ -1,8 +1,7 @@
-"""Choice of the mesh: cut cells, refined until the lowest modes are accurate, or else tetrahedra."""
+"""Choice of the mesh: cut cells, refined until the lowest modes are accurate; tetrahedra where they are not."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from math import ceil
 
 import numpy as np
 
@@ -31,8 +30,8 @@ _SUBDIVISIONS = 4  # of its cells: eight columns through each suffice, and cutti
 _MAX_CUT_CELLS = 60_000  # at the surface, and eight times as many inside, that may be cut for it
 _EXTRA_SIZE, _EXTRA_ERROR = 1 / 5, 1 / 3  # grids of this share of the limit refine to that share of the error
 UNSURE = 0.05  #: estimated error of cut cells above which tetrahedra are tried
-#: Of tetrahedra, coarse and fine: the envelope, at most so many diagonals of the bounding box and that share
-#: of the wall; and the longest edge, at most that in the unit frame and so many walls.
+#: Of tetrahedra, coarse and fine: the envelope, at most that in diagonals of the bounding box and that share of
+#: the wall; and the longest edge, at most that in the unit frame and as many walls.
 ENVELOPES, WALLS, EDGES, SLENDERNESS = (3e-3, 1e-3), (0.2, 0.07), (1 / 6, 1 / 10), (6.0, 3.5)
 
 
@@ -123,10 +122,7 @@ def fill_unsure(candidate: Discretisation, surface: Mesh, name: str = "object") 
     wall, diagonal = wall_thickness(*surface), float(np.linalg.norm(np.ptp(surface[0], axis=0)))
     try:
         coarse, fine = (
-            tetrahedra(
-                *(*surface, ceil(1 / min(edge, slenderness * wall)), name),
-                envelope=min(envelope, share * wall / diagonal),
-            )
+            tetrahedra(*surface, 1 / min(edge, slenderness * wall), name, min(envelope, share * wall / diagonal))
             for envelope, share, edge, slenderness in zip(ENVELOPES, WALLS, EDGES, SLENDERNESS)
         )
     except ObjectFolderError:  # it falls apart in pieces
