@@ -14,6 +14,7 @@ from objectfolder.sound.fem.levels import MixedCells
 ESTIMATED_MODES = 10  # number of lowest modes whose error is estimated
 TOLERANCE = 1e-4  # residual of the compared modes; the error of their frequencies is its square
 ORDER, LOW_ORDER = 1.5, 1.0  # of convergence; the low one where the differences hardly fall
+TETRAHEDRAL_ORDER = 2.0  # the mesh nears the surface with the square of the elements' size
 MIN_FALL = 2**0.5  # least ratio of the differences that shows convergence
 NODES_PER_WAVE = 6  #: that resolve a wave: three quadratic elements
 
@@ -59,8 +60,11 @@ class Discretisation:
         """
         if not len(frequencies) or not self.coarser:
             return None
-        ratio = 2.0 if self.coarse is None else float(np.cbrt(self.solid.elements / self.coarse.elements))
-        return discretisation_error(ratio, frequencies, *self.coarser)
+        if self.coarse is None:
+            return discretisation_error(frequencies, *self.coarser)
+        ratio = np.cbrt(self.solid.elements / self.coarse.elements)
+        last = self.coarser[0][: len(frequencies)] / frequencies[:ESTIMATED_MODES] - 1
+        return np.abs(last / (ratio**TETRAHEDRAL_ORDER - 1)).tolist()
 
 
 def coarser(solid: Solid) -> CutCells | None:
@@ -72,7 +76,7 @@ def coarser(solid: Solid) -> CutCells | None:
 
 
 def discretisation_error(
-    ratio: float, frequencies: np.ndarray, half: np.ndarray, quarter: np.ndarray | None = None
+    frequencies: np.ndarray, half: np.ndarray, quarter: np.ndarray | None = None
 ) -> list[float]:
     """Estimate the relative errors of frequencies, Hz, from those on grids of half and quarter resolution.
 
@@ -80,8 +84,7 @@ def discretisation_error(
     the difference between the last two grids divided by 2^p - 1. Smooth shells converge with p of about 2,
     inner edges and walls thinner than a cell with 1 to 1.5. The order observed on three coarse grids is not
     yet the final one, so the estimate assumes ``ORDER``, which is right within a factor of two for p from 1
-    to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``MIN_FALL``. ``ratio`` is that of the
-    sizes of elements of the last two grids: 2 for cut cells.
+    to 2, and ``LOW_ORDER`` for modes whose difference did not fall by ``MIN_FALL``.
     """
     count = min(len(frequencies), len(half))
     last = half[:count] / frequencies[:count] - 1
@@ -90,7 +93,7 @@ def discretisation_error(
         seen = min(count, len(quarter))
         former = quarter[:seen] / half[:seen] - 1
         order[:seen][former < MIN_FALL * last[:seen]] = LOW_ORDER
-    return np.abs(last / (ratio**order - 1)).tolist()
+    return np.abs(last / (2**order - 1)).tolist()
 
 
 def resolved_frequency(solid: Solid, material: Material, scale: float, wall: float) -> float:

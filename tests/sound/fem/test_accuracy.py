@@ -81,14 +81,14 @@ def test_the_estimate_is_of_the_size_of_the_error_where_the_solid_is_smooth():
 @pytest.mark.parametrize("order", [1, 1.5, 2])
 def test_the_estimate_is_within_a_factor_of_two_for_usual_orders_of_convergence(order):
     grids = (np.full(3, 1 + 0.01 * 2 ** (order * halvings)) for halvings in range(3))
-    estimate = discretisation_error(2, *grids)
+    estimate = discretisation_error(*grids)
     assert 0.5 < min(estimate) / 0.01 <= max(estimate) / 0.01 < 2
     if order == 1.5:
         np.testing.assert_allclose(estimate, 0.01, rtol=0.02)
 
 
 def test_where_differences_do_not_fall_the_last_one_is_the_estimate():
-    np.testing.assert_allclose(discretisation_error(2, np.ones(3), np.full(3, 1.1), np.full(3, 1.15)), 0.1)
+    np.testing.assert_allclose(discretisation_error(np.ones(3), np.full(3, 1.1), np.full(3, 1.15)), 0.1)
 
 
 def test_quick_frequencies_are_those_of_the_full_solve():
