@@ -138,6 +138,7 @@ def test_croissant_is_valid(dataset):
     assert [row["entries/key"].decode() for row in rows] == ["mug", "die", "bell"]
 
 
+CC_BY = "CC-BY-4.0 (https://creativecommons.org/licenses/by/4.0/)"
 ATTRIBUTION = "YCB Object and Model Set, Calli et al., 2015"
 NOTICE = (
     "Mesh and textures: YCB, https://a.b\nLicence: CC BY 4.0 (https://c.d)\n"
@@ -168,7 +169,7 @@ def test_the_meshs_own_licence_counts_and_attributions_are_passed_on(fetched):
     assert "licences/cup.txt" in (fetched / "out/SHA256SUMS").read_text()
     for page in ("README.md", "DATASHEET.md"):
         text = (fetched / "out" / page).read_text()
-        assert f"- {ATTRIBUTION}; CC BY 4.0 (https://c.d): cup. Changes: the mesh is renamed." in text
+        assert f"- {ATTRIBUTION}; {CC_BY}: cup. Changes: the mesh is renamed; converted to an" in text
 
 
 def test_pages_say_what_is_so(dataset):
