@@ -14,7 +14,7 @@ from objectfolder.objectfile.dataset import MAX_TEXT, IndexEntry
 SOURCE = "SOURCE.txt"  #: that ``objectfolder fetch`` writes beside a mesh
 _CC = "https://creativecommons.org"
 #: Address by identifier of SPDX. In lower case identifiers are those of the Hugging Face Hub.
-LICENCES = {
+LICENCE_URLS = {
     "Apache-2.0": "https://www.apache.org/licenses/LICENSE-2.0",
     "CC-BY-4.0": f"{_CC}/licenses/by/4.0/",
     "CC-BY-NC-4.0": f"{_CC}/licenses/by-nc/4.0/",
@@ -76,18 +76,18 @@ def read_notice(mesh: Path) -> Notice | None:
 def licence_name(text: str) -> str:
     """Return the SPDX identifier of a licence such as "CC BY 4.0 (https://...)"; others as they are."""
     short = re.sub(r"[\s-]+", "-", text.partition("(")[0].strip()).lower()
-    return next((name for name in LICENCES if name.lower() == short), text.strip())
+    return next((name for name in LICENCE_URLS if name.lower() == short), text.strip())
 
 
 def licence_address(text: str) -> str:
     """Return the address of a licence: of its identifier, or the one that the text gives; empty if none."""
     given = [word for word in re.split(r"[\s()<>,;]+", text) if is_web_address(word)]
-    return LICENCES.get(licence_name(text)) or next(iter(given), "")
+    return LICENCE_URLS.get(licence_name(text)) or next(iter(given), "")
 
 
 def hub_licence(licences: set[str]) -> str | list[str]:
     """Return the Hub's identifiers of the licences; "other" if it has none of one."""
-    known = sorted(name.lower() for name in licences if name in LICENCES)
+    known = sorted(name.lower() for name in licences if name in LICENCE_URLS)
     return "other" if len(known) < len(licences) else known[0] if len(known) == 1 else known
 
 
@@ -96,7 +96,7 @@ def attributions(entries: Iterable[IndexEntry]) -> str:
     keys: dict[tuple[str, str, str], list[str]] = defaultdict(list)
     for entry in entries:
         if entry.attribution:
-            address = f" ({entry.licence_url})" if entry.licence_url not in ("", entry.licence) else ""
+            address = "" if entry.licence_url in entry.licence else f" ({entry.licence_url})"
             keys[entry.attribution, entry.licence + address, entry.changes].append(entry.key)
     return "\n".join(
         f"- {in_markdown(attribution)}; {in_markdown(licence)}: {', '.join(held)}."

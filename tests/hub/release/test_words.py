@@ -91,7 +91,7 @@ def test_plain_words_are_written_as_they_are(tmp_path):
     texts, _ = release(tmp_path, text)
     assert f'pretty_name: "{text}"\n' in texts["README.md"]
     assert f"# {text}\n" in texts["README.md"]
-    assert f"- {text}; {text} (https://a.b): blue_mug. Changes: {text}.\n" in texts["README.md"]
+    assert f"- {text}; {text}: blue_mug. Changes: {text}.\n" in texts["README.md"]
     assert f'"{text}"' in texts["objects.csv"]
 
 
