@@ -95,7 +95,7 @@ def release(
     print_line(f"{out}: {plural(len(entries), 'object')}, {size:.1f} MB of Object Files")
     if kept:
         console.print(
-            f"note: --licence {licences['']} is of the others; by their SOURCE.txt keep {kept}",
+            f"note: --licence {licences['']} is not of those whose SOURCE.txt states another: {kept}",
             highlight=False,
         )
     unnamed = [entry.key for entry in entries if not entry.source]

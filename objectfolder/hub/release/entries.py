@@ -127,9 +127,9 @@ def kept_licences(given: str, entries: Sequence[IndexEntry], notices: Mapping[st
     for entry in entries:
         if entry.key in notices and notices[entry.key].licence and entry.licence != licence_name(given):
             kept[entry.licence].append(entry.key)
-    said = "; ".join(f"{licence}: {shortened(', '.join(keys))}" for licence, keys in kept.items())
+    said = "; ".join(f"{shortened(', '.join(keys))} ({licence})" for licence, keys in kept.items())
     if said and not any(entry.licence == licence_name(given) for entry in entries):
-        advice = f"their {SOURCE} states another ({said}); leave the option out: each keeps its own"
+        advice = f"their {SOURCE} states another, {said}; leave the option out: each keeps its own"
         raise ObjectFolderError(f"--licence {given} is of none of these objects: {advice}")
     return said
 

@@ -124,12 +124,12 @@ def test_every_object_has_its_licence_and_attribution_in_all_places(fetched, cap
     assert (bell.attribution, bell.changes, bell.title, bell.uncertain) == ("", "", "", 0)
     assert not (out / "licences/bell.txt").exists()
     kept = " ".join(capsys.readouterr().out.split())
-    said = "CC0-1.0: polyhaven_barrel_01; CC-BY-4.0: ycb_mug, gso_frypan"
-    assert f"note: --licence MIT is of the others; by their SOURCE.txt keep {said}" in kept
+    said = "polyhaven_barrel_01 (CC0-1.0); ycb_mug, gso_frypan (CC-BY-4.0)"
+    assert f"note: --licence MIT is not of those whose SOURCE.txt states another: {said}" in kept
 
 
 def test_a_licence_for_all_that_is_of_none_is_refused(fetched):
-    said = r"CC0-1.0 is of none of these objects: .* \(CC-BY-4.0: ycb_mug, gso_frypan\); leave the option out"
+    said = r"CC0-1.0 is of none of these objects: .* ycb_mug, gso_frypan \(CC-BY-4.0\); leave the option out"
     refused(said, release, "ycb_mug", "gso_frypan", "--licence", "CC0-1.0")
     assert not Path("out").exists()
     release("ycb_mug", "gso_frypan", "--licence", "CC BY 4.0", "--category", "ycb_mug=mugs")
