@@ -4,6 +4,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from objectfolder.base.figures import page, save_page
 from objectfolder.hub.fetch.catalogue import read_catalogue
@@ -38,6 +39,8 @@ def main() -> None:
     colors = [color for color, _ in groups.values()]
     sizes.hist(lengths, edges, stacked=True, color=colors, label=list(groups))
     sizes.set(xscale="log", xlabel="metres", ylabel="objects", title="longest side")
+    sizes.set_ylim(0, 20)  # leaves room for the legend
+    sizes.yaxis.set_major_locator(MaxNLocator(integer=True))
     sizes.legend(frameon=False, fontsize=9)
     for axes in (categories, materials, sizes):
         axes.spines[["top", "right"]].set_visible(False)

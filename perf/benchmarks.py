@@ -31,9 +31,9 @@ RETRIEVED = {"V->A": 0.95, "A->V": 0.95}
 UNSEEN_CHANCES = 3  #: of V->A: how many times chance
 #: Pictures by task and split.
 FIGURES = {
-    "recognize_seen": "catalogue_confusion",
-    "reconstruct_seen": "catalogue_shapes",
-    "reconstruct_unseen": "catalogue_unseen_shapes",
+    "recognize_seen": "confusion",
+    "reconstruct_seen": "shapes",
+    "reconstruct_unseen": "unseen_shapes",
 }
 SIDE = 1400  #: of a picture at most, pixels
 RECONSTRUCTED = {"V": 0.75, "A": 0.85, "VA": 0.88}  #: least IoU
@@ -132,6 +132,7 @@ def main() -> None:
         metavar="DOCS",
         help="folder for the figures of recognition and reconstruction",
     )
+    parser.add_argument("--name", default="catalogue", help="start of the names of these figures")
     arguments = parsed(parser)
     folders, keys, console = [Benchmarks(out) for out in arguments.out], {}, Console()
     options = f" {arguments.options}" if arguments.options else ""
@@ -152,10 +153,12 @@ def main() -> None:
             table.add_row(*row)
         console.print(table)
     measured = {name: found for name in WORDS if (found := found_in(folders, *name.rsplit("_", 1)))}
+    drawn = []
     for run, name in FIGURES.items():
         found = measured.get(run)
         if arguments.pictures and found and (figure := found[0].sheet(*run.rsplit("_", 1))).is_file():
-            with Image.open(figure) as page, atomic(arguments.pictures / f"{name}.webp") as temporary:
+            drawn.append(f"{arguments.name}_{name}")
+            with Image.open(figure) as page, atomic(arguments.pictures / f"{drawn[-1]}.webp") as temporary:
                 page.thumbnail((SIDE, SIDE))
                 page.convert("RGB").save(temporary, "webp", quality=80, method=6)
     keep = arguments.keep and arguments.json is not None and arguments.json.is_file()
@@ -169,6 +172,7 @@ def main() -> None:
         "objects": max(len(keys), earlier["objects"]),
         "unmeasured": unmeasured,
         "verdicts": verdicts,
+        "pictures": sorted({*earlier.get("pictures", []), *drawn}),
         "tables": merged(earlier["tables"], by_command),
     }
     write_record(arguments.json, record, words, below)

@@ -2,11 +2,16 @@
 
 Reads what `objectfolder build` left in the workspace DIR: held-out scores, modes, processor time of each
 stage. With `--pictures DOCS`, draws three sheets of all Object Files into that folder: a view, the touch with
-the most relief, and a strike's spectrogram. Exits with 1 if a target is missed.
+the most relief, and a strike's spectrogram. With `--published catalogs/real.yaml`, the objects are those of
+this catalogue, whether the workspace has them or not, with what it took to close their scans. Exits with 1 if
+a target is missed.
 """
 
 import argparse
+import re
 import sys
+import textwrap
+from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from statistics import median
@@ -16,6 +21,7 @@ import numpy as np
 import torch
 from harness import exit_with_verdict, parsed, write_record
 from PIL import Image, ImageDraw, ImageFont
+from results import preset_of
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -24,7 +30,8 @@ from objectfolder import ObjectFile
 from objectfolder.base.arrays import read_npz
 from objectfolder.base.figures import tile
 from objectfolder.base.io import atomic, read_json
-from objectfolder.engine.records import recall_costs
+from objectfolder.engine.records import recall_costs, recall_errors
+from objectfolder.hub.fetch.catalogue import Catalogue, read_catalogue
 from objectfolder.sound.spectrogram import spectrogram
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
@@ -35,11 +42,8 @@ MOST_GAIN_ERROR = 0.01
 MOST_BYTES = 60e6  #: of all Object Files
 #: An object beyond these is named on the page.
 POOR = {"vision": 40.0, "touch": 43.0, "gain_error": 0.02}
-COLUMNS, SIDE, CAPTION = (
-    10,
-    112,
-    16,
-)  #: of the sheets: pictures in a row, their size and that of the name, pixels
+COLUMNS, SIDE, LINE = 10, 112, 14  #: of the sheets: pictures in a row, their size, a line of a name, pixels
+LETTERS = 20  #: of a name in a line
 DIRECTION = np.array([1.3, -2.2, 1.35])  #: to the camera
 DISTANCE = 3.2  #: of the camera, in radii of the object
 WORST = 5  #: touches of a poor object whose share of the error is measured
@@ -47,17 +51,22 @@ TOUCHES = 60  #: of which the one with the most contrast is shown
 SECONDS, RATE, RANGE = 0.25, 40000, 80  #: of a spectrogram; Hz; decibels
 
 
-def measured(key: str, root: Path, entry: dict[str, Any], generator: str) -> dict[str, Any]:
-    """Return the row of one object."""
+def measured(
+    key: str, root: Path, entry: Mapping[str, Any] | None, about: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the row of one object.
+
+    ``entry``: that of params.yaml, if there is one; ``about``: what else is known, such as its generator.
+    """
     build = Build(key, root)
-    if not build.metrics.is_file():
-        return {"object": key, "failed": "not scored" if build.object_file.is_file() else "not built"}
+    if entry is None or not build.metrics.is_file():
+        return {"object": key, **about, "failed": lack(build, entry)}
     scores, modal = read_json(build.metrics), read_json(build.modal)
     costs = recall_costs(root, key)
     vision, audio, touch = scores["vision"], scores["audio"], scores["touch"]
     return {
         "object": key,
-        "generator": generator,
+        **about,
         "material": entry["material"],
         "scale": entry["scale"],
         "vision": vision["psnr"],
@@ -67,15 +76,47 @@ def measured(key: str, root: Path, entry: dict[str, Any], generator: str) -> dic
         "touch_median": touch["psnr_median"],
         "worst_touches": worst_share(build) if touch["psnr"] < POOR["touch"] else None,
         "mean_touch": touch["baseline_mean_image"],
-        "gain_error": audio["gain_error"],
-        "nearest_gain_error": audio["baseline_nearest"],
+        "gain_error": audio.get("gain_error"),
+        "nearest_gain_error": audio.get("baseline_nearest"),
+        "audio": audio.get("psnr"),
+        "silence": audio.get("baseline_silence"),
         "modes": modal["modes"],
         "lowest_hz": min(modal["lowest_hz"], default=None),
         "frequency_uncertainty": modal["frequency_uncertainty"],
+        **({"uncertain": True} if modal.get("uncertain") else {}),
         "bytes": scores["file_bytes"],
         "cpu_seconds": sum(cost.cpu_seconds for cost in costs.values()),
         "slowest": max(costs, key=lambda stage: costs[stage].cpu_seconds, default=None),
     }
+
+
+def lack(build: Build, entry: Mapping[str, Any] | None) -> str:
+    """Return why an object has no scores."""
+    if entry is None:
+        return "not in the workspace"
+    prefix = rf"(the command exited with code \d+; )?(\w+ {build.key}: )?({build.key}: )?"
+    errors = recall_errors(build.root, build.key)
+    said = [f"{stage}: {re.sub(f'^{prefix}', '', error)}" for stage, error in errors.items()]
+    return "; ".join(said) or ("not scored" if build.object_file.is_file() else "not built")
+
+
+def published_facts(build: Build, catalogue: Catalogue, entry: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the source of an object, what closed its scan, and what differs from a plain `fetch`."""
+    listed, source = catalogue.objects[build.key], catalogue.source(build.key)
+    facts: dict[str, Any] = {"source": listed.source, "paper": listed.id is not None}
+    if build.normalize.is_file():
+        report = read_json(build.normalize)
+        facts["rung"] = report["rung"]
+        steps = [f"{step['name']}: {step['detail']}" for step in report["rungs"] if step["name"] != "clean"]
+        facts["closed"] = "; ".join(steps)
+        facts["deviation"] = report["deviation_max_percent"] / 100
+    if entry is not None:
+        usual = {"material": listed.material, "scale": listed.scale, "up": source.up}
+        usual |= {"wall": None, "bridge": "all"}
+        own = params.ObjectEntry.model_validate(entry)
+        changed = [name for name, value in usual.items() if getattr(own, name) != value]
+        facts["set"] = ", ".join(f"{name} {getattr(own, name)}" for name in changed)
+    return facts
 
 
 def mass_rows(real: Mapping[str, float], root: Path) -> list[dict[str, Any]]:
@@ -102,9 +143,15 @@ def worst_share(build: Build) -> float:
 
 def missed(rows: list[dict[str, Any]]) -> list[str]:
     """Return which targets are missed, and by how much."""
-    found = [f"{row['object']}: {row['failed']}" for row in rows if "failed" in row]
+    lacking = defaultdict(list)
+    for row in rows:
+        if "failed" in row:
+            lacking[row["failed"]].append(row["object"])
+    found = [f"{', '.join(keys)}: {reason}" for reason, keys in lacking.items()]
     rows = [row for row in rows if "failed" not in row]
-    middles = {name: median(row[name] for row in rows) for name in (*LEAST, "gain_error")}
+    middles = {
+        name: median(row[name] for row in rows if row[name] is not None) for name in (*LEAST, "gain_error")
+    }
     found += [
         f"median {name} {middles[name]:.1f} dB, target {least:g} dB"
         for name, least in LEAST.items()
@@ -117,16 +164,19 @@ def missed(rows: list[dict[str, Any]]) -> list[str]:
     return found
 
 
-def sheets(paths: list[Path], folder: Path) -> None:
-    """Draw all Object Files into catalogue_views, catalogue_touches and catalogue_sounds."""
+def sheets(paths: list[Path], folder: Path, start: str) -> None:
+    """Draw all Object Files into START_views, START_touches and START_sounds."""
     names = ("views", "touches", "sounds")
     pictures: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    for path in track(paths, "drawing"):
-        file = ObjectFile.load(path)
+    files = [ObjectFile.load(path) for path in paths]
+    lines = [textwrap.wrap(file.key.replace("_", " "), LETTERS) for file in files]
+    most = max(map(len, lines))
+    for file, words in zip(track(files, "drawing"), lines):
+        caption = "\n".join(words).replace(" ", "_")
         for name, picture in zip(names, (seen(file), felt(file), heard(file))):
-            pictures[name].append(captioned(picture, file.key))
+            pictures[name].append(captioned(picture, caption, most))
     for name, found in pictures.items():
-        with atomic(folder / f"catalogue_{name}.webp") as temporary:
+        with atomic(folder / f"{start}_{name}.webp") as temporary:
             page = Image.fromarray(tile(np.stack(found), COLUMNS))
             page.save(temporary, "webp", quality=80, method=6)
 
@@ -158,16 +208,17 @@ def heard(file: ObjectFile) -> np.ndarray:
     return np.asarray(shown.resize((SIDE, SIDE)))
 
 
-def captioned(picture: np.ndarray, key: str) -> np.ndarray:
-    """Fit a picture into a square above the object's name; (SIDE + CAPTION, SIDE, 3) uint8."""
-    image = Image.new("RGB", (SIDE, SIDE + CAPTION), "white")
+def captioned(picture: np.ndarray, caption: str, lines: int) -> np.ndarray:
+    """Fit a picture into a square above a caption of some lines; (SIDE + lines * LINE + 2, SIDE, 3) uint8."""
+    image = Image.new("RGB", (SIDE, SIDE + lines * LINE + 2), "white")
     shown = Image.fromarray(picture)
     height, width = picture.shape[:2]
     if height > SIDE:
         shown = shown.resize((round(SIDE * min(width / height, 1)), SIDE))
     image.paste(shown, ((SIDE - shown.width) // 2, 0))
     font = ImageFont.load_default(10)
-    ImageDraw.Draw(image).text((SIDE / 2, SIDE + 2), key, fill="#404040", font=font, anchor="mt")
+    drawing = ImageDraw.Draw(image)
+    drawing.text((SIDE / 2, SIDE + 2), caption, fill="#404040", font=font, anchor="ma", align="center")
     return np.asarray(image)
 
 
@@ -176,6 +227,7 @@ def main() -> None:
     parser.add_argument("workspace", type=Path)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--pictures", type=Path, metavar="DOCS", help="folder for the three sheets")
+    parser.add_argument("--published", type=Path, metavar="FILE", help="catalogue of published objects")
     parser.add_argument(
         "--wall",
         type=float,
@@ -186,10 +238,17 @@ def main() -> None:
     arguments = parsed(parser)
     root = arguments.workspace
     values = params.read(root / params.PARAMS_FILE)
-    generators = {key: entry["generator"] for key, entry in values["procedural"].items()}
-    rows = [
-        measured(key, root, entry, generators.get(key, "mesh")) for key, entry in values["objects"].items()
-    ]
+    entries: dict[str, Any] = values["objects"]
+    if arguments.published:
+        catalogue = read_catalogue(arguments.published)
+        entries = {key: entries.get(key) for key in catalogue.objects}
+        about = {key: published_facts(Build(key, root), catalogue, entry) for key, entry in entries.items()}
+        weighed = {key: listed.mass for key, listed in catalogue.objects.items()}
+    else:
+        generators = {key: entry["generator"] for key, entry in values["procedural"].items()}
+        about = {key: {"generator": generators.get(key, "mesh")} for key in entries}
+        weighed = {key: entry.get("mass") for key, entry in entries.items()}
+    rows = [measured(key, root, entry, about[key]) for key, entry in entries.items()]
     if all("failed" in row for row in rows):
         sys.exit(f"{root}: no object has scores; run `objectfolder build` there")
     table = Table(title=f"{len(rows)} objects")
@@ -199,15 +258,16 @@ def main() -> None:
         if "failed" in row:
             table.add_row(row["object"], row["failed"])
             continue
-        shown = (f"{row['vision']:.1f}", f"{row['touch']:.1f}", f"{row['gain_error']:.2%}", str(row["modes"]))
+        gain = "-" if row["gain_error"] is None else f"{row['gain_error']:.2%}"
+        shown = (f"{row['vision']:.1f}", f"{row['touch']:.1f}", gain, str(row["modes"]))
         cost = (f"{row['bytes'] / 1000:.0f}", f"{row['cpu_seconds']:.0f}", row["slowest"] or "-")
         table.add_row(row["object"], *shown, *cost)
     console = Console()
     console.print(table)
     if arguments.pictures:
         built = [Build(row["object"], root).object_file for row in rows if "failed" not in row]
-        sheets(built, arguments.pictures)
-    masses = mass_rows({key: e["mass"] for key, e in values["objects"].items() if e.get("mass")}, root)
+        sheets(built, arguments.pictures, arguments.published.stem if arguments.published else "catalogue")
+    masses = mass_rows({key: mass for key, mass in weighed.items() if mass}, root)
     for row in masses:
         console.print(f"{row['object']}: {row['solid']:.3g} kg as a solid, {row['real']:.3g} kg weighed")
     targets = (
@@ -223,6 +283,18 @@ def main() -> None:
         "rows": rows,
         **({"masses": masses} if masses else {}),
     }
+    if arguments.published:
+        named = ("title", "licence", "attribution")
+        record |= {
+            "preset": preset_of(values),
+            "test_impacts": values["evaluate"]["impacts"],
+            "test_touches": values["render_touch"]["test"],
+            "pictures": arguments.pictures is not None,
+            "sources": {
+                name: {part: getattr(source, part) for part in named}
+                for name, source in catalogue.sources.items()
+            },
+        }
     found = missed(rows)
     write_record(arguments.json, record, targets, found)
     exit_with_verdict(found, console)

@@ -32,7 +32,13 @@ from objectfolder.workspace.stages import BENCHMARKS
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"
 TEMPLATES = ROOT / "perf" / "pages"
-PAGES = sorted(path.relative_to(TEMPLATES).as_posix()[:-3] for path in TEMPLATES.rglob("*.md.j2"))
+#: Pages that are left out as long as there is no such record.
+OPTIONAL = {"real.md": "real.json", "real_objects.md": "real.json"}
+PAGES = [
+    page
+    for page in sorted(path.relative_to(TEMPLATES).as_posix()[:-3] for path in TEMPLATES.rglob("*.md.j2"))
+    if page not in OPTIONAL or (RECORDS / OPTIONAL[page]).is_file()
+]
 PRESETS = ("quick", "laptop", "standard", "faithful", "faithful-small")
 EXEMPT = {
     "render_views": "renderer",
@@ -87,6 +93,7 @@ def render(page: str, records: Path = RECORDS) -> str:
         "measured": lambda rows: [row for row in rows if "failed" not in row],
         "number": number,
         "over_objects": over_objects,
+        "percent": lambda value, spec: number(None if value is None else 100 * value, spec),
         "spread": spread,
         "rule": lambda columns: "|---" * len(columns) + "|",
         "score": score,
@@ -126,10 +133,15 @@ def over_objects(
     return {"mean": mean(found), "median": median(found), "worst": BETTER[column](found, key=float)}
 
 
-def spread(rows: list[dict[str, Any]], name: str, better: str = "more") -> dict[str, float]:
-    """Return mean, median and worst of a figure over the rows that have it; ``better`` is more or less."""
+def spread(rows: list[dict[str, Any]], name: str, better: str = "more") -> dict[str, Any]:
+    """Return mean, median and worst of a figure over the rows that have it; ``better`` is more or less.
+
+    Nothing where no row has it.
+    """
     found = [row[name] for row in rows if row[name] is not None]
     worst = min if better == "more" else max
+    if not found:
+        return dict.fromkeys(("mean", "median", "worst"))
     return {"mean": mean(found), "median": median(found), "worst": worst(found)}
 
 

@@ -84,6 +84,15 @@ def recall_costs(root: Path, key: str) -> Mapping[str, Cost]:
     return found
 
 
+def recall_errors(root: Path, key: str) -> Mapping[str, str]:
+    """Return what the last failures of an object's stages in a workspace said, by stage, valid or not."""
+    found = {}
+    for path in sorted((root / LOGS).glob(f"*@{key}{_FAILURE}")):
+        with suppress(OSError, ValueError, LookupError, TypeError):
+            found[path.name.partition("@")[0]] = json.loads(path.read_text())["error"]
+    return found
+
+
 def _write(logs: Path, address: str, suffix: str, value: Mapping[str, Any]) -> None:
     with suppress(OSError, ObjectFolderError):  # a full disk must not stop the build
         write_json(log_path(logs, address).with_suffix(suffix), value)

@@ -8,6 +8,7 @@ import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.materials import Material
+from objectfolder.mesh.normals import area_vectors
 from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh, signed_volume
@@ -34,6 +35,7 @@ _UNSURE = 2.5  # estimated error of cut cells, over the accepted one, above whic
 # Of the coarse tetrahedra. Longest edge: share of the longest side, thicknesses of walls. Distance from the
 # surface: share of the diagonal, of the walls; it falls with the square of the edge.
 _EDGE, _SLENDERNESS, _ENVELOPE, _OFFSET = 1 / 6, 6.0, 3e-3, 0.2
+_LEAST = 6 / (3**0.5 / 4)  # unknowns per area of the surface, over the edge squared: equilateral triangles
 _TETRAHEDRAL = 1.5  # their unknowns, over the limit for cut cells, whose matrices are denser
 _FINENESS = 2.8  # power of the edge with which the unknowns grow
 _FINER, _FINEST = 0.75, 0.45  # edges of the fine mesh, over the coarse ones'; the error follows from both
@@ -126,12 +128,16 @@ def fill_unsure(
         return candidate
     wall, diagonal = wall_thickness(*surface), float(np.linalg.norm(np.ptp(surface[0], axis=0)))
     edge, envelope = min(_EDGE, _SLENDERNESS * wall), min(_ENVELOPE, _OFFSET * wall / diagonal)
+    area = 0.5 * float(np.linalg.norm(area_vectors(*surface), axis=1).sum())
+    limit = _TETRAHEDRAL * fine.max_degrees_of_freedom
+    most = limit * _FINER**_FINENESS  # of the coarse mesh
+    if _LEAST * area / edge**2 > most:
+        return candidate
     try:
         coarse = tetrahedra(*surface, ceil(1 / edge), name, envelope)
-        growth = _TETRAHEDRAL * fine.max_degrees_of_freedom / coarse.degrees_of_freedom
-        if growth < _FINER**-_FINENESS:
+        if coarse.degrees_of_freedom > most:
             return candidate
-        finer = max(growth ** (-1 / _FINENESS), _FINEST)
+        finer = max((coarse.degrees_of_freedom / limit) ** (1 / _FINENESS), _FINEST)
         filled = tetrahedra(*surface, ceil(1 / (finer * edge)), name, finer**2 * envelope)
     except ObjectFolderError:  # it falls apart
         return candidate
