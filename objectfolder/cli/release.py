@@ -33,6 +33,12 @@ def release(
             help="Category of an object, or of all others. Procedural ones have one. Repeatable.",
         ),
     ] = None,
+    catalogue: Annotated[
+        Path | None,
+        typer.Option(
+            help="Catalogue that objects were fetched from, for their categories: catalogs/real.yaml."
+        ),
+    ] = None,
     name: Annotated[str, typer.Option(help="Name of the dataset.")] = "Object Files",
     creator: Annotated[str, typer.Option(help="Who publishes it.")] = "unnamed",
     version: Annotated[str, typer.Option(help="Version of the dataset.")] = "1.0.0",
@@ -47,7 +53,8 @@ def release(
 
     Example: objectfolder release dataset --name "Kitchen" --creator "A. Smith" --licence CC0-1.0
     """
-    from objectfolder.hub.release.entries import entry_of, notices_of, select_keys
+    from objectfolder.hub.fetch.catalogue import read_catalogue
+    from objectfolder.hub.release.entries import entry_of, kept_licences, notices_of, select_keys
     from objectfolder.hub.release.pages import describe_release
     from objectfolder.hub.release.write import write_release
     from objectfolder.objectfile.dataset import MAX_CATEGORY, MAX_TEXT
@@ -67,18 +74,30 @@ def release(
     check_own(values := params.read())
     keys = select_keys(objects or (), values)
     licences = _by_key("--licence", licence, keys, MAX_TEXT)
-    categories = _by_key("--category", category, keys, MAX_CATEGORY)
+    listed = read_catalogue(catalogue).objects if catalogue else {}
+    categories = {
+        key: one_line(f"{catalogue}: category of {key}", entry.category, MAX_CATEGORY)
+        for key, entry in listed.items()
+        if entry.category
+    }
+    categories |= _by_key("--category", category, keys, MAX_CATEGORY)
     with console.status("reading objects") as status:
         entries = [entry_of(key, values, licences, categories) for key in keys]
         words = describe_release(
             entries, name=name, creator=creator, version=version, date=_day(date), url=url
         )
         notices = notices_of(keys, values)
+        kept = kept_licences(licences[""], entries, notices) if "" in licences else ""
         write_release(
             out, entries, words, notices, site, on_object=lambda key: status.update(f"{key} is done")
         )
     size = sum(entry.bytes for entry in entries) / 1e6
     print_line(f"{out}: {plural(len(entries), 'object')}, {size:.1f} MB of Object Files")
+    if kept:
+        console.print(
+            f"note: --licence {licences['']} is not of those whose SOURCE.txt states another: {kept}",
+            highlight=False,
+        )
     unnamed = [entry.key for entry in entries if not entry.source]
     if unnamed:
         console.print(

@@ -6,7 +6,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path, PurePosixPath
 from types import NoneType
 from typing import Any, get_args
@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from objectfolder.base.arrays import MAX_BYTES
+from objectfolder.base.checks import is_web_address
 from objectfolder.base.errors import ObjectFolderError, quoted, shortened
 from objectfolder.base.io import file_digest
 from objectfolder.base.text import from_csv, visible
@@ -27,7 +28,10 @@ OBJECTS = "objects"  #: folder of the Object Files
 
 @dataclass(frozen=True, kw_only=True)
 class IndexEntry:
-    """What the index says of one object; a column per field. Unknown figures are None."""
+    """What the index says of one object; a column per field. Unknown figures are None.
+
+    Fields with a default are columns that older releases lack.
+    """
 
     key: str
     path: str  #: of the Object File, from the release's folder
@@ -44,18 +48,25 @@ class IndexEntry:
     sha256: str
     licence: str  #: of the mesh that the object was made from, and so of the Object File
     source: str  #: of the mesh
+    licence_url: str = ""  #: empty if unknown
+    title: str = ""  #: of the mesh at its source
+    attribution: str = ""  #: whom to name
+    changes: str = ""  #: what was changed of the published mesh
+    uncertain: int = 0  #: 1 if the sound is marked uncertain
 
 
 #: Type of each column of the index, in order: str, int or float.
 COLUMNS: dict[str, type] = {
     field.name: (get_args(field.type) or (field.type,))[0] for field in fields(IndexEntry)
 }
+_LATER = frozenset(field.name for field in fields(IndexEntry) if field.default is not MISSING)
 _WHOLE = re.compile("[0-9]{1,19}")
 _NUMBER = re.compile(r"-?[0-9]{1,30}(\.[0-9]{0,30})?([eE][-+]?[0-9]{1,3})?")
 #: Least and greatest value of the columns of numbers.
 _RANGES = {
     **{"size": (1e-12, 1e6), "modes": (0, 10**6), "lowest_hz": (1e-6, 1e9), "bytes": (1, MAX_BYTES)},
     **{"vision_psnr": (-1000.0, 1000.0), "gain_error": (0.0, 1e9), "touch_psnr": (-1000.0, 1000.0)},
+    "uncertain": (0, 1),
 }
 MAX_TEXT, MAX_CATEGORY = 1000, 100  #: characters
 _MAX_NAME = 255  # bytes of a file's name
@@ -67,7 +78,12 @@ _TEXTS: dict[str, tuple[Callable[[str], object], str]] = {
     "split": (("train", "val", "test").__contains__, "train, val or test"),
     "sha256": (re.compile("[0-9a-f]{64}").fullmatch, "64 hexadecimal digits"),
     "licence": (lambda text: 0 < len(text) <= MAX_TEXT, f"a text of 1 to {MAX_TEXT} characters"),
-    "source": (lambda text: len(text) <= MAX_TEXT, f"a text of at most {MAX_TEXT} characters"),
+    **dict.fromkeys(
+        ("source", "title", "attribution"),
+        (lambda text: len(text) <= MAX_TEXT, f"a text of at most {MAX_TEXT} characters"),
+    ),
+    "licence_url": (lambda text: not text or is_web_address(text), "an address such as https://example.org"),
+    "changes": (lambda text: len(text) <= 2 * MAX_TEXT, f"a text of at most {2 * MAX_TEXT} characters"),
 }
 #: Columns that may be empty, since the figure may be unknown.
 _OPTIONAL = frozenset(field.name for field in fields(IndexEntry) if NoneType in get_args(field.type))
@@ -308,19 +324,20 @@ def read_index(path: Path) -> tuple[IndexEntry, ...]:
 
 
 def _check_columns(names: Sequence[str], path: Path) -> None:
-    """Columns of newer versions are left alone."""
-    if missing := [name for name in COLUMNS if name not in names]:
+    """Columns of newer versions are left alone, and older ones lack some."""
+    if missing := [name for name in COLUMNS if name not in names and name not in _LATER]:
         raise ObjectFolderError(f"{path} lacks {', '.join(missing)}, expected columns of these names")
     if twice := [name for name in COLUMNS if names.count(name) > 1]:
         raise ObjectFolderError(f"{path} has the column {twice[0]} twice, expected it once")
 
 
 def _entry(row: dict[str, Any], place: str) -> IndexEntry:
-    if missing := [name for name in COLUMNS if row[name] is None]:
+    columns = {name: kind for name, kind in COLUMNS.items() if name in row}
+    if missing := [name for name in columns if row[name] is None]:
         raise ObjectFolderError(f"{place}: lacks {', '.join(missing)}")
     if more := row.get(None):  # type: ignore[call-overload]
         raise ObjectFolderError(f"{place}: {quoted(more)} is beyond the last column, expected nothing there")
-    return IndexEntry(**{name: _value(row[name], name, kind, place) for name, kind in COLUMNS.items()})
+    return IndexEntry(**{name: _value(row[name], name, kind, place) for name, kind in columns.items()})
 
 
 def _value(cell: str, name: str, kind: type, place: str) -> Any:

@@ -11,6 +11,7 @@ from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
+import pytest
 import trimesh
 from gltf_scene import Scene
 from PIL import Image
@@ -159,3 +160,16 @@ class Publisher:
         drops = self.drops.get(handler.path)
         body = content[start:]
         handler.wfile.write(body[: drops.pop(0)] if drops else body)
+
+
+@pytest.fixture
+def publisher(monkeypatch):
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    server = Publisher()
+    yield server
+    server.close()
+
+
+def addresses(publisher):
+    paths = {"ycb": "{model}_google_16k.tgz", "gso": "{model}.zip", "polyhaven": "files/{model}"}
+    return [f"{source}={publisher.url}/{path}" for source, path in paths.items()]

@@ -49,6 +49,11 @@ _MEANINGS = {
     "sha256": "Digest of the Object File.",
     "licence": "Licence of the mesh, and so of the Object File.",
     "source": "Where the mesh is from.",
+    "licence_url": "Address of the licence; empty if unknown.",
+    "title": "Name of the mesh at its source.",
+    "attribution": "Whom to name with what is made from the Object File.",
+    "changes": "What was changed of the published mesh.",
+    "uncertain": "1 if the sound is marked uncertain, else 0.",
 }
 
 
@@ -61,7 +66,7 @@ def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) ->
         "name": words.name,
         "description": words.summary,
         "version": words.version,
-        "license": sorted({entry.licence for entry in entries}),
+        "license": sorted({_licence(entry) for entry in entries}),
         "creator": [{"@type": "sc:Person", "name": words.creator}],
         "datePublished": words.date,
         "url": words.url,
@@ -72,7 +77,8 @@ def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) ->
             _file("index", INDEX, INDEX, "text/csv", index_digest),
             *(
                 _file(_file_id(entry), entry.key, entry.path, _BYTES, entry.sha256)
-                | {"contentSize": f"{entry.bytes} B", "license": entry.licence}
+                | {"contentSize": f"{entry.bytes} B", "license": _licence(entry)}
+                | ({"creditText": entry.attribution} if entry.attribution else {})
                 for entry in entries
             ),
             {
@@ -109,6 +115,11 @@ def croissant(entries: Sequence[IndexEntry], words: Words, index_digest: str) ->
 def _file(identity: str, name: str, path: str, encoding: str, digest: str) -> dict[str, Any]:
     described = {"@type": "cr:FileObject", "@id": identity, "name": name, "contentUrl": path}
     return described | {"encodingFormat": encoding, "sha256": digest}
+
+
+def _licence(entry: IndexEntry) -> str:
+    """Return the address, as Croissant recommends; else the name."""
+    return entry.licence_url or entry.licence
 
 
 def _file_id(entry: IndexEntry) -> str:

@@ -2,17 +2,26 @@
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from objectfolder.base.errors import ObjectFolderError, quoted
+from objectfolder.base.errors import ObjectFolderError, quoted, shortened
 from objectfolder.base.io import file_digest, read_json
 from objectfolder.base.materials import own_material
 from objectfolder.base.text import in_csv
+from objectfolder.benchmarks.datasets.samples import has_uncertain_sound
 from objectfolder.benchmarks.datasets.splits import label_order, object_split
-from objectfolder.hub.release.notices import SOURCE, Notice, licence_name, read_notice
+from objectfolder.hub.release.notices import (
+    CONVERTED,
+    SOURCE,
+    Notice,
+    licence_address,
+    licence_name,
+    read_notice,
+)
 from objectfolder.objectfile.dataset import COLUMNS, OBJECTS, IndexEntry
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace.layout import Build
@@ -60,7 +69,7 @@ def entry_of(
     if scores and scores.get("file_sha256") != digest:
         other = f"has the scores of another Object File than {build.object_file}"
         raise ObjectFolderError(f"{key}: {build.metrics} {other}; {again}")
-    licence, source = _origin(key, values, licences, root)
+    origin = _origin(key, values, licences, root)
     frequencies = file.frequencies
     return IndexEntry(
         key=key,
@@ -76,8 +85,8 @@ def entry_of(
         touch_psnr=_score(scores, "touch", "psnr"),
         bytes=build.object_file.stat().st_size,
         sha256=digest,
-        licence=licence,
-        source=source,
+        uncertain=int(has_uncertain_sound(file)),
+        **origin,
     )
 
 
@@ -109,11 +118,28 @@ def notices_of(keys: Iterable[str], values: Mapping[str, Any], root: Path = Path
     return {key: notice for key, notice in found.items() if notice is not None}
 
 
+def kept_licences(given: str, entries: Sequence[IndexEntry], notices: Mapping[str, Notice]) -> str:
+    """Say which objects keep the other licence of their SOURCE.txt, though one is given for all.
+
+    Empty if none does. Raises ObjectFolderError if the given one is of no object.
+    """
+    kept: dict[str, list[str]] = defaultdict(list)
+    for entry in entries:
+        if entry.key in notices and notices[entry.key].licence and entry.licence != licence_name(given):
+            kept[entry.licence].append(entry.key)
+    said = "; ".join(f"{shortened(', '.join(keys))} ({licence})" for licence, keys in kept.items())
+    if said and not any(entry.licence == licence_name(given) for entry in entries):
+        advice = f"their {SOURCE} states another, {said}; leave the option out: each keeps its own"
+        raise ObjectFolderError(f"--licence {given} is of none of these objects: {advice}")
+    return said
+
+
 def _mesh(key: str, values: Mapping[str, Any], root: Path) -> Path:
     return root / values["objects"][key]["mesh"]
 
 
-def _origin(key: str, values: Mapping[str, Any], licences: Mapping[str, str], root: Path) -> tuple[str, str]:
+def _origin(key: str, values: Mapping[str, Any], licences: Mapping[str, str], root: Path) -> dict[str, str]:
+    """Return the fields of the index about licence and source of a mesh."""
     mesh = _mesh(key, values, root)
     if key not in values["procedural"] and not mesh.is_file():
         absent = f"its mesh {mesh} is not here, so that no {SOURCE} beside it can state a licence"
@@ -130,8 +156,12 @@ def _origin(key: str, values: Mapping[str, Any], licences: Mapping[str, str], ro
     if not licence:
         advice = f"{option}, or for all objects without one --licence LICENCE, such as CC0-1.0 or CC-BY-4.0"
         raise ObjectFolderError(f"{key}: the licence of its mesh is not known; {advice}")
-    source = notice.source if notice else GENERATOR_SOURCE if key in values["procedural"] else ""
-    return licence_name(licence), source
+    found = {"licence": licence_name(licence), "licence_url": licence_address(licence)}
+    if not notice:
+        return found | {"source": GENERATOR_SOURCE if key in values["procedural"] else ""}
+    said = {name: getattr(notice, name) for name in ("source", "title", "attribution")}
+    changes = "; ".join(filter(None, (notice.changes.rstrip(". "), CONVERTED)))
+    return found | said | {"changes": changes}
 
 
 def _of_generator(values: Mapping[str, Any], key: str) -> str:

@@ -2,17 +2,28 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from objectfolder.base.checks import is_web_address
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.text import in_markdown, visible
-from objectfolder.objectfile.dataset import MAX_TEXT
+from objectfolder.objectfile.dataset import MAX_TEXT, IndexEntry
 
 SOURCE = "SOURCE.txt"  #: that ``objectfolder fetch`` writes beside a mesh
-# Identifiers of SPDX. In lower case they are those of the Hugging Face Hub.
-_LICENCES = ("Apache-2.0", "CC-BY-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "CC-BY-SA-4.0", "CC0-1.0", "MIT")
+_CC = "https://creativecommons.org"
+#: Address by identifier of SPDX. In lower case identifiers are those of the Hugging Face Hub.
+LICENCE_URLS = {
+    "Apache-2.0": "https://www.apache.org/licenses/LICENSE-2.0",
+    "CC-BY-4.0": f"{_CC}/licenses/by/4.0/",
+    "CC-BY-NC-4.0": f"{_CC}/licenses/by-nc/4.0/",
+    "CC-BY-NC-SA-4.0": f"{_CC}/licenses/by-nc-sa/4.0/",
+    "CC-BY-SA-4.0": f"{_CC}/licenses/by-sa/4.0/",
+    "CC0-1.0": f"{_CC}/publicdomain/zero/1.0/",
+    "MIT": "https://opensource.org/license/mit",
+}
+CONVERTED = "converted to an implicit representation by objectfolder"  #: a change that CC BY wants said
 MAX_NOTICE = 2**16  #: bytes
 
 
@@ -21,6 +32,7 @@ class Notice:
     """What the SOURCE.txt beside a mesh says; a field that it lacks is empty."""
 
     path: Path
+    title: str = ""
     licence: str = ""
     source: str = ""
     attribution: str = ""
@@ -51,6 +63,9 @@ def read_notice(mesh: Path) -> Notice | None:
         for name, title in titles.items()
         if (match := re.search(rf"^\s*{title}\s*:\s*(\S.*)$", text, re.MULTILINE | re.IGNORECASE))
     }
+    first = visible(text.partition("\n")[0].strip())
+    if len(first) <= 200 and not re.match(r"[\w ]+:", first):  # of `objectfolder fetch`: the published name
+        found["title"] = first
     for name, value in found.items():
         if len(value) > MAX_TEXT:
             long = f"its {name} has {len(value)} characters, expected at most {MAX_TEXT}"
@@ -61,23 +76,30 @@ def read_notice(mesh: Path) -> Notice | None:
 def licence_name(text: str) -> str:
     """Return the SPDX identifier of a licence such as "CC BY 4.0 (https://...)"; others as they are."""
     short = re.sub(r"[\s-]+", "-", text.partition("(")[0].strip()).lower()
-    return next((name for name in _LICENCES if name.lower() == short), text.strip())
+    return next((name for name in LICENCE_URLS if name.lower() == short), text.strip())
 
 
-def hub_licence(licences: set[str]) -> str:
-    """Return the Hub's identifier of the only licence; "other" if it has none, or there are several."""
-    known = [name for name in licences if name in _LICENCES]
-    return known[0].lower() if len(licences) == len(known) == 1 else "other"
+def licence_address(text: str) -> str:
+    """Return the address of a licence: of its identifier, or the one that the text gives; empty if none."""
+    given = [word for word in re.split(r"[\s()<>,;]+", text) if is_web_address(word)]
+    return LICENCE_URLS.get(licence_name(text)) or next(iter(given), "")
 
 
-def attributions(notices: Mapping[str, Notice]) -> str:
+def hub_licence(licences: set[str]) -> str | list[str]:
+    """Return the Hub's identifiers of the licences; "other" if it has none of one."""
+    known = sorted(name.lower() for name in licences if name in LICENCE_URLS)
+    return "other" if len(known) < len(licences) else known[0] if len(known) == 1 else known
+
+
+def attributions(entries: Iterable[IndexEntry]) -> str:
     """List who is to be named for which objects and what was changed, as Markdown; empty if nobody is."""
     keys: dict[tuple[str, str, str], list[str]] = defaultdict(list)
-    for key, notice in notices.items():
-        if notice.attribution:
-            keys[notice.attribution, notice.licence, notice.changes].append(key)
+    for entry in entries:
+        if entry.attribution:
+            address = "" if entry.licence_url in entry.licence else f" ({entry.licence_url})"
+            keys[entry.attribution, entry.licence + address, entry.changes].append(entry.key)
     return "\n".join(
-        f"- {in_markdown(attribution)}{f'; {in_markdown(licence)}' if licence else ''}: {', '.join(held)}."
-        + (f" Changes: {in_markdown(changes)}" if changes else "")
+        f"- {in_markdown(attribution)}; {in_markdown(licence)}: {', '.join(held)}."
+        f" Changes: {in_markdown(changes)}."
         for (attribution, licence, changes), held in keys.items()
     )

@@ -17,7 +17,10 @@ _PAPER = (
 )
 _KEYWORDS = ("multisensory", "3D objects", "impact sound", "touch", "implicit representation", "robotics")
 LICENCES = "licences"  #: folder of the notices
-_ATTRIBUTION = "Name these with what you make from the objects; the Object Files were made from their meshes."
+_ATTRIBUTION = (
+    "Name these with what you make from the objects; the Object Files were made from their meshes. "
+    f"{INDEX} has title and page of each."
+)
 _INSTANCE = "An instance is one object; none is missing a label: the material is given."
 _PREPROCESSING = (
     "Meshes were scaled to their size and closed to solids; small gaps between bodies may be filled."
@@ -96,7 +99,7 @@ def summarize(values: Sequence[float | None]) -> str:
 
 def card(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice], site: bool) -> str:
     """Return README.md: what the release is and how to load it, with the Hub's metadata."""
-    named = attributions(notices)
+    named = attributions(entries)
     attribution = f"## Attribution\n\n{_ATTRIBUTION}\n\n{named}\n\n" if named else ""
     copies = f"| `{LICENCES}/` | where each mesh is from: licence, authors, changes |\n" if notices else ""
     metadata = {
@@ -137,7 +140,7 @@ touch = item.touch(item.sample_surface(1), depth=0.001)
 | | |
 |---|---|
 | `{OBJECTS}/` | an Object File per object, {sum(entry.bytes for entry in entries) / 1e6:.1f} MB in all |
-| `{INDEX}` | a row per object: category, material, size, split, scores, digest, licence, source |
+| `{INDEX}` | a row per object: category, material, size, split, scores, digest, licence, authors |
 {copies}| `croissant.json` | metadata of Croissant 1.1 |
 | `DATASHEET.md` | how it was made, what it is for, what it is not for |
 
@@ -160,9 +163,9 @@ Split by object, for tests on unseen objects: {count_values(entry.split for entr
 """
 
 
-def datasheet(entries: Sequence[IndexEntry], words: Words, notices: Mapping[str, Notice]) -> str:
+def datasheet(entries: Sequence[IndexEntry], words: Words) -> str:
     """Return DATASHEET.md, after Gebru et al., Datasheets for Datasets, 2021."""
-    named = attributions(notices)
+    named = attributions(entries)
     attribution = f" {_ATTRIBUTION}\n\n{named}" if named else ""
     sources = _count(entry.source or "not stated" for entry in entries)
     licences = _count(entry.licence for entry in entries)

@@ -45,7 +45,7 @@ def write_release(
         write_text(folder / INDEX, index_text(entries))
         write_json(folder / "croissant.json", croissant(entries, words, file_digest(folder / INDEX)))
         write_text(folder / "README.md", card(entries, words, notices, site))
-        write_text(folder / "DATASHEET.md", datasheet(entries, words, notices))
+        write_text(folder / "DATASHEET.md", datasheet(entries, words))
         if notices:
             (folder / LICENCES).mkdir()
         for key, notice in notices.items():

@@ -1,6 +1,6 @@
 import pytest
 from own_workspace import ROOT, workspace  # noqa: F401
-from publisher import Publisher
+from publisher import publisher  # noqa: F401
 
 from objectfolder.hub.fetch import download
 from objectfolder.hub.fetch.catalogue import read_catalogue
@@ -9,14 +9,6 @@ from objectfolder.hub.fetch.catalogue import read_catalogue
 @pytest.fixture(scope="session")
 def catalogue():
     return read_catalogue(ROOT / "catalogs/objectfolder1.yaml")
-
-
-@pytest.fixture
-def publisher(monkeypatch):
-    monkeypatch.setenv("no_proxy", "127.0.0.1")
-    server = Publisher()
-    yield server
-    server.close()
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from folders import contents
-from publisher import box_obj, gso, polyhaven, tgz, ycb, zipped
+from publisher import addresses, box_obj, gso, polyhaven, tgz, ycb, zipped
 from refusals import refused
 from typer.testing import CliRunner
 
@@ -39,11 +39,6 @@ def published(workspace, publisher):
     publisher.pages[RACER] = gso()
     publisher.pages |= polyhaven(publisher, "Barrel_01")
     return read_catalogue(CATALOGUE, addresses(publisher))
-
-
-def addresses(publisher):
-    paths = {"ycb": "{model}_google_16k.tgz", "gso": "{model}.zip", "polyhaven": "files/{model}"}
-    return [f"{source}={publisher.url}/{path}" for source, path in paths.items()]
 
 
 def state():

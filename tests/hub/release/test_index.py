@@ -58,6 +58,11 @@ PATH = "expected one in the release, of at most 1000 characters and names of at 
         ("split", ("", "Train", "all"), "expected train, val or test"),
         ("sha256", ("", "0" * 63, "g" * 64, "A" * 64), "expected 64 hexadecimal digits"),
         ("licence", ("", "l" * 1001, "a\x1b]0;b\x07"), "expected a text of 1 to 1000 characters"),
+        ("licence_url", ("ftp://a.b", "javascript:alert(1)", "https://a.b\n"), "expected an address such as"),
+        ("title", ("t" * 1001, "a\x1b[2J"), "expected a text of at most 1000 characters"),
+        ("attribution", ("a" * 1001, "a\nb"), "expected a text of at most 1000 characters"),
+        ("changes", ("c" * 2001, "a\u202eb"), "expected a text of at most 2000 characters"),
+        ("uncertain", ("", "2", "-1", "True"), WHOLE),
         ("source", ("s" * 1001, "a\u2028b", "a\rb"), "expected a text of at most 1000 characters"),
         ("category", ("c" * 101, "a\tb"), "expected a text of at most 100 characters"),
     ],
@@ -75,7 +80,7 @@ def test_a_row_that_breaks_a_rule_is_named(tmp_path, column, values, expected):
     [
         ((), "objects.csv holds no objects, expected at least one"),
         ((MUG, BELL, MUG), "object 3: key is 'mug', expected another than that of object 1"),
-        (([*MUG.values()][:-2],), "object 1: lacks licence, source"),
+        (([*MUG.values()][:-2],), "object 1: lacks changes, uncertain"),
         (([*MUG.values(), "more"],), r"object 1: \['more'\] is beyond the last column"),
         ((MUG, BELL | {"source": "s" * 200_000}), "after object 1, is damaged: field larger than"),
         ((MUG | {"source": "\udcff"},), "after object 0, is damaged: .* can't decode"),
@@ -106,6 +111,17 @@ def test_columns_of_newer_versions_are_left_alone(tmp_path):
     head, row = index.read_text().splitlines()
     index.write_text(f"weight,{head}\n1 kg,{row}\n")
     assert Dataset(tmp_path).keys == ("mug",)
+
+
+def test_an_older_index_without_attributions_is_read(tmp_path):
+    later = ("licence_url", "title", "attribution", "changes", "uncertain")
+    older = {name: value for name, value in MUG.items() if name not in later}
+    assert [*older] == [*COLUMNS][:15]
+    (tmp_path / "objects.csv").write_text(f"{','.join(older)}\n")
+    with (tmp_path / "objects.csv").open("a", newline="") as stream:
+        csv.writer(stream).writerow(older.values())
+    [entry] = read_index(tmp_path / "objects.csv")
+    assert asdict(entry) == MUG | dict.fromkeys(later[:-1], "") | {"uncertain": 0}
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from objectfolder.base.text import visible
 from objectfolder.base.yamlfile import read_yaml
 from objectfolder.hub.release.croissant import croissant
 from objectfolder.hub.release.entries import index_text
-from objectfolder.hub.release.notices import MAX_NOTICE, read_notice
+from objectfolder.hub.release.notices import MAX_NOTICE, licence_address, read_notice
 from objectfolder.hub.release.pages import card, datasheet, describe_release
 from objectfolder.objectfile.dataset import IndexEntry, read_index
 
@@ -31,14 +31,15 @@ def mesh(folder, text):
 def release(folder, text):
     """Texts of a release all of whose words are a stranger's; their entry."""
     notice = read_notice(mesh(folder, text))
-    said = {"licence": notice.licence, "source": notice.source, "category": visible(text)[:100]}
+    said = {name: getattr(notice, name) for name in ("licence", "source", "title", "attribution", "changes")}
+    said |= {"licence_url": licence_address(notice.licence), "category": visible(text)[:100]}
     entries = [IndexEntry(**MUG | said | {"key": "blue_mug", "path": "objects/blue_mug.safetensors"})]
     named = {"name": text, "creator": text, "version": "1.0.0", "date": "2026-11-24", "url": "https://a.b"}
     words, notices = describe_release(entries, **named), {"blue_mug": notice}
     texts = {
         "objects.csv": index_text(entries),
         "README.md": card(entries, words, notices, site=True),
-        "DATASHEET.md": datasheet(entries, words, notices),
+        "DATASHEET.md": datasheet(entries, words),
         "croissant.json": json.dumps(croissant(entries, words, "0" * 64)),
     }
     return texts, entries
@@ -80,7 +81,7 @@ def test_no_destination_obeys(tmp_path, text):
     for cell in row.values():
         for piece in re.split("[,;]", cell):
             assert not re.match('["\\s]*[=+\\-@\t\r＝]', piece) or re.fullmatch(r"-[0-9.]+", piece)
-    assert json.loads(texts["croissant.json"])["license"] == [entries[0].licence]
+    assert json.loads(texts["croissant.json"])["license"] == [entries[0].licence_url or entries[0].licence]
     for content in texts.values():
         assert content.encode()
 
@@ -90,7 +91,7 @@ def test_plain_words_are_written_as_they_are(tmp_path):
     texts, _ = release(tmp_path, text)
     assert f'pretty_name: "{text}"\n' in texts["README.md"]
     assert f"# {text}\n" in texts["README.md"]
-    assert f"- {text}; {text}: blue_mug. Changes: {text}\n" in texts["README.md"]
+    assert f"- {text}; {text}: blue_mug. Changes: {text}.\n" in texts["README.md"]
     assert f'"{text}"' in texts["objects.csv"]
 
 
