@@ -37,7 +37,7 @@ _UNSURE = 2.5  # estimated error of cut cells, over the accepted one, above whic
 _EDGE, _SLENDERNESS, _ENVELOPE, _OFFSET = 1 / 6, 6.0, 3e-3, 0.2
 _LEAST = 6 / (3**0.5 / 4)  # unknowns per area of the surface, over the edge squared: equilateral triangles
 _TETRAHEDRAL = 1.5  # their unknowns, over the limit for cut cells, whose matrices are denser
-_FINENESS = 2.4  # power of the edge with which the unknowns grow
+_FINENESS = 2.8  # power of the edge with which the unknowns grow
 _FINER, _FINEST = 0.75, 0.45  # edges of the fine mesh, over the coarse ones'; the error follows from both
 
 

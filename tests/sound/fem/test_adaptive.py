@@ -178,13 +178,13 @@ def test_the_fine_tetrahedra_are_as_many_as_the_limit_allows(monkeypatch):
         return tetrahedral_box((1, 1, 0.06), (resolution, resolution, 1))
 
     coarse = tetrahedral_box((1, 1, 0.06), (6, 6, 1)).degrees_of_freedom
-    for growth, times in ((1.1, 0), (1.8, 1), (8, 2), (1e9, 2)):
+    for growth, times in ((1.1, 0), (2, 1), (8, 2), (1e9, 2)):
         monkeypatch.setattr(adaptive, "_TETRAHEDRAL", growth * coarse / FINE.max_degrees_of_freedom)
         asked.clear()
         unsure(monkeypatch, made, {CutCells.name: [0.4], Tetrahedra.name: [0.1]})
         assert len(asked) == times
         if times == 2:
-            finer = max(growth ** (-1 / 2.4), 0.45)
+            finer = max(growth ** (-1 / 2.8), 0.45)
             assert asked[1] == (ceil(6 / finer), pytest.approx(asked[0][1] * finer**2))
 
 
