@@ -58,9 +58,8 @@ def contour(
     if len(f) == 0:
         return v[:0], f
     v, f = separate_wedges(*weld((v - 1) * spacing + lower, f.astype(np.int64), 1e-9))
-    if not is_closed(
-        f
-    ):  # vertices in one place cannot be told apart: keep them off the samples, and separate
+    if not is_closed(f):
+        # Vertices in one place cannot be told apart: keep them off the samples, and separate.
         apart = np.where(np.abs(grid) < _APART * spacing, np.copysign(_APART * spacing, grid), grid)
         v, f, _, _ = marching_cubes(apart, 0.0, allow_degenerate=False)
         v, f = (v - 1) * spacing + lower, f.astype(np.int64)
