@@ -21,6 +21,7 @@ METRICS = {
     "file_bytes": 836 * 1024,
 }
 MODAL = {"frequency_uncertainty": 0.22, "resolution": 96, "discretisation_error": [0.1, 0.22]}
+MODAL |= {"element": "hex20 cut cells"}
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ class Discretisation:
 
     def __init__(self, solid: Solid, material: Material, scale: float, coarse: Solid | None = None):
         self.solid, self.material, self.scale, self.coarse = solid, material, scale, coarse
+        self._lowest: dict[int, np.ndarray] = {}
 
     @cached_property
     def vibration(self) -> FreeVibration:
@@ -42,8 +43,10 @@ class Discretisation:
         return [Discretisation(solid, self.material, self.scale).lowest_frequencies() for solid in grids]
 
     def lowest_frequencies(self, count: int = ESTIMATED_MODES) -> np.ndarray:
-        """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified; Hz (count,)."""
-        return np.sqrt(self.lowest_modes(count)[0]) / (2 * np.pi)
+        """Compute the lowest elastic frequencies to `TOLERANCE`, uncertified, once; Hz (count,)."""
+        if count not in self._lowest:
+            self._lowest[count] = np.sqrt(self.lowest_modes(count)[0]) / (2 * np.pi)
+        return self._lowest[count]
 
     def lowest_modes(self, count: int = ESTIMATED_MODES) -> tuple[np.ndarray, np.ndarray]:
         """Compute the lowest elastic modes to `TOLERANCE`, uncertified.
