@@ -14,7 +14,6 @@ from objectfolder.sound.fem.levels import MixedCells
 ESTIMATED_MODES = 10  # number of lowest modes whose error is estimated
 TOLERANCE = 1e-4  # residual of the compared modes; the error of their frequencies is its square
 ORDER, LOW_ORDER = 1.5, 1.0  # of convergence; the low one where the differences hardly fall
-TETRAHEDRAL_ORDER = 2.0  # the mesh nears the surface with the square of the elements' size
 MIN_FALL = 2**0.5  # least ratio of the differences that shows convergence
 NODES_PER_WAVE = 6  #: that resolve a wave: three quadratic elements
 
@@ -67,7 +66,7 @@ class Discretisation:
             return discretisation_error(frequencies, *self.coarser)
         ratio = np.cbrt(self.solid.elements / self.coarse.elements)
         last = self.coarser[0][: len(frequencies)] / frequencies[:ESTIMATED_MODES] - 1
-        return np.abs(last / (ratio**TETRAHEDRAL_ORDER - 1)).tolist()
+        return np.abs(last / (ratio**ORDER - 1)).tolist()
 
 
 def coarser(solid: Solid) -> CutCells | None:
