@@ -3,8 +3,9 @@
 Reads what `objectfolder build` left in the workspace DIR: held-out scores, modes, processor time of each
 stage. With `--pictures DOCS`, draws three sheets of all Object Files into that folder: a view, the touch with
 the most relief, and a strike's spectrogram. With `--published catalogs/real.yaml`, the objects are those of
-this catalogue, whether the workspace has them or not, with what it took to close their scans. Exits with 1 if
-a target is missed.
+this catalogue, whether the workspace has them or not, with what it took to close their scans. With `--keep`,
+objects without scores here keep their rows and pictures of earlier runs: a catalogue may be built in parts.
+Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -42,7 +43,8 @@ MOST_GAIN_ERROR = 0.01
 MOST_BYTES = 60e6  #: of all Object Files
 #: An object beyond these is named on the page.
 POOR = {"vision": 40.0, "touch": 43.0, "gain_error": 0.02}
-COLUMNS, SIDE, LINE = 10, 112, 14  #: of the sheets: pictures in a row, their size, a line of a name, pixels
+#: Of the sheets: pictures in a row; their size, a line of a name and the gap between them, pixels.
+COLUMNS, SIDE, LINE, GAP = 10, 112, 14, 4
 LETTERS = 20  #: of a name in a line
 DIRECTION = np.array([1.3, -2.2, 1.35])  #: to the camera
 DISTANCE = 3.2  #: of the camera, in radii of the object
@@ -149,36 +151,67 @@ def missed(rows: list[dict[str, Any]]) -> list[str]:
             lacking[row["failed"]].append(row["object"])
     found = [f"{', '.join(keys)}: {reason}" for reason, keys in lacking.items()]
     rows = [row for row in rows if "failed" not in row]
-    middles = {
-        name: median(row[name] for row in rows if row[name] is not None) for name in (*LEAST, "gain_error")
-    }
+    known = {name: [row[name] for row in rows if row[name] is not None] for name in (*LEAST, "gain_error")}
+    middles = {name: median(found) for name, found in known.items() if found}
     found += [
         f"median {name} {middles[name]:.1f} dB, target {least:g} dB"
         for name, least in LEAST.items()
         if middles[name] < least
     ]
-    if middles["gain_error"] > MOST_GAIN_ERROR:
+    if middles.get("gain_error", 0) > MOST_GAIN_ERROR:
         found.append(f"median gain error {middles['gain_error']:.2%}, target {MOST_GAIN_ERROR:.0%}")
     if (size := sum(row["bytes"] for row in rows)) > MOST_BYTES:
         found.append(f"{size / 1e6:.0f} MB of Object Files, target {MOST_BYTES / 1e6:.0f} MB")
     return found
 
 
-def sheets(paths: list[Path], folder: Path, start: str) -> None:
-    """Draw all Object Files into START_views, START_touches and START_sounds."""
-    names = ("views", "touches", "sounds")
-    pictures: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    files = [ObjectFile.load(path) for path in paths]
-    lines = [textwrap.wrap(file.key.replace("_", " "), LETTERS) for file in files]
-    most = max(map(len, lines))
-    for file, words in zip(track(files, "drawing"), lines):
-        caption = "\n".join(words).replace(" ", "_")
-        for name, picture in zip(names, (seen(file), felt(file), heard(file))):
-            pictures[name].append(captioned(picture, caption, most))
-    for name, found in pictures.items():
-        with atomic(folder / f"{start}_{name}.webp") as temporary:
-            page = Image.fromarray(tile(np.stack(found), COLUMNS))
-            page.save(temporary, "webp", quality=80, method=6)
+def joined(earlier: dict[str, Any], record: dict[str, Any]) -> dict[str, Any]:
+    """Return a record with the rows of an earlier one in place of rows without scores.
+
+    Ends the script if the two were not built and tested alike.
+    """
+    for name in ("preset", "renderer", "test_views", "test_impacts", "test_touches"):
+        old, new = earlier.get(name), record.get(name)
+        if old != new:
+            sys.exit(f"--keep: {name} of the record is {old}, here {new}: name another file by --json")
+    before = {row["object"]: row for row in earlier["rows"] if "failed" not in row}
+    rows = [before.get(row["object"], row) if "failed" in row else row for row in record["rows"]]
+    masses = {row["object"]: row for part in (earlier, record) for row in part.get("masses", ())}
+    kept = before.keys() - {row["object"] for row in record["rows"] if "failed" not in row}
+    runs = [*earlier.get("earlier", ()), earlier["run"]] if kept else []
+    return record | {
+        "pictures": record.get("pictures") or earlier.get("pictures"),
+        "rows": rows,
+        **({"masses": list(masses.values())} if masses else {}),
+        **({"earlier": runs} if runs else {}),
+    }
+
+
+def sheets(files: Mapping[str, Path | None], folder: Path, start: str) -> None:
+    """Draw Object Files by object into START_views, START_touches and START_sounds.
+
+    An object without a file keeps its picture of an earlier sheet, else it is left white.
+    """
+    captions = ["\n".join(textwrap.wrap(key.replace("_", " "), LETTERS)).replace(" ", "_") for key in files]
+    height = SIDE + max(caption.count("\n") + 1 for caption in captions) * LINE + 2
+    for name, draw in (("views", seen), ("touches", felt), ("sounds", heard)):
+        path = folder / f"{start}_{name}.webp"
+        pictures = cut(path, len(files), height)
+        for i, (file, caption) in enumerate(zip(track(files.values(), f"drawing {name}"), captions)):
+            if file is not None:
+                pictures[i] = captioned(draw(ObjectFile.load(file)), caption, height)
+        with atomic(path) as temporary:
+            Image.fromarray(tile(pictures, COLUMNS, GAP)).save(temporary, "webp", quality=80, method=6)
+
+
+def cut(sheet: Path, count: int, height: int) -> np.ndarray:
+    """Return the pictures of an earlier sheet, (count, height, SIDE, 3) uint8; white if it has none such."""
+    pictures = np.full((count, height, SIDE, 3), 255, np.uint8)
+    page = tile(pictures, COLUMNS, GAP)
+    if not sheet.is_file() or (found := np.asarray(Image.open(sheet).convert("RGB"))).shape != page.shape:
+        return pictures
+    cells = found[GAP:, GAP:].reshape(-1, height + GAP, COLUMNS, SIDE + GAP, 3)[:, :height, :, :SIDE]
+    return cells.swapaxes(1, 2).reshape(-1, height, SIDE, 3)[:count].copy()
 
 
 def seen(file: ObjectFile) -> np.ndarray:
@@ -208,13 +241,13 @@ def heard(file: ObjectFile) -> np.ndarray:
     return np.asarray(shown.resize((SIDE, SIDE)))
 
 
-def captioned(picture: np.ndarray, caption: str, lines: int) -> np.ndarray:
-    """Fit a picture into a square above a caption of some lines; (SIDE + lines * LINE + 2, SIDE, 3) uint8."""
-    image = Image.new("RGB", (SIDE, SIDE + lines * LINE + 2), "white")
+def captioned(picture: np.ndarray, caption: str, height: int) -> np.ndarray:
+    """Fit a picture into a square above a caption; (height, SIDE, 3) uint8."""
+    image = Image.new("RGB", (SIDE, height), "white")
     shown = Image.fromarray(picture)
-    height, width = picture.shape[:2]
-    if height > SIDE:
-        shown = shown.resize((round(SIDE * min(width / height, 1)), SIDE))
+    tall, wide = picture.shape[:2]
+    if tall > SIDE:
+        shown = shown.resize((round(SIDE * min(wide / tall, 1)), SIDE))
     image.paste(shown, ((SIDE - shown.width) // 2, 0))
     font = ImageFont.load_default(10)
     drawing = ImageDraw.Draw(image)
@@ -235,7 +268,10 @@ def main() -> None:
         metavar=("MINUTES", "OBJECTS"),
         help="wall time of one run of the build, as it printed it, and how many objects it built",
     )
+    parser.add_argument("--keep", action="store_true", help="keep scores of --json that the workspace lacks")
     arguments = parsed(parser)
+    if arguments.keep and not arguments.json:
+        parser.error("--keep needs --json FILE, the record to keep scores of")
     root = arguments.workspace
     values = params.read(root / params.PARAMS_FILE)
     entries: dict[str, Any] = values["objects"]
@@ -264,24 +300,15 @@ def main() -> None:
         table.add_row(row["object"], *shown, *cost)
     console = Console()
     console.print(table)
-    if arguments.pictures:
-        built = [Build(row["object"], root).object_file for row in rows if "failed" not in row]
-        sheets(built, arguments.pictures, arguments.published.stem if arguments.published else "catalogue")
     masses = mass_rows({key: mass for key, mass in weighed.items() if mass}, root)
     for row in masses:
         console.print(f"{row['object']}: {row['solid']:.3g} kg as a solid, {row['real']:.3g} kg weighed")
-    targets = (
-        f"medians: vision at least {LEAST['vision']:g} dB, touch at least {LEAST['touch']:g} dB, gain error "
-        f"at most {MOST_GAIN_ERROR:.0%}; {MOST_BYTES / 1e6:.0f} MB in all"
-    )
     settings = values["render_views"]
-    record = {
+    record: dict[str, Any] = {
         "renderer": settings["renderer"],
         "test_views": settings["test"],
         "wall": arguments.wall,
         "poor": POOR,
-        "rows": rows,
-        **({"masses": masses} if masses else {}),
     }
     if arguments.published:
         named = ("title", "licence", "attribution")
@@ -295,7 +322,19 @@ def main() -> None:
                 for name, source in catalogue.sources.items()
             },
         }
-    found = missed(rows)
+    if arguments.pictures:
+        files = {
+            row["object"]: None if "failed" in row else Build(row["object"], root).object_file for row in rows
+        }
+        sheets(files, arguments.pictures, arguments.published.stem if arguments.published else "catalogue")
+    record |= {"rows": rows, **({"masses": masses} if masses else {})}
+    if arguments.keep and arguments.json.is_file():
+        record = joined(read_json(arguments.json), record)
+    targets = (
+        f"medians: vision at least {LEAST['vision']:g} dB, touch at least {LEAST['touch']:g} dB, gain error "
+        f"at most {MOST_GAIN_ERROR:.0%}; {MOST_BYTES / 1e6:.0f} MB in all"
+    )
+    found = missed(record["rows"])
     write_record(arguments.json, record, targets, found)
     exit_with_verdict(found, console)
 

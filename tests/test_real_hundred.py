@@ -109,6 +109,32 @@ def test_the_record_has_every_object_of_the_catalogue_with_its_scores_or_why_it_
     assert line.count(",") == 96
 
 
+def test_a_catalogue_may_be_built_in_parts(records, workspace, monkeypatch):
+    path = records / "real.json"
+    first = read_json(path)
+    write_json(workspace / "build/gso_rhino/modal.json", MODAL | {"modes": 7})
+    shutil.rmtree(workspace / "build/ycb_mug")
+    (workspace / "metrics/ycb_mug.json").unlink()
+    words = [str(workspace), "--published", str(harness.ROOT / "catalogs/real.yaml"), "--json", str(path)]
+    measure("catalogue", *words, "--keep", monkeypatch=monkeypatch)
+    record = read_json(path)
+    assert len(record["rows"]) == len(first["rows"])
+    changed = [new for old, new in zip(first["rows"], record["rows"]) if old != new]
+    assert [(row["object"], row["modes"]) for row in changed] == [("gso_rhino", 7)]
+    assert record["masses"] == first["masses"]
+    assert record["earlier"] == [first["run"]]
+    page = results.render("real.md", records)
+    assert page.count(f"Run: `{first['run']['command']}`") == 1
+    assert page.count(f"Run: `{record['run']['command']}`") == 1
+
+    write_json(path, record | {"test_views": 8})
+    assert "test_views of the record is 8" in measure("catalogue", *words, "--keep", monkeypatch=monkeypatch)
+    assert read_json(path)["test_views"] == 8
+    measure("catalogue", *words, monkeypatch=monkeypatch)
+    assert "earlier" not in read_json(path)
+    assert sum("failed" in row for row in read_json(path)["rows"]) == 99
+
+
 def test_the_pages_name_every_object_and_are_left_out_without_the_record(records):
     for page, record in results.OPTIONAL.items():
         exists = (results.RECORDS / record).is_file()
@@ -169,7 +195,7 @@ def test_sheets_have_room_for_names_of_two_lines(tmp_path, monkeypatch):
     for name in ("seen", "felt", "heard"):
         monkeypatch.setattr(catalogue, name, lambda file: picture)
     monkeypatch.setattr(catalogue.ObjectFile, "load", lambda path: File)
-    catalogue.sheets([tmp_path] * 11, tmp_path, "real")
+    catalogue.sheets({f"{File.key[:-2]}{i}": tmp_path for i in range(11)}, tmp_path, "real")
     pages = {path.name: np.asarray(Image.open(path)) for path in tmp_path.glob("*.webp")}
     assert set(pages) == {"real_views.webp", "real_touches.webp", "real_sounds.webp"}
     height = 112 + 2 * catalogue.LINE + 2
@@ -177,6 +203,21 @@ def test_sheets_have_room_for_names_of_two_lines(tmp_path, monkeypatch):
     lines = pages["real_views.webp"][4 + 112 : 4 + height, 4 : 4 + 112].min((1, 2)) < 128
     assert lines[: catalogue.LINE].any()
     assert lines[catalogue.LINE + 2 :].any()
+
+
+def test_a_place_without_a_file_keeps_its_earlier_picture(tmp_path, monkeypatch):
+    for name in ("seen", "felt", "heard"):
+        monkeypatch.setattr(catalogue, name, lambda shade: np.full((112, 112, 3), shade, np.uint8))
+    monkeypatch.setattr(catalogue.ObjectFile, "load", int)
+    keys = [f"o{i}" for i in range(12)]
+
+    def shades(**files):
+        catalogue.sheets({key: files.get(key) for key in keys}, tmp_path, "real")
+        return catalogue.cut(tmp_path / "real_views.webp", 12, 112 + catalogue.LINE + 2)[:, 56, 56, 0]
+
+    white = [255] * 12
+    assert shades(o1=100, o10=50) == pytest.approx([255, 100, *white[:8], 50, 255], abs=3)
+    assert shades(o0=10, o10=80) == pytest.approx([10, 100, *white[:8], 80, 255], abs=3)
 
 
 def test_objects_are_drawn_by_the_seed_alone():
