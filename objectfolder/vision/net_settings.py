@@ -19,7 +19,7 @@ class SurfaceConfig:
     coarsest: Count = 16
     finest: Count = 320
     width: Count = 64  #: hidden width of the MLPs
-    points: Count = 200_000  #: surface points for training base colour and normals
+    points: Count = 400_000  #: surface points for training base colour and normals
     point_steps: Count = 250
     point_batch: Count = 16_384
     pixels: Count = 400_000  #: pixels for training indirect light, over all training views

@@ -25,7 +25,7 @@ from objectfolder.vision.vectors import take_rows
 
 # Weight of errors of the shading normal, relative to those of the colour. A detailed texture takes most of
 # the hash grid: at weight 1 it leaves a degree of noise to normals, which grazing light shows as speckles.
-NORMALS = 8.0
+NORMALS = 5.0
 DARK = 0.002  # radiance below which a pixel is nearly black
 DARK_SHARE = 0.2  # sampling probability of dark pixels, relative to others
 
@@ -109,7 +109,11 @@ def train_surface(
     rng = np.random.default_rng(int(torch.randint(2**31, (1,), generator=generator)))
 
     def fit_to(
-        learn: _Points | _Pixels, check: _Points | _Pixels, steps: int, batch: int, session: Session
+        learn: _Points | _Pixels,
+        check: _Points | _Pixels,
+        settings: FitSettings,
+        batch: int,
+        session: Session,
     ) -> list[CurvePoint]:
         batches = iter(minibatches(len(learn), batch, generator))
         chunks = torch.arange(len(check)).split(CHUNK)
@@ -117,18 +121,21 @@ def train_surface(
             net,
             batch_loss=lambda: learn.loss(net, next(batches)),
             val_loss=lambda: sum(check.loss(net, c).item() * len(c) for c in chunks) / len(check),
-            settings=FitSettings(steps, config.learning_rate),
+            settings=settings,
             session=session,
         )
 
     known, unknown = (_look_up(surface, scene, net, n, rng) for n in (config.points, config.points // 20))
-    fit_to(known, unknown, config.point_steps, config.point_batch, Session(generator))
+    # To the last step: where normals cannot be learned, the validation loss rises before colours are done.
+    to_the_end = FitSettings(config.point_steps, config.learning_rate, evaluations=1)
+    fit_to(known, unknown, to_the_end, config.point_batch, Session(generator))
+    _scale_correction(net, unknown)
     # Train indirect light on the quantised net, as queries use it.
     net = SurfaceNet.from_tensors(*net.to_tensors())
     baked = net.bake(surface)
     pixels = _gather(surface, net, baked, train, config.pixels, DARK_SHARE, rng)
     held_out = _gather(surface, net, baked, val, config.pixels, 1, rng)
-    curve = fit_to(pixels, held_out, config.steps, config.batch, session)
+    curve = fit_to(pixels, held_out, FitSettings(config.steps, config.learning_rate), config.batch, session)
     return net.eval(), curve
 
 
@@ -149,6 +156,20 @@ def _look_up(
     shading = torch.where((shading * normals).sum(1, keepdim=True) < 0, -shading, shading)
     encoded = torch.from_numpy(srgb.encode(color).astype(np.float32))
     return _Points(p, normals, _corners(net.grid, p), encoded, shading)
+
+
+@torch.no_grad()
+def _scale_correction(net: SurfaceNet, held_out: _Points) -> None:
+    """Scale the net's correction of normals to its least error at points that it was not trained on.
+
+    Facets finer than the grid cannot be learned: what the net takes of them is noise elsewhere.
+    """
+    features = net.grid.lookup(*held_out.corners)
+    _, shading = net.albedo_and_normal(held_out.points, held_out.normals, features)
+    correction, wanted = shading - held_out.normals, held_out.shading - held_out.normals
+    factor = (correction * wanted).sum() / correction.square().sum().clamp(min=1e-12)
+    for values in net.appearance[-1].parameters():
+        values[3:] *= factor.clamp(0, 1)
 
 
 @torch.no_grad()

@@ -185,6 +185,20 @@ def test_a_mesh_that_is_turned_inside_out_looks_the_same(ball, painted, views):
     assert ((a - b)[:, :3].abs()).mean() < 0.02
 
 
+def test_facets_too_fine_to_learn_leave_no_noise_in_the_normals(ball, views):
+    vertices, faces = sphere(0.45, 5)
+    rough = Scene(
+        TexturedMesh(vertices * np.random.default_rng(0).normal(1, 0.01, (len(vertices), 1)), faces)
+    )
+    config = training(points=4000, point_steps=200, pixels=1000, steps=5)
+    learned = train(ball, rough, *views, config)[0].bake(ball).look[:, 3:]
+    _, facets = appearance_at(rough, ball.shading.vertices)
+    known = torch.from_numpy(facets)
+    noise = (known - ball.shading.tensor).square().mean()
+    assert noise > 0.01
+    assert (known - learned).square().mean() < 1.05 * noise
+
+
 def test_views_that_show_nothing_are_passed_over_unless_all_do(ball, painted, views):
     config = training(points=2000, point_steps=5, pixels=2000, steps=5)
     seen, val = views
