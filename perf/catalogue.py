@@ -196,22 +196,32 @@ def sheets(files: Mapping[str, Path | None], folder: Path, start: str) -> None:
     height = SIDE + max(caption.count("\n") + 1 for caption in captions) * LINE + 2
     for name, draw in (("views", seen), ("touches", felt), ("sounds", heard)):
         path = folder / f"{start}_{name}.webp"
-        pictures = cut(path, len(files), height)
+        pictures, drawn = cut(path, len(files), height)
         for i, (file, caption) in enumerate(zip(track(files.values(), f"drawing {name}"), captions)):
             if file is not None:
                 pictures[i] = captioned(draw(ObjectFile.load(file)), caption, height)
+                drawn = max(drawn, i + 1)
+        page = Image.fromarray(tile(pictures[:drawn], COLUMNS, GAP))
         with atomic(path) as temporary:
-            Image.fromarray(tile(pictures, COLUMNS, GAP)).save(temporary, "webp", quality=80, method=6)
+            page.save(temporary, "webp", quality=80, method=6)
 
 
-def cut(sheet: Path, count: int, height: int) -> np.ndarray:
-    """Return the pictures of an earlier sheet, (count, height, SIDE, 3) uint8; white if it has none such."""
+def cut(sheet: Path, count: int, height: int) -> tuple[np.ndarray, int]:
+    """Return the pictures of an earlier sheet, (count, height, SIDE, 3) uint8, and how many places it has.
+
+    The rest is white.
+    """
     pictures = np.full((count, height, SIDE, 3), 255, np.uint8)
     page = tile(pictures, COLUMNS, GAP)
-    if not sheet.is_file() or (found := np.asarray(Image.open(sheet).convert("RGB"))).shape != page.shape:
-        return pictures
-    cells = found[GAP:, GAP:].reshape(-1, height + GAP, COLUMNS, SIDE + GAP, 3)[:, :height, :, :SIDE]
-    return cells.swapaxes(1, 2).reshape(-1, height, SIDE, 3)[:count].copy()
+    if not sheet.is_file():
+        return pictures, 0
+    found = np.asarray(Image.open(sheet).convert("RGB"))
+    rows, rest = divmod(len(found) - GAP, height + GAP)
+    if rest or found.shape[1:] != page.shape[1:] or len(found) > len(page):
+        return pictures, 0  # of other names
+    page[: len(found)] = found
+    cells = page[GAP:, GAP:].reshape(-1, height + GAP, COLUMNS, SIDE + GAP, 3)[:, :height, :, :SIDE]
+    return cells.swapaxes(1, 2).reshape(-1, height, SIDE, 3)[:count].copy(), min(rows * COLUMNS, count)
 
 
 def seen(file: ObjectFile) -> np.ndarray:
