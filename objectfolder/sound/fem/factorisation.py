@@ -17,6 +17,8 @@ import pymetis
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
+from objectfolder.base.errors import ObjectFolderError
+
 for library in Path(sys.prefix, "lib").glob("libmkl_rt.so*"):
     os.environ.setdefault("PYPARDISO_MKL_RT", str(library))  # otherwise every solver searches sys.prefix
 try:
@@ -85,6 +87,8 @@ class Pardiso:
             pointer(solution),
             ctypes.byref(error),
         )
+        if error.value == -4:
+            raise ObjectFolderError("a matrix is not positive definite: elements of the mesh are degenerate")
         if error.value:
             raise PyPardisoError(error.value)
         return solution

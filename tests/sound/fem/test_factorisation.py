@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
+from refusals import refused
 from solids import STUFF, box
 
 from objectfolder.sound.fem import factorisation
@@ -55,6 +56,11 @@ def test_negative_pivots_count_the_eigenvalues_below(kind, plate):
         shifted = (fem.stiffness - shift * fem.mass).tocsr()
         factor = kind(shifted, nested_dissection(fem.nodal_mass), definite=False)
         assert factor.negative_pivots() == below + 1
+
+
+@pytest.mark.parametrize("kind", [library(Pardiso)])
+def test_a_matrix_that_is_not_definite_as_said_is_an_error(kind):
+    refused("not positive definite", kind, sp.diags([1.0, -1.0, 1.0]).tocsr(), np.arange(3), definite=True)
 
 
 @every
