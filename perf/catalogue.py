@@ -187,16 +187,16 @@ def joined(earlier: dict[str, Any], record: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def sheets(files: Mapping[str, Path | None], folder: Path, start: str) -> None:
+def sheets(files: Mapping[str, Path | None], folder: Path, start: str, keep: bool = False) -> None:
     """Draw Object Files by object into START_views, START_touches and START_sounds.
 
-    An object without a file keeps its picture of an earlier sheet, else it is left white.
+    The place of an object without a file is white, or with ``keep`` as in an earlier sheet.
     """
     captions = ["\n".join(textwrap.wrap(key.replace("_", " "), LETTERS)).replace(" ", "_") for key in files]
     height = SIDE + max(caption.count("\n") + 1 for caption in captions) * LINE + 2
     for name, draw in (("views", seen), ("touches", felt), ("sounds", heard)):
         path = folder / f"{start}_{name}.webp"
-        pictures, drawn = cut(path, len(files), height)
+        pictures, drawn = cut(path if keep else None, len(files), height)
         for i, (file, caption) in enumerate(zip(track(files.values(), f"drawing {name}"), captions)):
             if file is not None:
                 pictures[i] = captioned(draw(ObjectFile.load(file)), caption, height)
@@ -206,14 +206,14 @@ def sheets(files: Mapping[str, Path | None], folder: Path, start: str) -> None:
             page.save(temporary, "webp", quality=80, method=6)
 
 
-def cut(sheet: Path, count: int, height: int) -> tuple[np.ndarray, int]:
+def cut(sheet: Path | None, count: int, height: int) -> tuple[np.ndarray, int]:
     """Return the pictures of an earlier sheet, (count, height, SIDE, 3) uint8, and how many places it has.
 
     The rest is white.
     """
     pictures = np.full((count, height, SIDE, 3), 255, np.uint8)
     page = tile(pictures, COLUMNS, GAP)
-    if not sheet.is_file():
+    if sheet is None or not sheet.is_file():
         return pictures, 0
     found = np.asarray(Image.open(sheet).convert("RGB"))
     rows, rest = divmod(len(found) - GAP, height + GAP)
@@ -336,7 +336,8 @@ def main() -> None:
         files = {
             row["object"]: None if "failed" in row else Build(row["object"], root).object_file for row in rows
         }
-        sheets(files, arguments.pictures, arguments.published.stem if arguments.published else "catalogue")
+        start = arguments.published.stem if arguments.published else "catalogue"
+        sheets(files, arguments.pictures, start, arguments.keep)
     record |= {"rows": rows, **({"masses": masses} if masses else {})}
     if arguments.keep and arguments.json.is_file():
         record = joined(read_json(arguments.json), record)

@@ -211,8 +211,8 @@ def test_a_place_without_a_file_keeps_its_earlier_picture(tmp_path, monkeypatch)
     monkeypatch.setattr(catalogue.ObjectFile, "load", int)
     keys = [f"o{i}" for i in range(12)]
 
-    def shades(**files):
-        catalogue.sheets({key: files.get(key) for key in keys}, tmp_path, "real")
+    def shades(keep=True, **files):
+        catalogue.sheets({key: files.get(key) for key in keys}, tmp_path, "real", keep)
         pictures, places = catalogue.cut(tmp_path / "real_views.webp", 12, 112 + catalogue.LINE + 2)
         return places, pictures[:, 56, 56, 0].tolist()
 
@@ -223,6 +223,7 @@ def test_a_place_without_a_file_keeps_its_earlier_picture(tmp_path, monkeypatch)
     assert shades(o1=100, o10=50) == (12, pytest.approx(second, abs=3))
     third = [10, 100, 40, *white[:7], 80, 255]
     assert shades(o0=10, o10=80) == (12, pytest.approx(third, abs=3))
+    assert shades(keep=False, o1=30) == (10, pytest.approx([255, 30, *white[:10]], abs=3))
 
 
 def test_objects_are_drawn_by_the_seed_alone():

@@ -87,7 +87,7 @@ class Pardiso:
             pointer(solution),
             ctypes.byref(error),
         )
-        if error.value == -4:
+        if error.value == -4:  # a pivot is zero, or negative in L L^T
             raise ObjectFolderError("a matrix is not positive definite: elements of the mesh are degenerate")
         if error.value:
             raise PyPardisoError(error.value)
