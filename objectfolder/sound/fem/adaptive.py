@@ -139,10 +139,10 @@ def fill_unsure(
             return candidate
         finer = max((coarse.degrees_of_freedom / limit) ** (1 / _FINENESS), _FINEST)
         filled = tetrahedra(*surface, ceil(1 / (finer * edge)), name, finer**2 * envelope)
-        found = Discretisation(filled, candidate.material, candidate.scale, coarse)
-        estimates = found.errors(found.lowest_frequencies())
-    except ObjectFolderError:  # it falls apart, or tetrahedra are degenerate
+    except ObjectFolderError:  # it falls apart
         return candidate
+    found = Discretisation(filled, candidate.material, candidate.scale, coarse)
+    estimates = found.errors(found.lowest_frequencies())
     return found if estimates and (errors is None or max(estimates) < max(errors)) else candidate
 
 

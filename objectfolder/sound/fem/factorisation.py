@@ -88,7 +88,10 @@ class Pardiso:
             ctypes.byref(error),
         )
         if error.value == -4:  # a pivot is zero, or negative in L L^T
-            raise ObjectFolderError("a matrix is not positive definite: elements of the mesh are degenerate")
+            raise ObjectFolderError(
+                "a matrix is not positive definite: elements have no or a negative volume, as where pieces of "
+                "the mesh overlap inside out"
+            )
         if error.value:
             raise PyPardisoError(error.value)
         return solution

@@ -170,19 +170,6 @@ def test_a_solid_that_falls_apart_in_tetrahedra_keeps_its_cells(monkeypatch):
     assert found is candidate
 
 
-def test_a_solid_whose_tetrahedra_are_degenerate_keeps_its_cells(monkeypatch):
-    def flat(candidate, _):
-        if isinstance(candidate.solid, Tetrahedra):
-            raise ObjectFolderError("not positive definite")
-        return [0.4]
-
-    monkeypatch.setattr(adaptive, "tetrahedra", blocks)
-    monkeypatch.setattr(Discretisation, "lowest_frequencies", lambda *_: np.ones(1))
-    monkeypatch.setattr(Discretisation, "errors", flat)
-    candidate = Discretisation(cut_cells(*THICK, 8, 4), STUFF, 1.0)
-    assert fill_unsure(candidate, THICK, FINE) is candidate
-
-
 def test_the_fine_tetrahedra_are_as_many_as_the_limit_allows(monkeypatch):
     asked = []
 
