@@ -89,8 +89,7 @@ class Pardiso:
         )
         if error.value == -4:  # a pivot is zero, or negative in L L^T
             raise ObjectFolderError(
-                "a matrix is not positive definite: elements have no or a negative volume, as where pieces "
-                "of the mesh overlap inside out"
+                "a matrix is not positive definite: elements have no volume or a negative one"
             )
         if error.value:
             raise PyPardisoError(error.value)

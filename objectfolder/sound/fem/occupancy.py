@@ -69,7 +69,7 @@ def _measure_along_z(
     place, _ = _columns(across)
     shift = np.tile(across * place[0] - 0.5, resolution)
     origin = -side / 2 + np.array([0.5, 0.5, 0]) * side / count
-    found = crossings(vertices, faces, count, origin, side / count, np.stack([shift, shift]))
+    found = _borders(*crossings(vertices, faces, count, origin, side / count, np.stack([shift, shift])))
     intervals = _Intervals.between(found, resolution, across).outer()
     cells = np.unique(intervals.cell)
     whole = _column_moments(found, resolution, across, cells)
@@ -97,6 +97,17 @@ def _measure_along_z(
     )
 
 
+def _borders(column: np.ndarray, height: np.ndarray, sign: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Keep the crossings (N,), in their order, at which a column enters or leaves winding numbers above 0.
+
+    Pieces that overlap count once, and material that is inside out, whose mass would be negative, does not.
+    """
+    order = np.lexsort((-sign, height, column))  # merges touching intervals
+    winding = np.cumsum(sign[order])
+    kept = np.sort(order[(winding > 0) != (winding > sign[order])])
+    return column[kept], height[kept], sign[kept]
+
+
 def _pairs(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     """Return the distinct unordered pairs of indices below ``count``; (L, 2)."""
     flat = np.minimum(first, second) * np.int64(count) + np.maximum(first, second)
@@ -115,13 +126,10 @@ class _Intervals:
 
     @classmethod
     def between(cls, found: tuple[np.ndarray, ...], resolution: int, across: int) -> "_Intervals":
-        """Build the intervals with winding number > 0 from crossings."""
+        """Build the intervals inside the solid from its `_borders`."""
         column, height, sign = found
-        order = np.lexsort((-sign, height, column))  # merges touching intervals
-        column, height, winding = column[order], height[order] / across, np.cumsum(sign[order])
-        before = winding - sign[order]
-        lower, upper = height[(winding > 0) & (before <= 0)], height[(winding <= 0) & (before > 0)]
-        column = column[(winding > 0) & (before <= 0)]
+        order = np.lexsort((-sign, height, column))
+        column, (lower, upper) = column[order[::2]], (height[order] / across).reshape(-1, 2).T
         lower, upper = lower.clip(0, resolution), upper.clip(0, resolution)
         bottom = np.minimum(lower.astype(np.int64), resolution - 1)
         pieces = np.maximum(np.ceil(upper).astype(np.int64) - bottom, 1)
