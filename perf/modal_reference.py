@@ -39,7 +39,7 @@ from objectfolder.mesh.ply import read_surface
 from objectfolder.mesh.raycast import wall_thickness
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.mesh.sampling import sample_surface
-from objectfolder.mesh.topology import Mesh, signed_volume
+from objectfolder.mesh.topology import Mesh, components, signed_volume
 from objectfolder.shapes import generate
 from objectfolder.sound.fem.eigen import FreeVibration
 from objectfolder.sound.fem.elements import discretize
@@ -112,6 +112,8 @@ QUALITY = 10  #: largest ratio of radius and edge
 TETRAHEDRA, FEWEST = 40_000, 5_000  #: of the volume: more than the first are not asked for, nor fewer
 MAX_VOLUME = 1e-4  #: of a tetrahedron, unit frame: edges of about a tenth
 ENVELOPE = 2e-4  #: of fTetWild, where TetGen refuses even a mended surface; in diagonals
+SAME = 0.01  #: largest relative change of the volume by mending
+SPECK = 1e-7  #: least volume of a piece, unit frame
 THINNED = 0.99  #: share of the faces left where TetGen fails on those of a mended surface
 
 
@@ -155,21 +157,33 @@ def body(name: str, folder: str) -> tuple[Material, float]:
 
 
 def mended(surface: Mesh) -> Mesh:
-    """Return a surface without its faces that cross others, their holes closed."""
+    """Return a surface whose pieces, cavities included, each lack the faces that cross; their holes closed."""
     import pymeshfix
 
-    fixer = pymeshfix.MeshFix(np.ascontiguousarray(surface[0], np.float64), surface[1].astype(np.int32))
-    fixer.repair()
-    return np.asarray(fixer.points), np.asarray(fixer.faces, np.int64)
+    vertices, faces = surface
+    piece = components(*faces[:, [0, 1, 1, 2]].reshape(-1, 2).T, len(vertices))[1][faces[:, 0]]
+    found, count = [], 0
+    for part in (faces[piece == number] for number in np.unique(piece)):
+        if abs(volume := signed_volume(vertices, part)) < SPECK:
+            continue
+        fixer = pymeshfix.MeshFix(np.ascontiguousarray(vertices, np.float64), part.astype(np.int32))
+        fixer.repair()
+        points, sides = np.asarray(fixer.points), np.asarray(fixer.faces, np.int64)
+        turned = volume * signed_volume(points, sides) < 0
+        found.append((points, count + (sides[:, ::-1] if turned else sides)))
+        count += len(points)
+    return np.concatenate([points for points, _ in found]), np.concatenate([sides for _, sides in found])
 
 
 def versions(surface: Mesh) -> Iterator[Mesh]:
-    """Return the surface and, should TetGen refuse it, ever simpler versions."""
+    """Return the surface and, should TetGen refuse it, ever simpler versions of the same volume."""
     if not self_intersections(*surface):
         yield surface
-    yield mended(surface)
-    vertices, faces = igl.decimate(*surface, int(THINNED * len(surface[1])))[:2]
-    yield mended((vertices, faces))
+    volume = signed_volume(*surface)
+    for simpler in (surface, igl.decimate(*surface, int(THINNED * len(surface[1])))[:2]):
+        found = mended(simpler)
+        if abs(signed_volume(*found) / volume - 1) < SAME:
+            yield found
 
 
 def largest_volume(surface: Mesh, name: str, size: str, cache: str) -> float:
@@ -195,8 +209,9 @@ def fill(surface: Mesh, largest: float) -> tuple[Tetrahedra, Mesh]:
                     made = tetgen.TetGen(
                         np.ascontiguousarray(vertices, np.float64), faces.astype(np.int32)
                     ).tetrahedralize(switches=f"p{tolerance}q{QUALITY}a{largest:.3g}Q")
-                cells = np.asarray(made[1])[:, :4].astype(np.int64)
-                return quadratic(np.asarray(made[0]), cells, 1), (vertices, faces)
+                points, cells = np.asarray(made[0]), np.asarray(made[1])[:, :4].astype(np.int64)
+                solid = igl.winding_number(vertices, faces, points[cells].mean(1)) > 0.5  # no cavity
+                return quadratic(points, cells[solid], 1), (vertices, faces)
             except RuntimeError:  # crosses itself, or a fault of TetGen
                 continue
     import pytetwild

@@ -9,12 +9,21 @@ from refusals import refused
 from solids import TURN, box, flipped, join, sphere
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.mesh.features import find_features
 from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.gridcodec import BAND_VOXELS, BOUND, band_width, quantise
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.normalize import normalize
 from objectfolder.mesh.reading.load import load_mesh
-from objectfolder.mesh.sdf import VOLUME_ERROR, WALL_VOXELS, distance_grid, fit_grid, kept_volume
+from objectfolder.mesh.sdf import (
+    DEVIATION,
+    VOLUME_ERROR,
+    WALL_VOXELS,
+    deviation,
+    distance_grid,
+    fit_grid,
+    kept_volume,
+)
 from objectfolder.mesh.settings import FINEST
 from objectfolder.mesh.topology import distance
 from objectfolder.touch.contact import NORMAL_RADIUS
@@ -255,6 +264,20 @@ def test_an_edge_of_little_volume_asks_for_a_finer_grid():
     coarse = kept_volume(distance_grid(*bar, RESOLUTION)[0], *bar)
     grid = fit_grid(*bar, RESOLUTION)
     assert abs(coarse - 1) > VOLUME_ERROR >= abs(grid.kept - 1)
+    assert len(grid.values) > RESOLUTION
+
+
+def test_a_slot_narrower_than_a_voxel_asks_for_a_finer_grid():
+    """The volume hardly changes where it closes, but a twentieth of the surface lies in it."""
+    slot = 0.7 * 2 * BOUND / (RESOLUTION - 1)
+    sides = [box((0.9, 0.08, 0.19), (0, -0.05, sign * (0.19 + slot) / 2)) for sign in (-1, 1)]
+    comb = trimesh.boolean.union([trimesh.Trimesh(*part) for part in (*sides, box((0.9, 0.1, 0.4)))])
+    comb = np.array(comb.vertices), np.array(comb.faces, np.int64)
+    coarse = distance_grid(*comb, RESOLUTION)[0]
+    assert abs(kept_volume(coarse, *comb) - 1) < VOLUME_ERROR
+    assert deviation(coarse, find_features(coarse, *comb), *comb) > 10 * DEVIATION
+    grid = fit_grid(*comb, RESOLUTION)
+    assert deviation(grid.values, grid.features, *comb) <= DEVIATION
     assert len(grid.values) > RESOLUTION
 
 
