@@ -246,7 +246,7 @@ def heard(file: ObjectFile) -> np.ndarray:
     force = -0.01 * point / np.linalg.norm(point)
     sound = file.impact(point, force, RATE, SECONDS, contact_time=0.0)
     level = 20 * np.log10(spectrogram(torch.from_numpy(sound))[0].abs().numpy() + 1e-20)
-    share = np.clip((level - level.max() + RANGE) / RANGE, 0, 1)
+    share = np.clip((level - max(level.max(), -300) + RANGE) / RANGE, 0, 1)  # silence is dark
     shown = Image.fromarray((colormaps["magma"](share[::-1])[..., :3] * 255).round().astype(np.uint8))
     return np.asarray(shown.resize((SIDE, SIDE)))
 

@@ -157,7 +157,7 @@ def body(name: str, folder: str) -> tuple[Material, float]:
 
 
 def mended(surface: Mesh) -> Mesh:
-    """Return a surface whose pieces, cavities included, each lack the faces that cross; their holes closed."""
+    """Return a surface whose pieces, cavities included, lack the faces that cross; holes are closed."""
     import pymeshfix
 
     vertices, faces = surface

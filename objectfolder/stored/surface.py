@@ -11,6 +11,8 @@ from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 
 FARTHEST = 1e6  #: object sizes; further points have no nearest one in double precision
+#: Tolerance of scores: where the stored surface lost a part, the nearest place answers, and the error counts.
+ANYWHERE = 1.0
 TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
 #: Voxels. The stored surface is no more accurate than this: contact points nearer to it stay where they are.
 UNMOVED = 0.25

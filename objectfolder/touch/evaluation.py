@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from objectfolder.base.metrics import psnr
+from objectfolder.stored.surface import ANYWHERE
 from objectfolder.touch.query import TouchQueries
 
 MIN_PIXELS = 50  #: contact pixels that a touch needs to count in ``psnr_contact``
@@ -25,9 +26,9 @@ def evaluate_touch(file: TouchQueries, truth: dict[str, np.ndarray]) -> dict[str
     query = truth["points"], truth["depths"], truth["angles"]
     force = np.full(len(truth["points"]), np.nan)
     if file.fixed_contact is not None:
-        images = file.touch(*query)
+        images = file.touch(*query, tolerance=ANYWHERE)
     else:
-        found = [(part.images, part.force) for part in file.touches(*query)]
+        found = [(part.images, part.force) for part in file.touches(*query, tolerance=ANYWHERE)]
         images, force = (np.concatenate(parts) for parts in zip(*found))
     scores = score_images(images, truth)
     baseline = score_images(np.broadcast_to(truth["mean_image"], images.shape), truth)

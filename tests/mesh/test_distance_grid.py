@@ -6,7 +6,7 @@ import pytest
 import torch
 import trimesh
 from refusals import refused
-from solids import TURN, box, flipped, join, sphere
+from solids import TURN, box, flipped, join, sphere, united
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.features import find_features
@@ -271,8 +271,7 @@ def test_a_slot_narrower_than_a_voxel_asks_for_a_finer_grid():
     """The volume hardly changes where it closes, but a twentieth of the surface lies in it."""
     slot = 0.7 * 2 * BOUND / (RESOLUTION - 1)
     sides = [box((0.9, 0.08, 0.19), (0, -0.05, sign * (0.19 + slot) / 2)) for sign in (-1, 1)]
-    comb = trimesh.boolean.union([trimesh.Trimesh(*part) for part in (*sides, box((0.9, 0.1, 0.4)))])
-    comb = np.array(comb.vertices), np.array(comb.faces, np.int64)
+    comb = united(*sides, box((0.9, 0.1, 0.4)))
     coarse = distance_grid(*comb, RESOLUTION)[0]
     assert abs(kept_volume(coarse, *comb) - 1) < VOLUME_ERROR
     assert deviation(coarse, find_features(coarse, *comb), *comb) > 10 * DEVIATION

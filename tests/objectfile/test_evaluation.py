@@ -135,6 +135,13 @@ def test_errors_of_frequency_and_decay_time_are_relative(brick, modes, strikes):
     assert scores["decay_time_error"] == pytest.approx(0.2)
 
 
+def test_points_that_the_stored_surface_lost_are_scored_at_the_nearest_place(brick, modes, strikes):
+    far = dict(modes, points=modes["points"].copy())
+    far["points"][ROWS] *= 1.5
+    refused("off the surface", brick.mode_shapes, far["points"] * SCALE)
+    assert 0 < score(brick, far, strikes)["gain_error"] < np.inf
+
+
 def test_other_modes_than_the_files_are_refused(brick, modes, strikes):
     fewer = {name: value if name in PLACES else value[..., :5] for name, value in modes.items()}
     refused(r"brick: .* 12 modes, modes.npz 5; run `objectfolder build", score, brick, fewer, strikes)

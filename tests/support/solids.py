@@ -54,6 +54,12 @@ def join(*solids):
     return np.concatenate([v for v, _ in solids]), faces
 
 
+def united(*solids):
+    """Unite solids that overlap, so that no material counts twice."""
+    mesh = trimesh.boolean.union([trimesh.Trimesh(*solid) for solid in solids])
+    return np.array(mesh.vertices), np.array(mesh.faces, np.int64)
+
+
 def flipped(solid):
     return solid[0], np.ascontiguousarray(solid[1][:, ::-1])
 

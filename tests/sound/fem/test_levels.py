@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from solids import STUFF, box, join, sphere
+from solids import STUFF, box, sphere, united
 
 from objectfolder.sound.fem.accuracy import Discretisation, coarser
 from objectfolder.sound.fem.blocks import halve_cells
@@ -87,7 +87,9 @@ def test_energies_of_elements_add_up_to_the_eigenvalue(mixed):
 def test_walls_beside_a_narrow_gap_stay_separate():
     """The prongs of a fork, less than a cell apart, move against each other in large elements, too."""
     prong = (0.2, 0.45, 1.0)
-    fork = join(box(prong, (0, 0.25, 0.0)), box(prong, (0, -0.25, 0.0)), box((0.2, 0.95, 0.1), (0, 0, 0.45)))
+    fork = united(
+        box(prong, (0, 0.25, 0.0)), box(prong, (0, -0.25, 0.0)), box((0.2, 0.95, 0.1), (0, 0, 0.45))
+    )
     levels = Levels.of(cut_cells(*fork, 8, 8), 2)
     mesh = levels.mesh(levels.uniform(1))
     _, shapes = Discretisation(mesh, STUFF, 1.0).lowest_modes(1)
