@@ -50,11 +50,14 @@ def fit_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int, name: str
     ``MIN_KEPT_VOLUME`` of the volume even so.
     """
     wall = wall_thickness(vertices, faces)
-    for samples in _resolutions(resolution, wall):
+    steps = _resolutions(resolution, wall)
+    for samples in steps:
         values, band = distance_grid(vertices, faces, samples)
         kept = kept_volume(values, vertices, faces)
+        if abs(kept - 1) > VOLUME_ERROR and samples < steps[-1]:
+            continue
         features = find_features(values, vertices, faces)
-        if abs(kept - 1) <= VOLUME_ERROR and deviation(values, features, vertices, faces) <= DEVIATION:
+        if samples == steps[-1] or deviation(values, features, vertices, faces) <= DEVIATION:
             break
     if len(features.sheets):
         kept = kept_volume(values, vertices, faces, features)

@@ -331,6 +331,8 @@ def test_touches_beside_the_mean_image_and_their_forces(brick):
     assert perfect["baseline_mean_image"] == pytest.approx(-10 * np.log10(error), abs=1e-3)
     weaker = evaluate_touch(brick, contacts | {"force": 0.8 * found.force})
     assert weaker["force_error"] == pytest.approx(0.25)
+    astray = evaluate_touch(brick, contacts | {"points": 1.5 * contacts["points"]})  # which a query refuses
+    assert astray["psnr"] < perfect["psnr"]
     unknown = evaluate_touch(brick, contacts | {"force": np.full(5, np.nan)})
     assert "force_error" not in unknown
     json.dumps(unknown, allow_nan=False)
