@@ -4,10 +4,12 @@ import re
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import distributions
 
 import pytest
 from own_workspace import ROOT
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 from objectfolder.workspace.stages import SECTIONS
@@ -45,6 +47,16 @@ def test_locks_pin_every_package_by_hash_at_the_versions_of_constraints(name):
     other = {key for key, version in locked.items() if CONSTRAINTS.get(key) != version}
     assert {key for key in other if not CUDA.match(key)} <= WINDOWS
     assert "://" not in (ROOT / name).read_text()
+
+
+def test_pins_install_on_every_python_that_the_project_allows():
+    """One that asked for 3.11.5 made pip search for hours on the 3.11.2 of Debian 12."""
+    oldest = PROJECT["requires-python"].partition(",")[0].removeprefix(">=") + ".0"
+    found = ((one.name, one.metadata["Requires-Python"] or "") for one in distributions())
+    asked = {canonicalize_name(name): versions for name, versions in found}
+    assert not [
+        key for key in CONSTRAINTS.keys() & asked.keys() if not SpecifierSet(asked[key]).contains(oldest)
+    ]
 
 
 def test_the_lock_holds_what_base_and_build_ask_for_and_torch_is_apart():
