@@ -135,17 +135,6 @@ def _extract_tar(archive: Path, into: Path, budget: _Budget) -> None:
         def _proc_gnusparse_10(self, member: tarfile.TarInfo, *_: Any) -> None:
             raise _refused(archive, member.name)
 
-    def check(info: tarfile.TarInfo, folder: str) -> tarfile.TarInfo | None:
-        # The filter of `tarfile` extracts links inside the folder and absolute paths, and knows no limits.
-        path = safe_path(info.name, archive.name)
-        budget.spend(info.name, info.size)
-        info.pax_headers = {}  # `tarfile` keeps all members
-        if info.isdir():
-            return None  # created with the files in it
-        if not info.isreg():
-            raise _refused(archive, info.name)
-        return tarfile.data_filter(info.replace(name=str(path), deep=False), folder)
-
     try:
         opened = tarfile.open(archive, tarinfo=Header)  # noqa: SIM115 - closed below
     except ObjectFolderError:
@@ -154,7 +143,18 @@ def _extract_tar(archive: Path, into: Path, budget: _Budget) -> None:
         unknown = f"{archive.name} is neither a zip nor a tar archive"
         raise ObjectFolderError(f"{unknown}; it is damaged, or another file such as a web page") from error
     with opened:
-        opened.extractall(into, filter=check)
+        for info in opened:
+            path = safe_path(info.name, archive.name)
+            budget.spend(info.name, info.size)
+            info.pax_headers = {}  # `tarfile` keeps all members
+            if info.isdir():
+                continue  # created with the files in it
+            if not info.isreg():
+                raise _refused(archive, info.name)
+            target = into / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with cast(IO[bytes], opened.extractfile(info)) as source, target.open("wb") as file:
+                shutil.copyfileobj(source, file)
         # The checksum of a compressed tar follows the padding, and is verified when that is read.
         for _ in range(MAX_PADDING >> 20):
             if not cast(IO[bytes], opened.fileobj).read(1 << 20):
