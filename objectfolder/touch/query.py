@@ -246,8 +246,8 @@ class TouchQueries(StoredObject):
         Parameters
         ----------
         points : (N, 3) array
-            Contact points, object frame, metres. Those within a quarter voxel of the stored surface stay
-            where they are; others are snapped to it. A single point serves all depths and angles.
+            Contact points, object frame, metres. Those within a voxel of the stored surface stay where
+            they are; others are snapped to it. A single point serves all depths and angles.
         depth : float or (N,) array
             How far the gel's apex is pressed past the surface, metres. Default: 1 mm, or that of a net which
             knows one press alone (`fixed_contact`).

@@ -21,7 +21,7 @@ from objectfolder.sound.gains_net import GainsNet, GainsShape
 from objectfolder.sound.query import SoundSettings, Strikes
 from objectfolder.sound.senses import ModalSense
 from objectfolder.stored.reading import StoredNet
-from objectfolder.stored.surface import ObjectSurface
+from objectfolder.stored.surface import TOLERANCE, ObjectSurface
 from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.profiles import load_profile
 from objectfolder.vision.cameras import Intrinsics, camera_rays, look_at, sphere_points
@@ -494,13 +494,17 @@ def test_a_sensor_may_lean_by_a_right_angle(brick):
 
 
 def test_contact_normals_are_those_of_a_touch(brick):
-    """Points near the surface are snapped to it."""
+    """Points within a voxel of the surface stay where they are; others near it are snapped to it."""
+    voxel = brick.surface.grid.spacing
     points = brick.sample_surface(20, seed=2)
+    for lifted in (0.0, 0.9 * voxel):
+        kept = points + lifted * SCALE * brick.contact_normals(points)
+        feet = brick.surface.grid.smooth_distance, kept / brick.scale, NORMAL_RADIUS
+        np.testing.assert_array_equal(brick.contact_normals(kept), contact_normals(*feet))
     normals = brick.contact_normals(points)
-    feet = brick.surface.grid.smooth_distance, points / brick.scale, NORMAL_RADIUS
-    np.testing.assert_array_equal(normals, contact_normals(*feet))
-    near = brick.nearest(points + 0.4 * brick.surface.grid.spacing * SCALE * normals)[0]
-    above = near + 0.015 * SCALE * brick.contact_normals(near)
+    near = brick.nearest(points + 0.4 * voxel * SCALE * normals)[0]
+    above = near + (0.5 * (voxel + TOLERANCE)) * SCALE * brick.contact_normals(near)
+    assert (brick.nearest(above)[1] > voxel * SCALE).all()
     snapped = brick.nearest(above)[0]
     np.testing.assert_allclose(brick.contact_normals(above), brick.contact_normals(snapped), atol=1e-6)
     assert brick.contact_normals(np.zeros((0, 3))).shape == (0, 3)
@@ -554,12 +558,14 @@ def test_another_sensor_feels_the_same_object(brick, tmp_path):
 
 
 def test_a_point_next_to_the_stored_surface_is_believed(brick):
-    """The sensor goes where the caller says, up to a quarter voxel; beyond, to the surface."""
+    """The sensor goes where the caller says, up to a voxel; beyond, to the surface."""
     voxel = 0.1 * brick.surface.grid.spacing
     high = brick.press(TOP + 0.2 * voxel * UP).max_penetration
-    far = brick.press(TOP + 0.8 * voxel * UP).max_penetration
+    higher = brick.press(TOP + 0.95 * voxel * UP).max_penetration
+    far = brick.press(TOP + 1.05 * voxel * UP).max_penetration
     at = brick.press(TOP).max_penetration
     assert at - high == pytest.approx(0.2 * voxel, rel=0.05)
+    assert higher == 0  # a voxel of this coarse grid is deeper than the press
     assert far == pytest.approx(at, abs=0.05 * voxel)
 
 
