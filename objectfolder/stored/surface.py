@@ -14,8 +14,8 @@ FARTHEST = 1e6  #: object sizes; further points have no nearest one in double pr
 #: Tolerance of scores: where the stored surface lost a part, the nearest place answers, and the error counts.
 ANYWHERE = 1.0
 TOLERANCE = 0.02  #: points further than this from the surface (fraction of the size) are refused
-#: Voxels. Edges and thin parts of the stored surface are off by up to one: contact points nearer to it stay where
-#: they are. Snapping them would move the whole image, also where the surface is right.
+#: Voxels. Edges and thin parts of the stored surface are off by up to one: contact points nearer to it stay
+#: where they are. Snapping them would move the whole image, also where the surface is right.
 UNMOVED = 1.0
 
 
