@@ -15,6 +15,7 @@ _NOTHING = 1e-12  # volume below which a piece is flat, unit frame
 _MAX_CUTS = 24  # through a self-overlapping body
 _BRIDGE_SPACING = 1 / 512  # grid spacing of a bridge, unit frame
 _BRIDGE_DEPTH = 1.25 / 512  # overlap of a bridge with the pieces
+_BRIDGE_ROUGHNESS = 1e-7  # by which its surface may move, unit frame: a grid leaves slivers by the ten thousand
 
 
 def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:
@@ -137,7 +138,8 @@ def bridge(vertices: np.ndarray, faces: np.ndarray, reach: float) -> tuple[Mesh,
             bridged.append(gap)
     if not bridged:
         return (vertices, faces), []
-    return to_arrays(manifold3d.Manifold.batch_boolean(joined, manifold3d.OpType.Add)), bridged
+    whole = manifold3d.Manifold.batch_boolean(joined, manifold3d.OpType.Add)
+    return to_arrays(whole.simplify(_BRIDGE_ROUGHNESS)), bridged
 
 
 def to_manifold(piece: Mesh) -> manifold3d.Manifold:
