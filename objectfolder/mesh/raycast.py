@@ -91,22 +91,16 @@ def wall_thickness(vertices: np.ndarray, faces: np.ndarray) -> float:
 
     The faces are closed and show outward.
     """
-    rng, vertices = np.random.default_rng(0), np.asarray(vertices, np.float64)
-    area = np.linalg.norm(area_vectors(vertices, faces), axis=1)
+    caster, rng = RayCaster(vertices, faces), np.random.default_rng(0)
+    vertices = np.asarray(vertices, np.float64)
+    normal = area_vectors(vertices, faces)
+    area = np.linalg.norm(normal, axis=1)
     face = rng.choice(len(faces), _RAYS, p=area / area.sum())
     share = rng.dirichlet(np.ones(3), _RAYS)
+    inward = -normal[face] / area[face, None]
     points = np.einsum("pi,pid->pd", share, vertices[faces[face]])
-    return float(np.quantile(thickness_at(vertices, faces, points, face), THIN_SHARE))
-
-
-def thickness_at(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """Measure the thickness at points (N, 3) on faces (N,); (N,) float32, `inf` on a miss.
-
-    It is measured along the inward normal. The surface, (V, 3) and (F, 3), is closed; its faces show outward.
-    """
-    normal = area_vectors(np.asarray(vertices, np.float64), faces)[face]
-    inward = -normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return RayCaster(vertices, faces).first_hit(points + _OFFSET * inward, inward)[0]
+    distance, _ = caster.first_hit(points + _OFFSET * inward, inward)
+    return float(np.quantile(distance, THIN_SHARE))
 
 
 def _lengths(max_distance: np.ndarray | None) -> np.ndarray | None:

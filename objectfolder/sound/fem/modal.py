@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from objectfolder.base.materials import Material
-from objectfolder.mesh.raycast import thickness_at, wall_thickness
-from objectfolder.mesh.sampling import sample_faces
+from objectfolder.mesh.raycast import wall_thickness
+from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.topology import Mesh
 from objectfolder.sound.fem.accuracy import ESTIMATED_MODES, Discretisation, resolved_frequency
 from objectfolder.sound.fem.adaptive import fill_unsure, refine_grid
@@ -17,8 +17,6 @@ from objectfolder.sound.fem.elasticity import Solid
 from objectfolder.sound.fem.settings import FineGrids
 
 MAX_VERTICES = 20_000  #: of a surface at which shapes are stored; furniture has hundreds of thousands
-_CANDIDATES = 8  # points of which one is chosen
-_THINNEST, _THICKEST = 2e-3, 1.0  # thicknesses that count, unit frame
 MIN_FREQUENCY = 20.0  # Hz, the lower end of hearing (supplementary C)
 
 
@@ -144,20 +142,13 @@ def refined_analysis(
 def shape_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Choose the points at which shapes are stored: vertices, at most `MAX_VERTICES`, then random points.
 
-    Returns (min(V, `MAX_VERTICES`) + count, 3). Half of the random points are uniform by area. The others are
-    as many per area as the part is thin: the waves that bend a part of thickness t are as long as the root of
-    t, so that it takes 1 / t points per area to see them.
+    Returns (min(V, `MAX_VERTICES`) + count, 3): so many random points, uniform by area.
     """
     if len(vertices) > MAX_VERTICES:
         kept = vertices[np.sort(rng.choice(len(vertices), MAX_VERTICES, replace=False))]
     else:
         kept = vertices
-    points, face = sample_faces(vertices, faces, _CANDIDATES * count, rng)
-    uniform, rest = slice(count // 2), slice(count // 2, None)
-    thickness = thickness_at(vertices, faces, points[rest], face[rest]).astype(np.float64)
-    density = 1 / thickness.clip(_THINNEST, _THICKEST)
-    chosen = rng.choice(len(density), count - count // 2, replace=False, p=density / density.sum())
-    return np.concatenate([kept, points[uniform], points[rest][chosen]])
+    return np.concatenate([kept, sample_surface(vertices, faces, count, rng)])
 
 
 def solved_band(data: ModalData, request: Request) -> list[float]:
