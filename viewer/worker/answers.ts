@@ -24,7 +24,7 @@ const QUIETEST = -60; // dB of tones that are shown
 const SHOWN = 120; // tones
 const ELSEWHERE =
   "Accelerations, not sound pressure: in this material the sound has other wavelengths, whose radiation is not stored.";
-const UNMOVED = 0.25; // voxels; contacts nearer to the surface stay where they are, as in the library
+const UNMOVED = 1.0; // voxels; contacts nearer to the surface stay where they are, as in the library
 
 export class Answers {
   readonly file: ObjectFile;

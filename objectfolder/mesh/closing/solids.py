@@ -15,7 +15,7 @@ _NOTHING = 1e-12  # volume below which a piece is flat, unit frame
 _MAX_CUTS = 24  # through a self-overlapping body
 _BRIDGE_SPACING = 1 / 512  # grid spacing of a bridge, unit frame
 _BRIDGE_DEPTH = 1.25 / 512  # overlap of a bridge with the pieces
-_BRIDGE_ROUGHNESS = 1e-7  # by which its surface may move, unit frame: a grid leaves slivers by the ten thousand
+_BRIDGE_ROUGHNESS = 1e-7  # by which its surface may move, unit frame; a grid leaves slivers by the thousand
 
 
 def unite(pieces: list[Mesh]) -> tuple[Mesh, int]:

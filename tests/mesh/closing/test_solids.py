@@ -1,8 +1,10 @@
 import igl
 import numpy as np
 import pytest
+import trimesh
 from solids import TURN, box, flipped, join, pretzel, sphere
 
+from objectfolder.mesh.closing import solids
 from objectfolder.mesh.closing.joints import DEPTH
 from objectfolder.mesh.closing.solids import bridge, drop_specks, find_gaps, label_bodies, unite, untangle
 from objectfolder.mesh.scanline import winding_certificate
@@ -60,6 +62,19 @@ def test_a_bridge_joins_two_balls_near_the_gap_alone(gap):
     assert np.linalg.norm(new - [-0.05 + gap / 2, 0, 0], axis=1).max() < 0.08
     both = signed_volume(*left) + signed_volume(*right)
     assert both < signed_volume(vertices, faces) < 1.01 * both
+
+
+def test_a_bridge_is_not_made_of_its_grid_s_slivers(monkeypatch):
+    """A post on a plate: the same solid, in three quarters of the triangles."""
+    post = trimesh.creation.cylinder(0.1, 0.3, sections=48)
+    mesh = join(box((0.8, 0.8, 0.1), (0, 0, -0.2001)), (np.array(post.vertices), np.array(post.faces)))
+    found, _ = bridge(*mesh, 1 / 64)
+    monkeypatch.setattr(solids, "_BRIDGE_ROUGHNESS", 0.0)
+    rough, _ = bridge(*mesh, 1 / 64)
+    assert is_closed(found[1])
+    assert len(found[1]) < 0.75 * len(rough[1])
+    assert max(distance(rough, found[0]).max(), distance(found, rough[0]).max()) < 2e-7
+    assert signed_volume(*found) == pytest.approx(signed_volume(*rough), rel=1e-7)
 
 
 def test_wider_gaps_stay():

@@ -116,17 +116,3 @@ def test_shapes_are_stored_at_a_bounded_number_of_vertices(monkeypatch):
     assert points.shape == (55, 3)
     assert len({tuple(p) for p in points[:5]} & {tuple(v) for v in SOLID[0]}) == 5
     assert (np.abs(np.abs(points[5:]) - np.array([0.5, 0.25, 0.1])).min(1) < 1e-12).all()
-
-
-def test_thin_parts_have_more_points_than_their_area_asks_for():
-    """A rod of 3 % of a block's area bends in waves that are shorter than any of the block."""
-    block, rod = box((0.5, 0.5, 0.5)), box((0.5, 0.03, 0.03))
-    vertices = np.concatenate([block[0], rod[0] + [0, 0, 0.4]])
-    faces = np.concatenate([block[1], rod[1] + len(block[0])])
-    points = shape_points(vertices, faces, 2000, np.random.default_rng(0))[len(vertices) :]
-    on_rod, area = points[:, 2] > 0.3, 0.0618 / (0.0618 + 1.5)
-    uniform, others = on_rod[:1000].mean(), on_rod[1000:].mean()
-    assert uniform == pytest.approx(area, rel=0.3)
-    # By thickness alone it would be 40 %; there are but eight candidates for each point.
-    assert 0.25 < others < 0.4
-    assert (np.abs(points[on_rod][:, 1:] - [0, 0.4]).max(1) < 0.015 + 1e-9).all()
