@@ -19,7 +19,7 @@ from objectfolder.sound.fem.elasticity import Solid
 from objectfolder.sound.fem.local import refine_locally
 from objectfolder.sound.fem.occupancy import MARGIN
 from objectfolder.sound.fem.settings import FineGrids
-from objectfolder.sound.fem.tetrahedra import tetrahedra
+from objectfolder.sound.fem.tetrahedra import simplified, tetrahedra
 
 _SAMPLES, _MORE_SAMPLES = 100_000, 400_000  # surface points, to find the cells that the surface touches
 _UNKNOWNS = 12  # lower bound per element: one corner and three edge nodes of its own
@@ -36,6 +36,7 @@ _UNSURE = 2.5  # estimated error of cut cells, over the accepted one, above whic
 # surface: share of the diagonal, of the walls; it falls with the square of the edge.
 _EDGE, _SLENDERNESS, _ENVELOPE, _OFFSET = 1 / 6, 6.0, 3e-3, 0.2
 _LEAST = 6 / (3**0.5 / 4)  # unknowns per area of the surface, over the edge squared: equilateral triangles
+_OF_TRIANGLE = 6  # unknowns per triangle of the surface: of half a corner and three halves of an edge
 _TETRAHEDRAL = 1.5  # their unknowns, over the limit for cut cells, whose matrices are denser
 _FINENESS = 2.8  # power of the edge with which the unknowns grow
 _FINER, _FINEST = 0.75, 0.45  # edges of the fine mesh, over the coarse ones'; the error follows from both
@@ -132,6 +133,9 @@ def fill_unsure(
     limit = _TETRAHEDRAL * fine.max_degrees_of_freedom
     most = limit * _FINER**_FINENESS  # of the coarse mesh
     if _LEAST * area / edge**2 > most:
+        return candidate
+    kept = simplified(*surface, envelope * diagonal)[1]  # about as many as tetrahedra would leave
+    if _OF_TRIANGLE * len(kept) > most:
         return candidate
     try:
         coarse = tetrahedra(*surface, ceil(1 / edge), name, envelope)

@@ -12,7 +12,7 @@ from objectfolder.sound.fem.adaptive import adaptive_cut_cells, fill_unsure, ref
 from objectfolder.sound.fem.blocks import merge_full_blocks
 from objectfolder.sound.fem.cutcell import CutCells, cut_cells
 from objectfolder.sound.fem.settings import FineGrids
-from objectfolder.sound.fem.tetrahedra import Tetrahedra
+from objectfolder.sound.fem.tetrahedra import Tetrahedra, simplified
 from objectfolder.sound.fem.voxel import voxels
 
 FINE = FineGrids(resolutions=(12, 16), subdivisions=4, max_degrees_of_freedom=10**6, max_error=0.02)
@@ -186,6 +186,30 @@ def test_the_fine_tetrahedra_are_as_many_as_the_limit_allows(monkeypatch):
         if times == 2:
             finer = max(growth ** (-1 / 2.8), 0.45)
             assert asked[1] == (ceil(6 / finer), pytest.approx(asked[0][1] * finer**2))
+
+
+@pytest.mark.parametrize(("share", "tried"), [(0.9, False), (1.1, True)])
+def test_a_surface_of_too_many_details_is_not_filled(monkeypatch, share, tried):
+    """Minutes of meshing would end in a mesh that is too large to have a finer one."""
+    vertices, faces = sphere(0.4, 4)
+    rough = vertices * np.random.default_rng(0).uniform(0.95, 1, (len(vertices), 1)), faces
+    diagonal = np.linalg.norm(np.ptp(rough[0], axis=0))
+    details = len(simplified(*rough, adaptive._ENVELOPE * diagonal)[1])
+    assert details > 1000
+    limit = share * 6 * details / adaptive._FINER**adaptive._FINENESS
+    monkeypatch.setattr(adaptive, "_TETRAHEDRAL", limit / FINE.max_degrees_of_freedom)
+    asked = []
+
+    def made(*given):
+        asked.append(given)
+        raise ObjectFolderError("not needed here")
+
+    monkeypatch.setattr(adaptive, "tetrahedra", made)
+    monkeypatch.setattr(Discretisation, "lowest_frequencies", lambda *_: np.ones(1))
+    monkeypatch.setattr(Discretisation, "errors", lambda *_: [0.4])
+    candidate = Discretisation(cut_cells(*rough, 8, 4), STUFF, 1.0)
+    assert fill_unsure(candidate, rough, FINE) is candidate
+    assert bool(asked) is tried
 
 
 def test_the_error_of_tetrahedra_is_estimated_from_coarser_ones():
