@@ -13,9 +13,9 @@ PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
 
 
 def start(workspace, *command):
-    """Start Python in a workspace."""
+    """Start Python in a workspace, as with its environment activated: DVC's commands call ``python``."""
     with (workspace.root / "process.log").open("wb") as log:
-        return workspace.server.start(command, workspace.root, log, log)
+        return workspace.server.start(command, workspace.root, log, log, PATH=PATH)
 
 
 def wait_for(condition, seconds=60):

@@ -179,7 +179,8 @@ def told_by(path):
         found = mujoco.MjModel.from_xml_path(str(path)).body("brick")
         return found.mass[0], sorted(found.inertia)
     if path.suffix == ".glb":
-        document = json.loads(path.read_bytes()[20:].split(b"\0")[0].partition(b"BIN")[0][:-4].decode())
+        data = path.read_bytes()
+        document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])  # the first chunk
         motion = document["nodes"][0]["extensions"]["KHR_physics_rigid_bodies"]["motion"]
         return motion["mass"], sorted(motion["inertiaDiagonal"])
     text = path.read_text()
