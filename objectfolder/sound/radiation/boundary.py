@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 from objectfolder.sound.radiation.triangles import Triangles, static_integrals
 
 NEAR_DISTANCE = 2.2  #: edge lengths within which static kernels are integrated exactly
-COUPLING = 1.0  #: edge lengths, limit of the coupling at low frequencies
 _ROWS = 32  # of the matrix that are made at once: their intermediates stay in the cache
 _EDGE_POINTS = 8  # Gauss points on each edge, for a triangle's effect on itself
 
@@ -31,11 +30,16 @@ class _Near:
     columns: np.ndarray  # (P,)
     starts: np.ndarray  # (N + 1,) first pair of each row
     static: np.ndarray  # (4, P) integrals for k = 0: single, double, adjoint, hypersingular
-    distance: np.ndarray  # (Q, P) of the quadrature points
-    towards: np.ndarray  # (Q, P) cosine to the point's normal
-    outward: np.ndarray  # (Q, P) cosine to the triangle's normal
-    aligned: np.ndarray  # (P,) cosine between the normals
-    weight: np.ndarray  # (P,) area of the triangle over Q
+    distance: np.ndarray  # (Q, P) float32, of the quadrature points
+    towards: np.ndarray  # (Q, P) float32, cosine to the point's normal
+    outward: np.ndarray  # (Q, P) float32, cosine to the triangle's normal
+    aligned: np.ndarray  # (P,) float32, cosine between the normals
+    weight: np.ndarray  # (P,) float32, area of the triangle over Q
+
+    @property
+    def both(self) -> np.ndarray:
+        """(Q, P) product of the cosines."""
+        return self.towards * self.outward
 
 
 class Boundary:
@@ -66,7 +70,10 @@ class Boundary:
         Slopes (N, M) are the outward derivative of the pressure, Pa/m, of each triangle: minus the density of
         air times the outward acceleration.
         """
-        matrix, right = self.system(wavenumber, slopes)
+        return self.solve(*self.system(wavenumber, slopes))
+
+    def solve(self, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Solve a `system`, which is overwritten, for the means of the pressure over the triangles (N, M)."""
         factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
         return self._mean @ lu_solve(factors, right, check_finite=False)
 
@@ -79,7 +86,7 @@ class Boundary:
         """
         k, mesh, near = wavenumber, self.triangles, self._near
         count = len(self)
-        coupling = min(1 / k, COUPLING * self.mean_edge)
+        coupling = self.mean_edge / np.hypot(1, k * self.mean_edge)  # smooth in k
         beta, k32 = np.float32(coupling), np.float32(k)
         spread = csr_array(self._mean.T)
         matrix = np.empty((count, spread.shape[0]), np.complex64)
@@ -87,8 +94,8 @@ class Boundary:
         right = np.empty((count, slopes.shape[1]), np.complex64)
         singles, doubles, adjoints, hypers = self._near_integrals(k)
         own_single, own_hyper = self._own_integrals(k)
-        near_left = (-doubles - 1j * coupling * hypers).astype(np.complex64)
-        near_right = (singles + 1j * coupling * adjoints).astype(np.complex64)
+        near_left = -doubles - np.complex64(1j * coupling) * hypers
+        near_right = singles + np.complex64(1j * coupling) * adjoints
         share = (mesh.area / (4 * np.pi)).astype(np.float32)
         for start in range(0, count, _ROWS):
             rows = slice(start, min(start + _ROWS, count))
@@ -176,23 +183,33 @@ class Boundary:
             columns,
             starts,
             static,
-            distance,
-            (away * normals).sum(2) / distance,
-            (away * mesh.normal[columns]).sum(2) / distance,
-            (normals * mesh.normal[columns]).sum(1),
-            mesh.area[columns] / len(away),
+            *(
+                each.astype(np.float32)
+                for each in (
+                    distance,
+                    (away * normals).sum(2) / distance,
+                    (away * mesh.normal[columns]).sum(2) / distance,
+                    (normals * mesh.normal[columns]).sum(1),
+                    mesh.area[columns] / len(away),
+                )
+            ),
         )
 
     def _near_integrals(self, k: float) -> np.ndarray:
-        """Integrals (4, P): static ones exactly, the smooth rest by quadrature."""
+        """Integrals (4, P) complex64: static ones exactly, the rest, which is smooth, by quadrature."""
         near = self._near
-        r = near.distance
-        z, share = k * r, near.weight / (4 * np.pi * r)
-        wave = np.exp(1j * z)
-        slope = ((1j * z - 1) * wave + 1) / r
-        bend = ((3 - 3j * z - z * z) * wave - 3) * near.towards * near.outward
-        rest = (wave - 1, slope * near.outward, -slope * near.towards, -(bend / r + slope * near.aligned) / r)
-        return near.static + np.stack([(share * each).sum(0) for each in rest])
+        r, out = near.distance, np.empty(near.static.shape, np.complex64)
+        z, share = np.float32(k) * r, near.weight / (np.float32(4 * np.pi) * r)
+        cosine, sine = np.cos(z), np.sin(z)
+        # Real parts of the wave exp(i z) and of -i times it, less those at k = 0; then the imaginary ones.
+        for part, wave, turned, still in ((out.real, cosine, sine, 1), (out.imag, sine, -cosine, 0)):
+            slope = (still - wave - z * turned) / r
+            bend = ((3 - z * z) * wave + 3 * (z * turned - still)) * near.both
+            rest = wave - still, slope * near.outward, -slope * near.towards, -(bend / r + slope * near.aligned) / r
+            for integral, each in zip(part, rest, strict=True):
+                integral[:] = (share * each).sum(0)
+        out.real += near.static
+        return out
 
     def _own_integrals(self, k: float) -> tuple[np.ndarray, np.ndarray]:
         """Single layer and hypersingular integral of each triangle at its own centroid, exactly.

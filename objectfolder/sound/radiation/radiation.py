@@ -1,6 +1,7 @@
 """Sound that each vibration mode of an object sends out."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,11 @@ MIN_TRIANGLES = 2000  #: triangles of a surface, however long the waves are
 _MOTION_EDGE = 0.5  # of a triangle's edge, on which modes' motions are read from the exact surface
 _EXTRA_ORDERS = 4  # orders of harmonics beyond the wavenumber times the radius
 _SHARED_SPAN = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
-_STEP = 0.5  # between wavenumbers, times the radius, among which the fields of dense modes are interpolated
-_NODES = np.arange(-1, 3)  # of these wavenumbers, those around a mode: cubic polynomials
-_MIN_SAVING = 1.5  # times as many matrices, at least, that interpolation must save
-# Least difference of cubic and quadratic interpolation, relative, for which a mode is solved
+_STEP = 1.0  # between the wavenumbers, times the radius, among which dense modes are interpolated
+_NODES = np.arange(-2, 4)  # of these wavenumbers, those around a mode: polynomials of degree 5
+_DELAY = 0.5  # radii of sound travel, whose phase is left out while matrices are interpolated
+_MIN_SAVING = 1.2  # times as many matrices, at least, that interpolation must save
+# Accepted difference, relative, of fields interpolated with degree 5 and 4
 _MAX_INTERPOLATION_ERROR = 0.0075
 
 
@@ -93,40 +95,33 @@ def radiate_motion(
 ) -> FarField:
     """Compute the far field of motions (N, M) of a boundary's triangles in a ball of some radius.
 
-    Where modes are dense, a mode's field is interpolated between fields at equally spaced wavenumbers. Waves
+    Where modes are dense, a mode's field is interpolated between those at equally spaced wavenumbers. Waves
     shorter than two edges are not solved for: the pressure is then that of a plane wave, the specific
     impedance of air times the velocity. Fields with more detail than `MAX_ORDER` keep their power.
     """
     slopes, k = -AIR_DENSITY * motion, np.asarray(frequencies) / SOUND_SPEED
     orders = np.minimum(np.ceil(k * radius).astype(int) + _EXTRA_ORDERS, MAX_ORDER)
     radiator = Radiator(boundary.triangles, int(orders.max(initial=0)))
-    coefficients = np.zeros((len(k), (radiator.order + 1) ** 2), np.complex128)
     of_degree = degrees(radiator.order)
-    power = np.zeros(len(k))
 
-    def add(wavenumber: float, pressure: np.ndarray, modes: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def sent(wavenumber: float, modes: np.ndarray, pressure: np.ndarray) -> np.ndarray:
+        """Return coefficients of modes, and their power in a last column; (n, H + 1)."""
         found = radiator.coefficients(wavenumber, pressure, slopes[:, modes])
-        coefficients[modes] += weights[:, None] * found
-        sent = -boundary.triangles.area @ (pressure * slopes[:, modes]).imag / wavenumber
-        power[modes] += weights * sent
-        return found
+        flow = -boundary.triangles.area @ (pressure * slopes[:, modes]).imag / wavenumber
+        return np.concatenate([found, flow[:, None]], axis=1)
 
+    found = np.zeros((len(k), (radiator.order + 1) ** 2 + 1), np.complex128)
     short = k * boundary.mean_edge > 2 * np.pi / EDGES_PER_WAVE
+    dense = _dense(k, radius, ~short)
     for modes in _alike(k, _SHARED_SPAN / radius, short):
         wavenumber = float(k[modes].mean())
-        add(wavenumber, -1j * slopes[:, modes] / wavenumber, modes, np.ones(len(modes)))
-    dense = _dense(k, radius, ~short)
-    differences = np.zeros_like(coefficients)
-    for wavenumber, modes, weights, rough in _nodes(k, _STEP / radius, dense):
-        found = add(wavenumber, boundary.pressure(wavenumber, slopes[:, modes]), modes, weights)
-        differences[modes] += (weights - rough)[:, None] * found
-    # Cavities resonate in narrow bands, which nodes do not resolve.
-    errors, powers = ((abs(each) ** 2).sum(1) for each in (differences, coefficients))
-    doubtful = dense & (errors > _MAX_INTERPOLATION_ERROR**2 * powers)
-    coefficients[doubtful], power[doubtful] = 0, 0
-    for modes in _alike(k, _SHARED_SPAN / radius, ~short & ~dense | doubtful):
+        found[modes] = sent(wavenumber, modes, -1j * slopes[:, modes] / wavenumber)
+    for modes in _alike(k, _SHARED_SPAN / radius, ~short & ~dense):
         wavenumber = float(k[modes].mean())
-        add(wavenumber, boundary.pressure(wavenumber, slopes[:, modes]), modes, np.ones(len(modes)))
+        found[modes] = sent(wavenumber, modes, boundary.pressure(wavenumber, slopes[:, modes]))
+    for modes, each in _interpolated(boundary, slopes, k, radius, dense, sent):
+        found[modes] = each
+    coefficients, power = found[:, :-1], found[:, -1].real
     coefficients[of_degree > orders[:, None]] = 0
     kept = (abs(coefficients) ** 2).sum(1)
     capped = (orders == MAX_ORDER) & (kept > 0)
@@ -176,32 +171,78 @@ def _dense(k: np.ndarray, radius: float, chosen: np.ndarray) -> np.ndarray:
     lowest = np.array([k[group].min() for group in apart])
     nodes = np.ceil((k[chosen].max() - lowest) / step) + len(_NODES) - 1
     saved = np.arange(len(apart), 0, -1) - _MIN_SAVING * nodes
-    saved[lowest <= step] = 0  # a node would be at a negative wavenumber
+    saved[lowest <= -_NODES[0] * step] = 0  # a node would be at a negative wavenumber
     return chosen & (k >= lowest[saved.argmax()]) if saved.max() > 0 else np.zeros_like(chosen)
 
 
-def _nodes(
-    k: np.ndarray, step: float, chosen: np.ndarray
-) -> Iterator[tuple[float, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield equally spaced wavenumbers, modes near each, and the weights of their fields there.
+@dataclass(frozen=True)
+class _Node:
+    """What is known at one of the equally spaced wavenumbers."""
 
-    The second weights are those of the quadratic polynomial through the three nearest nodes.
+    modes: np.ndarray  # (n,) modes that are interpolated from here
+    matrix: np.ndarray  # (V, V)
+    right: np.ndarray  # (V, n)
+    sent: np.ndarray  # (n, C) what the modes send out
+
+    def of(self, modes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return right-hand sides and what is sent out of some of the modes."""
+        rows = np.searchsorted(self.modes, modes)
+        return self.right[:, rows], self.sent[rows]
+
+
+def _interpolated(
+    boundary: Boundary,
+    slopes: np.ndarray,
+    k: np.ndarray,
+    radius: float,
+    chosen: np.ndarray,
+    sent: Callable[[float, np.ndarray, np.ndarray], np.ndarray],
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield modes, and what they send out, (n, C), interpolated between equally spaced wavenumbers.
+
+    ``sent`` computes that of some modes from their pressure at a wavenumber. Near the narrow resonances of
+    cavities, where polynomials of degree 5 and 4 differ, the matrices are interpolated instead, whose entries
+    change smoothly everywhere.
     """
-    modes = np.flatnonzero(chosen)
-    if not len(modes):
+    if not chosen.any():
         return
-    lowest = k[modes].min()
-    place = (k[modes] - lowest) / step
+    step, lowest = _STEP / radius, k[chosen].min()
+    place = (k - lowest) / step
     below = np.floor(place).astype(int)
-    weights = lagrange(_NODES, place - below)
-    left = lagrange(_NODES[:3], place - below)
-    right = lagrange(_NODES[1:], place - below)
-    nearer = (place - below < 0.5)[:, None]
-    rough = np.where(nearer, np.pad(left, ((0, 0), (0, 1))), np.pad(right, ((0, 0), (1, 0))))
-    for node in range(below.min() + _NODES[0], below.max() + _NODES[-1] + 1):
-        near, which = np.nonzero(below[:, None] + _NODES == node)
-        if len(near):
-            yield float(lowest + node * step), modes[near], weights[near, which], rough[near, which]
+    known: dict[int, _Node] = {}
+    for cell in np.unique(below[chosen]):
+        numbers = cell + _NODES
+        known = {number: node for number, node in known.items() if number >= numbers[0]}
+        for number in numbers:
+            if number not in known:
+                near = np.flatnonzero(chosen & (abs(below - number + 0.5) < len(_NODES) / 2))
+                wavenumber = float(lowest + number * step)
+                matrix, right = boundary.system(wavenumber, slopes[:, near])
+                pressure = boundary.solve(matrix.copy(), right)
+                known[number] = _Node(near, matrix, right, sent(wavenumber, near, pressure))
+        nodes = [known[number] for number in numbers]
+        modes = np.flatnonzero(chosen & (below == cell))
+        away = place[modes] - cell
+        left, right = lagrange(_NODES[:-1], away), lagrange(_NODES[1:], away)
+        nearer = (away < 0.5)[:, None]
+        rough = np.where(nearer, np.pad(left, ((0, 0), (0, 1))), np.pad(right, ((0, 0), (1, 0))))
+        weights = lagrange(_NODES, away)
+        fields = np.stack([node.of(modes)[1] for node in nodes])
+        values, difference = (np.einsum("ns,snc->nc", w, fields) for w in (weights, weights - rough))
+        errors, powers = ((abs(each[:, :-1]) ** 2).sum(1) for each in (difference, values))
+        smooth = errors <= _MAX_INTERPOLATION_ERROR**2 * powers
+        yield modes[smooth], values[smooth]
+        doubtful = np.zeros(len(k), bool)
+        doubtful[modes[~smooth]] = True
+        for modes in _alike(k, _SHARED_SPAN / radius, doubtful):
+            away = place[modes].mean() - numbers
+            # The phase of some travel is left out of what is interpolated.
+            phases = np.exp(1j * _DELAY * _STEP * away)
+            weights = (lagrange(_NODES, away[None, -_NODES[0]])[0] * phases).astype(np.complex64)
+            matrix = sum(weight * node.matrix for weight, node in zip(weights, nodes, strict=True))
+            right = sum(weight * node.of(modes)[0] for weight, node in zip(weights, nodes, strict=True))
+            wavenumber = float(k[modes].mean())
+            yield modes, sent(wavenumber, modes, boundary.solve(matrix, right))
 
 
 def lagrange(nodes: np.ndarray, places: np.ndarray) -> np.ndarray:
