@@ -4,7 +4,8 @@ Every figure comes from a fresh process with one thread; seconds are CPU seconds
 `objectfolder build render_views`) draws the same views with every renderer that is installed: ms per image,
 peak memory, and how far apart the pictures are. `training` (needs voxelize as well) trains the surface net
 with the workspace's params.yaml; it scores the test views once, at the end. `query` (needs pack) times the
-views of the Object File, beside a net of the paper's size. Exits with 1 if a target is missed.
+views of the Object File, beside a net of the paper's size. `noise` (needs pack) scores the Object File
+against noisy test views and against ones with many samples. Exits with 1 if a target is missed.
 """
 
 import argparse
@@ -38,8 +39,10 @@ from objectfolder.vision.osf_net import OsfNet
 from objectfolder.vision.query import LitCameras, view_images
 from objectfolder.vision.renderers.registry import RENDERERS, make_renderer
 from objectfolder.vision.scene import Scene
+from objectfolder.vision.settings import RenderViewsConfig
 from objectfolder.vision.surface_net import SurfaceNet
 from objectfolder.vision.surface_training import train_surface
+from objectfolder.vision.truth import Frames, render_frames
 from objectfolder.vision.view import draw as draw_surface
 from objectfolder.vision.volume import Rays
 from objectfolder.workspace import params
@@ -56,12 +59,16 @@ MAX_TRAINING_SECONDS = 60.0
 MAX_TRAINING_MB = 3072.0
 MIN_DB = {"psnr": 41.0, "psnr_worst": 34.0, "psnr_lit_foreground": 32.0}  # of test views
 MAX_QUERY_MS = {"ms_single": 25.0, "ms_adaptive": 40.0}  # of a view at 256 x 256
+CONVERGED_SAMPLES, NOISE_SEEDS = 512, 3
+MAX_NOISE_DB = (0.1, 0.2)
 TARGETS = {
     "renderers": f"mitsuba: {MAX_GROUND_TRUTH_SECONDS:g} s for {TRAIN_VIEWS} views; "
     f"all: {MAX_RENDERING_MB:g} MB",
     "training": f"{MAX_TRAINING_SECONDS:g} s, {MAX_TRAINING_MB:g} MB, "
     + ", ".join(f"{name} {limit:g} dB" for name, limit in MIN_DB.items()),
     "query": ", ".join(f"{name} {limit:g}" for name, limit in MAX_QUERY_MS.items()),
+    "noise": f"{MAX_NOISE_DB[0]:g} dB from the score at {CONVERGED_SAMPLES} samples, in the mean over objects; "
+    f"{MAX_NOISE_DB[1]:g} dB at most",
 }
 OSF_SAMPLES = (64, 128)  # the paper's (supplementary E), as is the shape
 OSF_SHAPE = {"width": 256, "depth": 8, "branch_width": 128, "branch_depth": 4}
@@ -166,6 +173,46 @@ class Shaded:
         return view_images(self._drawer, LitCameras.checked(pose, light, (), intrinsics))
 
 
+def noise(workspace: str, key: str) -> dict:
+    """Score the views of an Object File in this process, against test views of few and of many samples."""
+    torch.set_num_threads(1)
+    build, config = Build(key, workspace), params.settings(RenderViewsConfig, params.read(Path(workspace) / "params.yaml"))
+    scene = Scene(load_mesh(build.visual, "y", AS_STORED))
+    renderer, whole = make_renderer(config.renderer, scene), Intrinsics.square(config.resolution)
+    frames = Frames.views(config.test, whole, np.random.default_rng(0))
+    file = ObjectFile.load(build.object_file)
+    answers = file.view(frames.camera_to_world, frames.light, intrinsics=whole)
+
+    def score(samples: int, seed: int, with_noise: bool = True) -> dict:
+        views = render_frames(renderer, frames, samples, np.random.default_rng(seed), halves=True)
+        if not with_noise:
+            del views["noise"]
+        return evaluate_vision(Answers(answers), views)
+
+    expected = score(CONVERGED_SAMPLES, 0)
+    found = [score(config.test_samples, 1 + seed) for seed in range(NOISE_SEEDS)]
+    row = {"object": key, "samples": config.test_samples, "converged": expected["psnr"]}
+    row |= {"lit_converged": expected["psnr_lit_foreground"]}
+    for seed, scores in enumerate(found):
+        row |= {f"difference_{seed}": scores["psnr"] - expected["psnr"]}
+    row |= {"difference": float(np.mean([scores["psnr"] for scores in found])) - expected["psnr"]}
+    lit = float(np.mean([scores["psnr_lit_foreground"] for scores in found]))
+    row |= {"lit_difference": lit - expected["psnr_lit_foreground"]}
+    row |= {"standard_error": float(np.mean([scores["psnr_standard_error"] for scores in found]))}
+    row |= {"with_noise": score(config.test_samples, 1, with_noise=False)["psnr"] - expected["psnr"]}
+    return row | {"noise": found[0]["noise_floor"], "views_at_least": found[0]["views_at_least"]}
+
+
+class Answers:
+    """Views that are drawn already, one after another."""
+
+    def __init__(self, images: np.ndarray):
+        self._images = iter(images)
+
+    def view(self, pose: np.ndarray, light: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+        return next(self._images)[None]
+
+
 def query(workspace: str, key: str, count: str) -> dict:
     """Load an Object File and time its views in this process."""
     torch.set_num_threads(1)
@@ -255,7 +302,7 @@ def renderers(workspace: Path, key: str, count: int) -> list[dict]:
     return rows
 
 
-JOBS = {"draw": draw, "train": train, "query": query, "query_osf": query_osf}
+JOBS = {"draw": draw, "train": train, "query": query, "query_osf": query_osf, "noise": noise}
 
 
 def show_renderers(rows: list[dict], console: Console) -> None:
@@ -303,6 +350,18 @@ QUERY = {
     "ms_adaptive": ("ms, adaptive", ".1f"),
     "peak_mb": ("peak MB", ".0f"),
 }
+NOISE = {
+    "object": ("object", ""),
+    "samples": ("samples", ""),
+    "converged": (f"dB, {CONVERGED_SAMPLES} samples", ".2f"),
+    **{f"difference_{seed}": (f"seed {seed}", "+.2f") for seed in range(NOISE_SEEDS)},
+    "standard_error": ("std. error", ".2f"),
+    "views_at_least": ("at least", ""),
+    "with_noise": ("with noise", "+.2f"),
+    "noise": ("noise dB", ".1f"),
+    "lit_converged": ("lit dB", ".2f"),
+    "lit_difference": ("lit", "+.2f"),
+}
 
 
 def show_query(rows: list[dict], console: Console) -> None:
@@ -317,6 +376,20 @@ def misses_training(rows: list[dict]) -> list[str]:
     missed = harness.failures(rows) + harness.beyond(rows, {"seconds": MAX_TRAINING_SECONDS}, "s")
     missed += harness.beyond(rows, {"peak_mb": MAX_TRAINING_MB}, "MB")
     return missed + harness.beyond(rows, MIN_DB, "dB", least=True)
+
+
+def misses_noise(rows: list[dict]) -> list[str]:
+    """Targets that are missed: the mean over all scores, and each score."""
+    scored = [row for row in rows if "difference" in row]
+    names = [f"difference_{seed}" for seed in range(NOISE_SEEDS)]
+    mean = float(np.mean([row[name] for row in scored for name in names])) if scored else np.nan
+    missed = harness.failures(rows)
+    missed += [f"mean: {mean:+.2f} dB, target {MAX_NOISE_DB[0]:g} dB"] if abs(mean) > MAX_NOISE_DB[0] else []
+    for row in scored:
+        worst = max((row[name] for name in names), key=abs)
+        if abs(worst) > MAX_NOISE_DB[1]:
+            missed.append(f"{row['object']}: {worst:+.2f} dB, target {MAX_NOISE_DB[1]:g} dB")
+    return missed
 
 
 def misses_query(rows: list[dict]) -> list[str]:
@@ -349,10 +422,11 @@ def main() -> None:
         ("renderers", "time and compare the renderers"),
         ("training", "time the training of the surface net"),
         ("query", "time views of Object Files"),
+        ("noise", "score Object Files against noisy and converged views"),
     ):
         command = commands.add_parser(name, help=text)
         harness.add_objects(command)
-        if name != "training":
+        if name in ("renderers", "query"):
             command.add_argument("--views", type=int, default=12, help="drawn by each")
     arguments = harness.parsed(parser)
     workspace, command, keys = arguments.workspace, arguments.command, harness.chosen_objects(arguments)
@@ -365,6 +439,10 @@ def main() -> None:
         rows = [{"object": key} | harness.fresh(__file__, "train", workspace, key) for key in keys]
         missed = misses_training(rows)
         harness.print_rows(rows, "Training of the surface net, and its PSNR", TRAINING, console)
+    elif command == "noise":
+        rows = [{"object": key} | harness.fresh(__file__, "noise", workspace, key) for key in keys]
+        missed = misses_noise(rows)
+        harness.print_rows(rows, "PSNR of views against noisy and converged ones", NOISE, console)
     else:
         asked = [(key, harness.fresh(__file__, "query", workspace, key, arguments.views)) for key in keys]
         rows = [{"object": key} | row for key, row in asked]

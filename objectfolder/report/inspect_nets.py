@@ -29,6 +29,7 @@ TOUCHES = 4
 PRESS = 0.001  # m
 #: Scores by parts of their names: unit, and what is better. Those in per cent are stored as shares.
 SCORES = (
+    ("psnr_standard_error", " dB", ""),
     ("psnr", " dB", ", higher is better"),
     ("ssim", "", ", higher is better"),
     ("noise_floor|baseline_(white|silence|noise|mean_image)", " dB", ""),

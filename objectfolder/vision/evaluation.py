@@ -4,51 +4,100 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.ndimage import uniform_filter
 
 from objectfolder.base.metrics import psnr, ssim
+from objectfolder.mesh import srgb
 from objectfolder.vision.cameras import image_intrinsics
 from objectfolder.vision.color import find_lit_foreground, on_white
 from objectfolder.vision.query import VisionQueries
+
+_NEIGHBOURHOOD = 5  # pixels along a side, over which noise and error of a view are compared
+_NOISY = 0.05  # variance over squared error below which colours are taken as they are
+_TANGENT = 1e-6  # difference of colours below which a chord is the tangent
 
 
 def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[str, Any]:
     """Compute PSNR and SSIM of held-out views, the contents of ``views/test.npz``, in sRGB on white.
 
     Half of all views are nearly unlit on a white background, so the lit foreground is also scored on its own:
-    pixels that the object covers fully and whose true radiance exceeds 1 % of white. The views themselves are
-    noisy: ``noise_floor`` and ``noise_floor_lit`` are the ``psnr`` and ``psnr_lit_foreground`` of a perfect
-    answer, given if the views contain their noise.
+    pixels that the object covers fully and whose true radiance exceeds 1 % of white.
+
+    True views are path-traced and noisy. If they come with their noise, errors are those against views
+    without it, see `squared_error`; ``psnr_standard_error`` is what the noise leaves uncertain of ``psnr``,
+    dB. No view counts with an error below its own standard error; ``views_at_least`` counts those within two
+    standard errors of a perfect one, whose PSNR is at least what it counts with. ``noise_floor`` and
+    ``noise_floor_lit`` are the PSNR of the noise alone, which the SSIM contains.
     """
-    errors, white, similarity, lit_errors = [], [], [], []
+    errors, deviations, white, similarity, lit_errors, lit_noise, floors = ([] for _ in range(7))
+    count = len(truth["rgba"])
     asked = truth["camera_to_world"], truth["light"], image_intrinsics(truth)
-    for rgba, pose, light, intrinsics in zip(truth["rgba"].astype(np.float32), *asked):
-        shown = on_white(torch.from_numpy(rgba)).numpy()
+    noises = truth.get("noise", np.zeros((count, 1, 1, 4), np.float16))
+    for rgba, noise, pose, light, intrinsics in zip(truth["rgba"].astype(np.float32), noises, *asked):
         image = file.view(pose, light, intrinsics=intrinsics)[0]
-        squared = (image - shown) ** 2
-        errors.append(squared.mean())
-        white.append(((1 - shown) ** 2).mean())
-        similarity.append(ssim(image, shown))
-        lit_errors.append(squared[find_lit_foreground(rgba)].ravel())
+        error, spread = squared_error(image, rgba, noise.astype(np.float32))
+        deviations.append(np.linalg.norm(spread) / spread.size)
+        errors.append(max(error.mean(), deviations[-1] / 2))
+        white.append(squared_error(np.ones_like(image), rgba, noise.astype(np.float32))[0].mean())
+        similarity.append(ssim(image, on_white(torch.from_numpy(rgba)).numpy()))
+        lit = find_lit_foreground(rgba - abs(noise))
+        lit_errors.append(error[lit])
+        if "noise" in truth:
+            halves = (on_white(torch.from_numpy(rgba + sign * noise)) for sign in (1, -1))
+            variance = np.square(np.subtract(*(half.numpy() for half in halves))).mean(-1) / 4
+            floors.append(variance.mean())
+            lit_noise.append(variance[lit])
     scores = {
         "psnr": float(np.mean(psnr(np.array(errors)))),
         "psnr_pooled": float(psnr(np.mean(errors))),
         "psnr_worst": float(psnr(np.max(errors))),
         "ssim": float(np.mean(similarity)),
         "baseline_white": float(np.mean(psnr(np.array(white)))),
-        "views": len(errors),
+        "views": count,
     }
     order = np.argsort(errors, kind="stable").tolist()
-    scores |= {"best_view": order[0], "median_view": order[len(order) // 2], "worst_view": order[-1]}
+    scores |= {"best_view": order[0], "median_view": order[count // 2], "worst_view": order[-1]}
     lit_error = np.concatenate(lit_errors)
     if lit_error.size:
         scores["psnr_lit_foreground"] = float(psnr(lit_error.mean()))
-    if "noise" in truth:
-        noise, lit_noise = truth["noise"].T
-        scores["noise_floor"] = float(np.mean(psnr(noise)))
+    if floors:
+        error, deviation = np.array(errors), np.array(deviations)
+        relative = np.divide(deviation, error, out=np.zeros(count), where=error > 0)
+        scores["psnr_standard_error"] = float(10 / np.log(10) * np.linalg.norm(relative) / count)
+        scores["views_at_least"] = int((error < 2 * deviation).sum())
+        scores["noise_floor"] = float(np.mean(psnr(np.array(floors))))
         if lit_error.size:
-            pixels = [len(lit) for lit in lit_errors]
-            scores["noise_floor_lit"] = float(psnr(np.average(lit_noise, weights=pixels)))
+            scores["noise_floor_lit"] = float(psnr(np.concatenate(lit_noise).mean()))
     return scores
+
+
+def squared_error(
+    image: np.ndarray, rgba: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate the squared error of an image against a view without noise, per pixel.
+
+    The image (H, W, 3) is in sRGB on white, the view (H, W, 4) linear: the mean of two independent renders,
+    which are the view plus and minus its noise (H, W, 4). The product of the errors of the two renders is,
+    in linear colours, an unbiased estimate of the squared error against their expectation. In sRGB it
+    counts by the square of the chord's slope between the image and the true colour. Where the noise of a
+    pixel and its neighbours is as large as their error, the chord is the tangent at the image, so that the
+    slope hardly depends on the noise.
+
+    Returns the error (H, W), mean over the colours, which may be negative, and its standard deviation by the
+    noise (H, W).
+    """
+    answer = srgb.decode(np.asarray(image, np.float64))
+    # On white. Noise above white is kept: to clip it would make the mean too dark.
+    error = (rgba[..., :3] + (1 - rgba[..., 3:])) - answer
+    half = np.broadcast_to(noise[..., :3] - noise[..., 3:], error.shape)
+    around = (_NEIGHBOURHOOD, _NEIGHBOURHOOD, 1)
+    variance, square = (uniform_filter(each.astype(np.float64) ** 2, around) for each in (half, error))
+    noisy = variance / np.where(square > 0, square, 1)
+    trusted = np.where(noisy < _NOISY, 1, (1 - noisy).clip(min=0))
+    step = trusted * error
+    chord = srgb.encode((answer + step).clip(0, 1)) - image
+    slope = np.where(abs(step) > _TANGENT, chord / np.where(step == 0, 1, step), srgb.encode_slope(answer))
+    return (slope**2 * (error**2 - half**2)).mean(-1), abs((2 * slope**2 * error * half).mean(-1))
 
 
 def choose_views(scores: dict[str, Any], count: int) -> dict[int, str]:

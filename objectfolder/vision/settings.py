@@ -25,7 +25,7 @@ class RenderViewsConfig:
     val: Count = 50
     test: Count = 24  #: always whole views
     train_samples: Count = 4  #: per pixel; Mitsuba rounds up to a product of two nearly equal numbers
-    test_samples: Annotated[int, Ge(2), MultipleOf(2)] = 72  #: per pixel, validation and test: two halves
+    test_samples: Annotated[int, Ge(2), MultipleOf(2)] = 32  #: per pixel, validation and test: two halves
 
     def __post_init__(self) -> None:
         """Refuse views that could be built but not evaluated."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 
 from objectfolder.vision.cameras import (
     CAMERA_RADIUS,
@@ -15,7 +14,6 @@ from objectfolder.vision.cameras import (
     look_at,
     sphere_points,
 )
-from objectfolder.vision.color import find_lit_foreground, on_white
 from objectfolder.vision.renderers.registry import Renderer
 from objectfolder.vision.settings import RenderViewsConfig
 
@@ -84,34 +82,21 @@ def render_frames(
 
     ``rgba`` (N, H, W, 4) float16, linear and premultiplied; ``camera_to_world`` (N, 4, 4); ``light`` (N, 3);
     ``focal``; ``center`` (N, 2), column and row of the principal point in each image; ``renderer``, its
-    version. With halves also ``noise`` (N, 2), see `estimate_noise`.
+    version. With halves also ``noise`` (N, H, W, 4) float16: the first render less the mean of both.
     """
     count, one = len(frames.intrinsics), frames.intrinsics[0]
     parts = 2 if halves else 1
     seeds = rng.integers(2**31, size=(parts, count))
     rgba = np.empty((count, one.height, one.width, 4), np.float16)
-    noise = np.zeros((count, 2))
+    noise = np.zeros_like(rgba)
     for i in progress(range(count)):
         view = frames.camera_to_world[i], frames.light[i], frames.intrinsics[i], samples // parts
         images = [renderer.render(*view, int(seed)).clip(max=MAX_RADIANCE) for seed in seeds[:, i]]
         rgba[i] = sum(images) / parts
         if halves:
-            noise[i] = estimate_noise(*images)
+            noise[i] = (images[0] - images[1]) / 2
     center = np.array([[part.cx, part.cy] for part in frames.intrinsics])
     views = {"rgba": rgba, "camera_to_world": frames.camera_to_world, "light": frames.light}
     views |= {"focal": np.asarray(one.focal, np.float64), "center": center}
     views |= {"renderer": np.asarray(renderer.version)} | ({"noise": noise} if halves else {})
     return views
-
-
-def estimate_noise(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """Estimate the mean squared error, in sRGB on white, of the mean of two independent renders (H, W, 4).
-
-    First order in the noise: the variance of the mean is a quarter of the mean squared difference. Rare
-    bright paths are underestimated where the image clips them, and missed if neither render sampled them.
-    Returns the error over all pixels, and over those in `find_lit_foreground`; 0 if there are none.
-    """
-    shown = [on_white(torch.from_numpy(image)).numpy().astype(np.float64) for image in (first, second)]
-    error = np.square(shown[0] - shown[1]).mean(-1) / 4
-    lit = find_lit_foreground((first + second) / 2)
-    return float(error.mean()), float(error[lit].mean()) if lit.any() else 0.0

@@ -9,10 +9,10 @@ from objectfolder.base.metrics import psnr
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, image_intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.evaluation import evaluate_vision
+from objectfolder.vision.evaluation import evaluate_vision, squared_error
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
-from objectfolder.vision.truth import TILES_PER_LIGHT, Frames, estimate_noise, render_frames
+from objectfolder.vision.truth import TILES_PER_LIGHT, Frames, render_frames
 
 SMALL = Intrinsics.square(32)
 
@@ -59,9 +59,9 @@ def test_halves_share_the_samples_and_no_seed():
     samples, seeds = zip(*renderer.asked)
     assert samples == (32,) * 8
     assert len(set(seeds)) == 8
-    assert views["noise"].shape == (4, 2)
     pairs = [Noisy().render(None, None, None, 32, seed) for seed in seeds]
     np.testing.assert_allclose(views["rgba"][1], (pairs[2] + pairs[3]) / 2, atol=1e-3)
+    np.testing.assert_allclose(views["noise"][1], (pairs[2] - pairs[3]) / 2, atol=1e-3)
 
 
 def test_a_split_without_halves_is_one_render_of_the_same_cameras():
@@ -77,24 +77,66 @@ def test_a_split_without_halves_is_one_render_of_the_same_cameras():
     assert not any(name.startswith("noise_floor") for name in scores)
 
 
-def test_the_noise_floor_is_what_a_perfect_answer_scores():
+class Grey:
+    """Answers views with a grey image."""
+
+    def __init__(self, level):
+        self.image = np.full((1, 32, 32, 3), level, np.float32)
+
+    def view(self, pose, light, intrinsics):
+        return self.image
+
+
+def noiseless(renderer, count):
+    rgba = np.repeat(renderer.truth[None].astype(np.float16), count, axis=0)
+    return split(renderer, 2, count=count) | {"rgba": rgba, "noise": np.zeros_like(rgba)}
+
+
+@pytest.mark.parametrize("level", [0.2, 0.7])
+@pytest.mark.parametrize("samples", [4, 16])
+def test_scores_of_noisy_views_are_those_of_views_without_noise(samples, level):
     renderer = Noisy()
-    for samples in (16, 64, 256):
+    scores = evaluate_vision(Grey(level), split(renderer, samples, count=16))
+    expected = evaluate_vision(Grey(level), noiseless(renderer, 16))
+    assert expected["psnr_standard_error"] == 0
+    assert scores["views_at_least"] == expected["views_at_least"] == 0
+    assert scores["psnr"] == pytest.approx(expected["psnr"], abs=0.02)
+    assert scores["psnr_standard_error"] < 0.05
+    for name in ("psnr_pooled", "baseline_white"):
+        assert scores[name] == pytest.approx(expected[name], abs=0.02)
+    assert scores["psnr_lit_foreground"] == pytest.approx(expected["psnr_lit_foreground"], abs=0.3)
+
+
+def test_the_standard_error_is_the_spread_of_the_score():
+    views = split(Noisy(), 4, count=400)
+    one = [{name: v[i : i + 1] for name, v in views.items() if name in ("rgba", "noise")} for i in range(400)]
+    image = Grey(0.6).image[0]
+    found = [squared_error(image, *(v[0].astype(np.float32) for v in each.values())) for each in one]
+    means = [error.mean() for error, _ in found]
+    expected = np.sqrt(np.mean([np.square(spread).sum() for _, spread in found])) / 32**2
+    assert np.std(means) == pytest.approx(expected, rel=0.15)
+
+
+def test_a_perfect_answer_scores_no_better_than_the_noise_allows_to_tell():
+    renderer = Noisy()
+    for samples in (16, 64):
         views = split(renderer, samples, count=16)
         scores = evaluate_vision(Perfect(*[renderer.truth] * 16), views)
-        assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=0.5)
-        assert scores["noise_floor_lit"] == pytest.approx(scores["psnr_lit_foreground"], abs=0.5)
+        assert scores["views_at_least"] > 12
+        assert scores["noise_floor"] + 3 < scores["psnr"] < scores["noise_floor"] + 30
         assert scores["noise_floor_lit"] < scores["noise_floor"]  # the background has no noise
 
 
-def test_four_times_the_samples_are_six_decibels():
-    floors = [float(np.mean(psnr(split(Noisy(), n)["noise"][:, 0]))) for n in (16, 64)]
-    assert floors[1] - floors[0] == pytest.approx(10 * np.log10(4), abs=0.3)
+def test_four_times_the_samples_are_six_decibels_less_noise():
+    scores = [evaluate_vision(Grey(0.5), split(Noisy(), n)) for n in (16, 64)]
+    assert scores[1]["noise_floor"] - scores[0]["noise_floor"] == pytest.approx(10 * np.log10(4), abs=0.3)
 
 
-def test_views_without_light_have_no_lit_noise():
-    dark = np.zeros((4, 4, 4), np.float32)
-    assert estimate_noise(dark, dark) == (0.0, 0.0)
+def test_views_without_light_have_no_lit_score():
+    views = noiseless(Noisy(), 2)
+    views["rgba"][..., :3] = 0
+    assert "noise_floor_lit" not in (scores := evaluate_vision(Grey(0.5), views))
+    assert "psnr_lit_foreground" not in scores
 
 
 @pytest.fixture(scope="module")
@@ -105,13 +147,18 @@ def table():
     return Scene(TexturedMesh(*solid, vertex_colors=colors))
 
 
-def test_the_noise_of_path_traced_views_is_their_error_against_the_converged(table):
+def test_scores_of_path_traced_views_are_those_of_converged_ones(table):
     renderer = MitsubaRenderer(table)
-    views = split(renderer, 16, count=3)
+    views = split(renderer, 64, count=3)
     shown = zip(views["camera_to_world"], views["light"])
     truth = [renderer.render(pose, light, SMALL, 1024, 1) for pose, light in shown]
-    scores = evaluate_vision(Perfect(*truth), views)
-    assert scores["noise_floor"] == pytest.approx(scores["psnr"], abs=1.5)
+    darker = [image * [0.8, 0.8, 0.8, 1] for image in truth]
+    still = {"rgba": np.float16(truth), "noise": np.zeros((3, 1, 1, 4))}
+    plain = {name: value for name, value in views.items() if name != "noise"}
+    expected, noisy = (evaluate_vision(Perfect(*darker), views | still), evaluate_vision(Perfect(*darker), plain))
+    scores = evaluate_vision(Perfect(*darker), views)
+    assert abs(scores["psnr"] - expected["psnr"]) < scores["psnr_standard_error"] < 0.8
+    assert abs(noisy["psnr"] - expected["psnr"]) > 1
 
 
 def test_tiles_are_cut_from_whole_views(table):
