@@ -176,7 +176,10 @@ class Shaded:
 def noise(workspace: str, key: str) -> dict:
     """Score the views of an Object File in this process, against test views of few and of many samples."""
     torch.set_num_threads(1)
-    build, config = Build(key, workspace), params.settings(RenderViewsConfig, params.read(Path(workspace) / "params.yaml"))
+    build, config = (
+        Build(key, workspace),
+        params.settings(RenderViewsConfig, params.read(Path(workspace) / "params.yaml")),
+    )
     scene = Scene(load_mesh(build.visual, "y", AS_STORED))
     renderer, whole = make_renderer(config.renderer, scene), Intrinsics.square(config.resolution)
     frames = Frames.views(config.test, whole, np.random.default_rng(0))

@@ -80,13 +80,15 @@ def fit(
     """
     optimizer = optimizer or make_default_adam(net)
     steps, evaluations = settings.steps, settings.evaluations
+    parameters = list(net.parameters())
     marks = {round((i + 1) * steps / evaluations) for i in range(evaluations)}
 
     def advance(state: TrainingState[CurvePoint]) -> CurvePoint | None:
         step = state.units + 1
         for group in optimizer.param_groups:
             group["lr"] = settings.rate(step, group.get("relative_rate", 1))
-        net.zero_grad(set_to_none=True)
+        for parameter in parameters:  # a tenth of the time of a small net's step less than its zero_grad
+            parameter.grad = None
         loss = batch_loss()
         loss.backward()
         optimizer.step()

@@ -32,7 +32,7 @@ class Siren(nn.Module):
         """Evaluate the layers; (N, inputs) to (N, widths[-1])."""
         for layer in self.layers:
             # Weights are fewer than the outputs of a batch.
-            weight, bias = (self.frequency * parameter for parameter in layer.parameters())
+            weight, bias = self.frequency * layer.weight, self.frequency * layer.bias
             x = torch.sin(F.linear(x, weight, bias))
         return x
 

@@ -71,9 +71,7 @@ def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[s
     return scores
 
 
-def squared_error(
-    image: np.ndarray, rgba: np.ndarray, noise: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def squared_error(image: np.ndarray, rgba: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Estimate the squared error of an image against a view without noise, per pixel.
 
     The image (H, W, 3) is in sRGB on white, the view (H, W, 4) linear: the mean of two independent renders,

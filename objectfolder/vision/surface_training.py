@@ -21,6 +21,7 @@ from objectfolder.vision.net_settings import SurfaceConfig, VisionConfig
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.surface_net import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.trace import trace
+from objectfolder.vision.truth import TILES_PER_LIGHT
 from objectfolder.vision.vectors import take_rows
 
 # Weight of errors of the shading normal, relative to those of the colour. A detailed texture takes most of
@@ -184,15 +185,21 @@ def _gather(
 ) -> _Pixels:
     """Sample about ``count`` pixels, equally many per image; dark ones with lower probability."""
     share, parts = -(-count // len(views["rgba"])), []
-    seen_by = views["camera_to_world"], views["light"], image_intrinsics(views)
-    for rgba, pose, light, intrinsics in zip(views["rgba"], *seen_by):
-        rows, columns = np.nonzero(rgba[..., 3] >= MIN_FOREGROUND_ALPHA)
-        samples = trace(surface, *camera_rays(pose, intrinsics, np.stack([columns, rows], 1) + 0.5), light)
+    every, poses, parts_of = views["rgba"], views["camera_to_world"], image_intrinsics(views)
+    for group in _same_light(views["light"]):
+        light = views["light"][group[0]]
+        image, rows, columns = np.nonzero(every[group, ..., 3] >= MIN_FOREGROUND_ALPHA)
+        rays = []
+        for k, i in enumerate(group):
+            pixels = np.stack([columns[image == k], rows[image == k]], 1) + 0.5
+            rays.append(camera_rays(poses[i], parts_of[i], pixels))
+        samples = trace(surface, *(np.concatenate(each) for each in zip(*rays)), light)
         ray = samples.ray.numpy()  # NumPy takes a tensor of one element for a number
-        row, column = rows[ray], columns[ray]
-        state = np.zeros(rgba.shape[:2], np.int8)
-        state[row, column] = 1 + samples.lit.numpy()
-        chosen = np.flatnonzero((maximum_filter(state, 3) == minimum_filter(state, 3))[row, column])
+        place = image[ray], rows[ray], columns[ray]
+        state = np.zeros((len(group), *every.shape[1:3]), np.int8)
+        state[place] = 1 + samples.lit.numpy()
+        window = (1, 3, 3)
+        chosen = np.flatnonzero((maximum_filter(state, window) == minimum_filter(state, window))[place])
         if not len(chosen):
             continue
         samples = samples.select(torch.from_numpy(chosen))
@@ -203,7 +210,7 @@ def _gather(
         # rendered pixel would prefer those with bright noise.
         expected = direct + base_color * baked.radiosity.gather(samples, l)
         chance = np.where(expected.amax(1).numpy() > DARK, 1, dark_share)
-        picked = rng.choice(len(chosen), min(share, len(chosen)), replace=False, p=chance / chance.sum())
+        picked = np.concatenate([_pick(own, chance, share, rng) for own in _split(image[ray[chosen]])])
         kept = torch.from_numpy(picked)
         samples = samples.select(kept)
         base_color, normals, direct = (take_rows(v, kept) for v in (base_color, normals, direct))
@@ -211,8 +218,8 @@ def _gather(
         mirrored = net.mirrored(baked, samples, l, base_color, normals)
         inputs = net.bounce_inputs(samples, l, normals, direct, gathered, mirrored)
         bounced = inputs.features.half(), inputs.gathered, inputs.mirrored
-        seen = chosen[picked]
-        target = rgba[row[seen], column[seen], :3].astype(np.float32).clip(max=1)
+        seen = tuple(each[chosen[picked]] for each in place)
+        target = every[group[0] : group[-1] + 1][seen][:, :3].astype(np.float32).clip(max=1)
         parts.append((*bounced, base_color, direct, torch.from_numpy(target), samples.points))
     if not parts:
         raise ObjectFolderError(
@@ -222,6 +229,26 @@ def _gather(
     features, gathered, mirrored, base_color, direct, colors, points = (torch.cat(p) for p in zip(*parts))
     known = BounceInputs(features, gathered, mirrored)
     return _Pixels(known, base_color, direct, colors, _corners(net.transport, points))
+
+
+def _same_light(lights: np.ndarray) -> list[np.ndarray]:
+    """Return consecutive images with the same light, at most `TILES_PER_LIGHT` together, as indices."""
+    changes = np.flatnonzero((np.diff(lights, axis=0) != 0).any(1)) + 1
+    runs = np.split(np.arange(len(lights)), changes)
+    return [
+        run[start : start + TILES_PER_LIGHT] for run in runs for start in range(0, len(run), TILES_PER_LIGHT)
+    ]
+
+
+def _split(groups: np.ndarray) -> list[np.ndarray]:
+    """Return the positions of each number in an ascending array."""
+    return np.split(np.arange(len(groups)), np.flatnonzero(np.diff(groups)) + 1)
+
+
+def _pick(rows: np.ndarray, chance: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw at most ``count`` of some rows without repetition, by the relative chance of each row."""
+    own = chance[rows]
+    return rng.choice(rows, min(count, len(rows)), replace=False, p=own / own.sum())
 
 
 def _corners(grid: HashGrid, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -155,7 +155,10 @@ def test_scores_of_path_traced_views_are_those_of_converged_ones(table):
     darker = [image * [0.8, 0.8, 0.8, 1] for image in truth]
     still = {"rgba": np.float16(truth), "noise": np.zeros((3, 1, 1, 4))}
     plain = {name: value for name, value in views.items() if name != "noise"}
-    expected, noisy = (evaluate_vision(Perfect(*darker), views | still), evaluate_vision(Perfect(*darker), plain))
+    expected, noisy = (
+        evaluate_vision(Perfect(*darker), views | still),
+        evaluate_vision(Perfect(*darker), plain),
+    )
     scores = evaluate_vision(Perfect(*darker), views)
     assert abs(scores["psnr"] - expected["psnr"]) < scores["psnr_standard_error"] < 0.8
     assert abs(noisy["psnr"] - expected["psnr"]) > 1

@@ -15,7 +15,7 @@ import numpy as np
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sound.fem.elasticity import FiniteElements
 from objectfolder.sound.fem.factorisation import Factorisation, factorise, nested_dissection
-from objectfolder.sound.fem.krylov import RESIDUAL_TOLERANCE, lowest_modes
+from objectfolder.sound.fem.krylov import RESIDUAL_TOLERANCE, LowestModes
 
 SHIFT = -((2 * np.pi * 300.0) ** 2)  # rad^2/s^2; at most, see `FreeVibration`
 EXPANSION = 30  # shifts are at most this share of the Rayleigh quotient of a uniform expansion
@@ -38,7 +38,7 @@ class Modes:
 
 
 class FreeVibration:
-    """Eigenproblem of a free solid; its factorised K - sigma M serves rough and exact solves alike."""
+    """Eigenproblem of a free solid; exact solves continue where rough ones stopped."""
 
     def __init__(self, fem: FiniteElements):
         self.fem = fem
@@ -57,6 +57,11 @@ class FreeVibration:
         shifted = self.fem.stiffness - self._shift * self.fem.mass
         return factorise(shifted.tocsr(), self._order, definite=True)
 
+    @cached_property
+    def _lowest(self) -> LowestModes:
+        shifted = self._factor.solve, self._shift
+        return LowestModes(self.fem.stiffness, self.fem.nodal_mass, *shifted, self._rigid)
+
     def count_below(self, eigenvalue: float) -> int | None:
         """Count the elastic modes below an eigenvalue by inertia; None if rounding spoiled the count."""
         matrix = (self.fem.stiffness - eigenvalue * self.fem.mass).tocsr()
@@ -71,9 +76,7 @@ class FreeVibration:
         ``wanted`` maps the eigenvalues found so far, ascending, to the number of modes that must converge.
         Returns eigenvalues (k,), rad^2/s^2, and mass-normalised vectors (3N, k).
         """
-        fem = self.fem
-        shifted = self._factor.solve, self._shift
-        return lowest_modes(fem.stiffness, fem.nodal_mass, *shifted, self._rigid, wanted, tolerance)
+        return self._lowest.find(wanted, tolerance)
 
     def modes_below(self, max_frequency: float, max_modes: int, name: str = "object") -> Modes:
         """Find the elastic modes below a frequency; see `solve_modes`."""

@@ -32,6 +32,8 @@ try:
 except ImportError:
     cholmod = None
 
+_SEPARATORS, _MANY_NODES = 5, 30_000  # separators that are tried for graphs of more nodes
+
 
 class Factorisation(Protocol):
     """Factorised symmetric matrix."""
@@ -62,7 +64,7 @@ class Pardiso:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solve for (3N,) or (3N, b) right-hand sides."""
-        return np.ascontiguousarray(self._call(33, np.asfortranarray(right, np.float64)))
+        return self._call(33, np.asfortranarray(right, np.float64))
 
     def _call(self, phase: int, right: np.ndarray) -> np.ndarray:
         """Call the library. PyPardisoSolver's own method compares and copies the matrix at every call."""
@@ -169,5 +171,8 @@ def nested_dissection(nodal_graph: sp.csr_matrix) -> np.ndarray:
     graph = nodal_graph.copy()
     graph.setdiag(0)
     graph.eliminate_zeros()
-    order = np.asarray(pymetis.nested_dissection(pymetis.CSRAdjacency(graph.indptr, graph.indices))[0])
+    # Of several separators the best: a tenth to a fifth of the operations of a large matrix.
+    options = pymetis.Options(nseps=_SEPARATORS if graph.shape[0] > _MANY_NODES else 1)
+    adjacency = pymetis.CSRAdjacency(graph.indptr, graph.indices)
+    order = np.asarray(pymetis.nested_dissection(adjacency, options=options)[0])
     return (3 * order[:, None] + np.arange(3)).ravel()

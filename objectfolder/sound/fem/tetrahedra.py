@@ -31,6 +31,9 @@ from objectfolder.sound.fem.elasticity import (
 ENVELOPE = 5e-4  #: allowed distance of the mesh from the surface, in bounding-box diagonals
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])  # their midpoints are nodes 5 to 10
 _SIMPLIFIED = 0.2  # share of the envelope by which the surface is simplified before: fTetWild takes minutes
+# Of the worst tetrahedron, at which optimisation stops: 3 is regular. fTetWild's own is 10; at 30 it takes two
+# thirds of the time, and of the unknowns, and the lowest frequencies change by 0.1 to 0.6 %.
+_STOP_ENERGY = 30.0
 _SEARCHED = 32  # nearest centroids among which a point's tetrahedron is searched
 
 
@@ -65,7 +68,7 @@ class Tetrahedra(Solid):
 
     @override
     def assemble(self, material: Material, scale: float) -> FiniteElements:
-        points, weights = _quadrature(3)
+        points, weights = _quadrature(2)  # exact for products of strains, which are linear
         rigidity = elasticity(material)
         volumes = self._volumes * scale**3
         stiffness = np.zeros((self.elements, 30, 30))
@@ -74,6 +77,7 @@ class Tetrahedra(Solid):
             strain = strain_displacement(slope)
             stress = np.einsum("ij,ejk->eik", rigidity, strain)
             stiffness += (weight * volumes)[:, None, None] * (strain.transpose(0, 2, 1) @ stress)
+        points, weights = _quadrature(3)
         shapes = _shapes(points)
         mass = material.density * (shapes.T * weights) @ shapes
         return FiniteElements.of(
@@ -119,6 +123,7 @@ def tetrahedra(
             *plain,
             edge_length_abs=1 / resolution,
             epsilon=envelope,
+            stop_energy=_STOP_ENERGY,
             num_threads=1,
         )
     cells = cells.astype(np.int64)

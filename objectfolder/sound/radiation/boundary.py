@@ -205,7 +205,12 @@ class Boundary:
         for part, wave, turned, still in ((out.real, cosine, sine, 1), (out.imag, sine, -cosine, 0)):
             slope = (still - wave - z * turned) / r
             bend = ((3 - z * z) * wave + 3 * (z * turned - still)) * near.both
-            rest = wave - still, slope * near.outward, -slope * near.towards, -(bend / r + slope * near.aligned) / r
+            rest = (
+                wave - still,
+                slope * near.outward,
+                -slope * near.towards,
+                -(bend / r + slope * near.aligned) / r,
+            )
             for integral, each in zip(part, rest, strict=True):
                 integral[:] = (share * each).sum(0)
         out.real += near.static

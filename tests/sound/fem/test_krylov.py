@@ -5,7 +5,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 from refusals import refused
 
-from objectfolder.sound.fem.krylov import lowest_modes
+from objectfolder.sound.fem.krylov import LowestModes
 
 NODES = 400
 
@@ -26,7 +26,7 @@ def strings():
 def solve(strings, known, number, shift=-1e-5):
     stiffness, nodal, mass, _, vectors = strings
     factor = sla.splu((stiffness - shift * mass).tocsc())
-    return lowest_modes(stiffness, nodal, factor.solve, shift, vectors[:, :known], lambda found: number)
+    return LowestModes(stiffness, nodal, factor.solve, shift, vectors[:, :known]).find(lambda found: number)
 
 
 @pytest.mark.parametrize("number", [1, 7, 60, 200, 500, 1197])
@@ -45,16 +45,29 @@ def test_what_does_not_converge_is_refused(strings):
     """The answers of a solver that are nothing but rounding."""
     stiffness, nodal, _, _, vectors = strings
     rng = np.random.default_rng(0)
-    refused(
-        r"^4 modes of 1200 unknowns do not converge in \d+ vectors",
-        lowest_modes,
-        stiffness,
-        nodal,
-        lambda b: rng.normal(size=b.shape),
-        -1e-5,
-        vectors[:, :3],
-        lambda found: 4,
-    )
+    search = LowestModes(stiffness, nodal, lambda b: rng.normal(size=b.shape), -1e-5, vectors[:, :3])
+    refused(r"^4 modes of 1200 unknowns do not converge in \d+ vectors", search.find, lambda found: 4)
+
+
+def test_a_later_request_continues_the_search(strings):
+    stiffness, nodal, mass, values, vectors = strings
+    factor, solves = sla.splu((stiffness + 1e-5 * mass).tocsc()), []
+
+    def counted(right):
+        solves.append(right.shape[1])
+        return factor.solve(right)
+
+    search = LowestModes(stiffness, nodal, counted, -1e-5, vectors[:, :3])
+    rough, _ = search.find(lambda found: 5, 1e-3)
+    np.testing.assert_allclose(rough, values[3:8], rtol=1e-5)
+    first = len(solves)
+    assert search.find(lambda found: 5, 1e-3)[0].tolist() == rough.tolist()
+    assert len(solves) == first  # nothing new was needed
+    found, _ = search.find(lambda found: 60)
+    np.testing.assert_allclose(found, values[3:63], rtol=1e-8)
+    both = len(solves)
+    LowestModes(stiffness, nodal, counted, -1e-5, vectors[:, :3]).find(lambda found: 60)
+    assert both <= len(solves) - both + 1
 
 
 def test_the_known_vectors_stay_out(strings):
@@ -73,7 +86,6 @@ def test_the_wanted_number_may_depend_on_what_is_found(strings):
     stiffness, nodal, mass, values, vectors = strings
     limit = values[40] * 1.0001
     factor = sla.splu((stiffness + 1e-5 * mass).tocsc())
-    found, _ = lowest_modes(
-        stiffness, nodal, factor.solve, -1e-5, vectors[:, :3], lambda ritz: int((ritz < limit).sum()) + 1
-    )
+    search = LowestModes(stiffness, nodal, factor.solve, -1e-5, vectors[:, :3])
+    found, _ = search.find(lambda ritz: int((ritz < limit).sum()) + 1)
     assert (found < limit).sum() == (values[3:] < limit).sum()
