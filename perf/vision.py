@@ -67,7 +67,7 @@ TARGETS = {
     "training": f"{MAX_TRAINING_SECONDS:g} s, {MAX_TRAINING_MB:g} MB, "
     + ", ".join(f"{name} {limit:g} dB" for name, limit in MIN_DB.items()),
     "query": ", ".join(f"{name} {limit:g}" for name, limit in MAX_QUERY_MS.items()),
-    "noise": f"{MAX_NOISE_DB[0]:g} dB from the score at {CONVERGED_SAMPLES} samples, in the mean over objects; "
+    "noise": f"{MAX_NOISE_DB[0]:g} dB from the score at {CONVERGED_SAMPLES} samples in the mean, "
     f"{MAX_NOISE_DB[1]:g} dB at most",
 }
 OSF_SAMPLES = (64, 128)  # the paper's (supplementary E), as is the shape

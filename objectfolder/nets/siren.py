@@ -31,6 +31,7 @@ class Siren(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Evaluate the layers; (N, inputs) to (N, widths[-1])."""
         for layer in self.layers:
+            assert isinstance(layer, nn.Linear)
             # Weights are fewer than the outputs of a batch.
             weight, bias = self.frequency * layer.weight, self.frequency * layer.bias
             x = torch.sin(F.linear(x, weight, bias))

@@ -26,7 +26,9 @@ class SplineGrid(nn.Module):
         count = int(used.sum())
         row = torch.where(used, used.cumsum(0) - 1, count)
         self.register_buffer("row", row, persistent=False)
-        self.table = nn.Parameter(0.5 * torch.randn(count, channels))
+        self.table = nn.Parameter(torch.empty(count, channels))
+        if not self.table.is_meta:  # where normal numbers would import a third of torch, for nothing
+            nn.init.normal_(self.table, std=0.5)
 
     def nodes(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Compute table rows and weights of (N, 3) points; both (N, 27).

@@ -63,9 +63,9 @@ class GainsNet(nn.Module):
         self.register_buffer("amplitude", amplitude.float())
         self.grid = SplineGrid(shape.resolution, shape.channels, used)
         self.sines = Siren(3 + shape.channels, [shape.width, shape.features], shape.frequency)
-        with torch.no_grad():
+        first = self.sines.weights[0].detach()
+        if not first.is_meta:
             # Position weights are large from the start; grid features start small and grow in training.
-            first = self.sines.weights[0]
             first[:, :3].uniform_(-1 / 3, 1 / 3)
             first[:, 3:].normal_(0, 1 / (shape.frequency * math.sqrt(first.shape[1])))
         with warnings.catch_warnings():

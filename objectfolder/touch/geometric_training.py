@@ -1,6 +1,7 @@
 """Fitting of TouchNet ``geometric`` to tactile images."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -60,8 +61,13 @@ def fit_contacts(
         net.smooth(smoothing)
         return loss(train)
 
+    @cache
+    def val_loss(offset: float, smoothing: int) -> float:
+        return loss(val)
+
     def record() -> None:
-        curve.append(CurvePoint(len(curve) + 1, best_loss, loss(val), 0.0))
+        held_out = val_loss(net.depth_offset, net.smoothing)
+        curve.append(CurvePoint(len(curve) + 1, best_loss, held_out, 0.0))
         report(curve[-1])
 
     best, step = 0.0, span / 2

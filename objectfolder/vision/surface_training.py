@@ -193,7 +193,8 @@ def _gather(
         for k, i in enumerate(group):
             pixels = np.stack([columns[image == k], rows[image == k]], 1) + 0.5
             rays.append(camera_rays(poses[i], parts_of[i], pixels))
-        samples = trace(surface, *(np.concatenate(each) for each in zip(*rays)), light)
+        origins, directions = (np.concatenate(each) for each in zip(*rays, strict=True))
+        samples = trace(surface, origins, directions, light)
         ray = samples.ray.numpy()  # NumPy takes a tensor of one element for a number
         place = image[ray], rows[ray], columns[ray]
         state = np.zeros((len(group), *every.shape[1:3]), np.int8)

@@ -5,7 +5,6 @@ import pytest
 import torch
 from solids import box, join, sphere
 
-from objectfolder.base.metrics import psnr
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, image_intrinsics
 from objectfolder.vision.color import on_white

@@ -23,9 +23,9 @@ _FIRST_CHECK, _GROWTH = 2.0, 1.06  # basis size per wanted mode at the first con
 
 
 class LowestModes:
-    """Lowest eigenpairs of K u = lambda M u other than known ones, as many and as exact as they are asked for.
+    """Search for the lowest eigenpairs of K u = lambda M u other than known ones.
 
-    Later requests continue the search.
+    Later requests, for more of them or more exact ones, continue the search.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _times(nodal_mass: sp.csr_matrix, vectors: np.ndarray) -> np.ndarray:
 
 def _orthonormal(
     vectors: np.ndarray, basis: np.ndarray, nodal_mass: sp.csr_matrix, recent: np.ndarray
-) -> tuple[np.ndarray, ...]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Decompose columns by an M-orthonormal basis: vectors = basis @ inside + new @ beyond.
 
     In exact arithmetic only the last basis vectors, of which ``recent`` is M times each, have non-zero

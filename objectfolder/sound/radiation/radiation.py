@@ -179,13 +179,13 @@ def _dense(k: np.ndarray, radius: float, chosen: np.ndarray) -> np.ndarray:
 class _Node:
     """What is known at one of the equally spaced wavenumbers."""
 
-    modes: np.ndarray  # (n,) modes that are interpolated from here
-    matrix: np.ndarray  # (V, V)
-    right: np.ndarray  # (V, n)
+    modes: np.ndarray  # (n,) modes that are interpolated from here, ascending
+    matrix: np.ndarray  # (V, V), and
+    right: np.ndarray  # (V, n): `Boundary.system`
     sent: np.ndarray  # (n, C) what the modes send out
 
     def of(self, modes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return right-hand sides and what is sent out of some of the modes."""
+        """Return right-hand sides (V, m) and what is sent out (m, C) of some of the modes."""
         rows = np.searchsorted(self.modes, modes)
         return self.right[:, rows], self.sent[rows]
 
@@ -202,31 +202,27 @@ def _interpolated(
 
     ``sent`` computes that of some modes from their pressure at a wavenumber. Near the narrow resonances of
     cavities, where polynomials of degree 5 and 4 differ, the matrices are interpolated instead, whose entries
-    change smoothly everywhere.
+    change smoothly everywhere: a matrix is made in a tenth of the time.
     """
     if not chosen.any():
         return
     step, lowest = _STEP / radius, k[chosen].min()
     place = (k - lowest) / step
     below = np.floor(place).astype(int)
+
+    def solved(number: int) -> _Node:
+        near = np.flatnonzero(chosen & (abs(below - number + 0.5) < len(_NODES) / 2))
+        wavenumber = float(lowest + number * step)
+        matrix, right = boundary.system(wavenumber, slopes[:, near])
+        pressure = boundary.solve(matrix.copy(), right)
+        return _Node(near, matrix, right, sent(wavenumber, near, pressure))
+
     known: dict[int, _Node] = {}
-    for cell in np.unique(below[chosen]):
-        numbers = cell + _NODES
-        known = {number: node for number, node in known.items() if number >= numbers[0]}
-        for number in numbers:
-            if number not in known:
-                near = np.flatnonzero(chosen & (abs(below - number + 0.5) < len(_NODES) / 2))
-                wavenumber = float(lowest + number * step)
-                matrix, right = boundary.system(wavenumber, slopes[:, near])
-                pressure = boundary.solve(matrix.copy(), right)
-                known[number] = _Node(near, matrix, right, sent(wavenumber, near, pressure))
-        nodes = [known[number] for number in numbers]
-        modes = np.flatnonzero(chosen & (below == cell))
-        away = place[modes] - cell
-        left, right = lagrange(_NODES[:-1], away), lagrange(_NODES[1:], away)
-        nearer = (away < 0.5)[:, None]
-        rough = np.where(nearer, np.pad(left, ((0, 0), (0, 1))), np.pad(right, ((0, 0), (1, 0))))
-        weights = lagrange(_NODES, away)
+    for first in np.unique(below[chosen]) + _NODES[0]:
+        known = {number: known.get(number) or solved(number) for number in range(first, first + len(_NODES))}
+        nodes = list(known.values())
+        modes = np.flatnonzero(chosen & (below + _NODES[0] == first))
+        weights, rough = _weights(place[modes] - below[modes])
         fields = np.stack([node.of(modes)[1] for node in nodes])
         values, difference = (np.einsum("ns,snc->nc", w, fields) for w in (weights, weights - rough))
         errors, powers = ((abs(each[:, :-1]) ** 2).sum(1) for each in (difference, values))
@@ -234,15 +230,27 @@ def _interpolated(
         yield modes[smooth], values[smooth]
         doubtful = np.zeros(len(k), bool)
         doubtful[modes[~smooth]] = True
-        for modes in _alike(k, _SHARED_SPAN / radius, doubtful):
-            away = place[modes].mean() - numbers
+        for group in _alike(k, _SHARED_SPAN / radius, doubtful):
+            wavenumber = float(k[group].mean())
+            away = (wavenumber - lowest) / step - np.array(list(known))
             # The phase of some travel is left out of what is interpolated.
             phases = np.exp(1j * _DELAY * _STEP * away)
-            weights = (lagrange(_NODES, away[None, -_NODES[0]])[0] * phases).astype(np.complex64)
-            matrix = sum(weight * node.matrix for weight, node in zip(weights, nodes, strict=True))
-            right = sum(weight * node.of(modes)[0] for weight, node in zip(weights, nodes, strict=True))
-            wavenumber = float(k[modes].mean())
-            yield modes, sent(wavenumber, modes, boundary.solve(matrix, right))
+            shares = (_weights(away[None, -_NODES[0]])[0][0] * phases).astype(np.complex64)
+            pairs = list(zip(shares, nodes, strict=True))
+            matrix = sum(share * node.matrix for share, node in pairs)
+            right = sum(share * node.of(group)[0] for share, node in pairs)
+            yield group, sent(wavenumber, group, boundary.solve(matrix, right))
+
+
+def _weights(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the weights (n, 6) of nodes for places between the middle two, for degrees 5 and 4.
+
+    The polynomial of degree 4 goes through the five nearest nodes.
+    """
+    left, right = lagrange(_NODES[:-1], place), lagrange(_NODES[1:], place)
+    nearer = (place < 0.5)[:, None]
+    rough = np.where(nearer, np.pad(left, ((0, 0), (0, 1))), np.pad(right, ((0, 0), (1, 0))))
+    return lagrange(_NODES, place), rough
 
 
 def lagrange(nodes: np.ndarray, places: np.ndarray) -> np.ndarray:
