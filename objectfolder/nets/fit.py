@@ -87,7 +87,7 @@ def fit(
         step = state.units + 1
         for group in optimizer.param_groups:
             group["lr"] = settings.rate(step, group.get("relative_rate", 1))
-        for parameter in parameters:  # a tenth of the time of a small net's step less than its zero_grad
+        for parameter in parameters:  # `zero_grad` would look for them at every step
             parameter.grad = None
         loss = batch_loss()
         loss.backward()
