@@ -29,7 +29,9 @@ _SHARED_SPAN = 0.04  # difference of wavenumbers, times the radius, within which
 _STEP = 1.0  # between the wavenumbers, times the radius, among which dense modes are interpolated
 _NODES = np.arange(-2, 4)  # of these wavenumbers, those around a mode: polynomials of degree 5
 _DELAY = 0.5  # radii of sound travel, whose phase is left out while matrices are interpolated
-_MIN_SAVING = 1.2  # times as many matrices, at least, that interpolation must save
+_MIN_SAVING = (
+    2.0  # times as many matrices, at least, that interpolation must save: those of all nodes are solved too
+)
 # Accepted difference, relative, of fields interpolated with degree 5 and 4
 _MAX_INTERPOLATION_ERROR = 0.0075
 
