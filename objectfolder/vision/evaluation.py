@@ -25,8 +25,8 @@ def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[s
 
     True views are path-traced and noisy. If they come with their noise, errors are those against views
     without it, see `squared_error`; ``psnr_standard_error`` is what the noise leaves uncertain of ``psnr``,
-    dB. No view counts with an error below its own standard error; ``views_at_least`` counts those within two
-    standard errors of a perfect one, whose PSNR is at least what it counts with. ``noise_floor`` and
+    dB. No view counts with an error below half of its standard error; ``views_at_least`` counts those within
+    two standard errors of a perfect one, whose PSNR is at least what it counts with. ``noise_floor`` and
     ``noise_floor_lit`` are the PSNR of the noise alone, which the SSIM contains.
     """
     errors, deviations, white, similarity, lit_errors, lit_noise, floors = ([] for _ in range(7))
