@@ -18,7 +18,7 @@ from objectfolder.base.io import read_json, write_json
 from objectfolder.benchmarks.tasks import grasp_policy, localize
 
 #: Records of rows that never fail, as their scripts stop at the first failure.
-WITHOUT_FAILURES = ("faithful", "faithful_cpu", "real_photographs", "query", "grasp_speed")
+WITHOUT_FAILURES = ("compare", "faithful", "faithful_cpu", "real_photographs", "query", "grasp_speed")
 ROWS = {"train": 80, "val": 10, "test": 10}
 RECOGNITION = {
     **{"keys": ["blue_vase", "scan"], "objects": 2, "rows": ROWS, "duplicates": {"train": {"test": 0}}},

@@ -14,6 +14,7 @@ from objectfolder.vision.query import VisionQueries
 
 _NEIGHBOURHOOD = 5  # pixels along a side, over which noise and error of a view are compared
 _NOISY = 0.05  # variance over squared error below which colours are taken as they are
+_BRIGHTEST = 2.0  # radiance at which rare bright paths are cut
 _TANGENT = 1e-6  # difference of colours below which a chord is the tangent
 
 
@@ -24,7 +25,7 @@ def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[s
     pixels that the object covers fully and whose true radiance exceeds 1 % of white.
 
     True views are path-traced and noisy. If they come with their noise, errors are those against views
-    without it, see `squared_error`; ``psnr_standard_error`` is what the noise leaves uncertain of ``psnr``,
+    without it, see `noiseless_error`; ``psnr_standard_error`` is what the noise leaves uncertain of ``psnr``,
     dB. No view counts with an error below half of its standard error; ``views_at_least`` counts those within
     two standard errors of a perfect one, whose PSNR is at least what it counts with. ``noise_floor`` and
     ``noise_floor_lit`` are the PSNR of the noise alone, which the SSIM contains.
@@ -35,10 +36,10 @@ def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[s
     noises = truth.get("noise", np.zeros((count, 1, 1, 4), np.float16))
     for rgba, noise, pose, light, intrinsics in zip(truth["rgba"].astype(np.float32), noises, *asked):
         image = file.view(pose, light, intrinsics=intrinsics)[0]
-        error, spread = squared_error(image, rgba, noise.astype(np.float32))
+        error, spread = noiseless_error(image, rgba, noise.astype(np.float32))
         deviations.append(np.linalg.norm(spread) / spread.size)
         errors.append(max(error.mean(), deviations[-1] / 2))
-        white.append(squared_error(np.ones_like(image), rgba, noise.astype(np.float32))[0].mean())
+        white.append(noiseless_error(np.ones_like(image), rgba, noise.astype(np.float32))[0].mean())
         similarity.append(ssim(image, on_white(torch.from_numpy(rgba)).numpy()))
         lit = find_lit_foreground(rgba - abs(noise))
         lit_errors.append(error[lit])
@@ -55,7 +56,7 @@ def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[s
         "baseline_white": float(np.mean(psnr(np.array(white)))),
         "views": count,
     }
-    order = np.argsort(errors, kind="stable").tolist()
+    order = np.argsort(np.round(errors, 12), kind="stable").tolist()  # perfect ones tie
     scores |= {"best_view": order[0], "median_view": order[count // 2], "worst_view": order[-1]}
     lit_error = np.concatenate(lit_errors)
     if lit_error.size:
@@ -71,7 +72,7 @@ def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[s
     return scores
 
 
-def squared_error(image: np.ndarray, rgba: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def noiseless_error(image: np.ndarray, rgba: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Estimate the squared error of an image against a view without noise, per pixel.
 
     The image (H, W, 3) is in sRGB on white, the view (H, W, 4) linear: the mean of two independent renders,
@@ -85,9 +86,10 @@ def squared_error(image: np.ndarray, rgba: np.ndarray, noise: np.ndarray) -> tup
     noise (H, W).
     """
     answer = srgb.decode(np.asarray(image, np.float64))
-    # On white. Noise above white is kept: to clip it would make the mean too dark.
-    error = (rgba[..., :3] + (1 - rgba[..., 3:])) - answer
-    half = np.broadcast_to(noise[..., :3] - noise[..., 3:], error.shape)
+    # On white. Renders are cut well above white: to cut there would make their mean too dark.
+    renders = (view[..., :3] + (1 - view[..., 3:]) for view in (rgba + noise, rgba - noise))
+    first, second = (render.clip(max=_BRIGHTEST) for render in renders)
+    error, half = (first + second) / 2 - answer, (first - second) / 2
     around = (_NEIGHBOURHOOD, _NEIGHBOURHOOD, 1)
     variance, square = (uniform_filter(each.astype(np.float64) ** 2, around) for each in (half, error))
     noisy = variance / np.where(square > 0, square, 1)

@@ -21,12 +21,12 @@ from objectfolder.vision.net_settings import SurfaceConfig, VisionConfig
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.surface_net import CHUNK, Baked, BounceInputs, SurfaceNet, in_cube
 from objectfolder.vision.trace import trace
-from objectfolder.vision.truth import TILES_PER_LIGHT
 from objectfolder.vision.vectors import take_rows
 
 # Weight of errors of the shading normal, relative to those of the colour. A detailed texture takes most of
 # the hash grid: at weight 1 it leaves a degree of noise to normals, which grazing light shows as speckles.
 NORMALS = 5.0
+_TOGETHER = 4  # images with the same light that are traced at once: as many tiles as share one
 DARK = 0.002  # radiance below which a pixel is nearly black
 DARK_SHARE = 0.2  # sampling probability of dark pixels, relative to others
 
@@ -233,12 +233,10 @@ def _gather(
 
 
 def _same_light(lights: np.ndarray) -> list[np.ndarray]:
-    """Return consecutive images with the same light, at most `TILES_PER_LIGHT` together, as indices."""
+    """Return consecutive images with the same light, at most `_TOGETHER` of them, as indices."""
     changes = np.flatnonzero((np.diff(lights, axis=0) != 0).any(1)) + 1
     runs = np.split(np.arange(len(lights)), changes)
-    return [
-        run[start : start + TILES_PER_LIGHT] for run in runs for start in range(0, len(run), TILES_PER_LIGHT)
-    ]
+    return [run[start : start + _TOGETHER] for run in runs for start in range(0, len(run), _TOGETHER)]
 
 
 def _split(groups: np.ndarray) -> list[np.ndarray]:

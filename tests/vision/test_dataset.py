@@ -8,7 +8,7 @@ from solids import box, join, sphere
 from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.vision.cameras import Intrinsics, image_intrinsics
 from objectfolder.vision.color import on_white
-from objectfolder.vision.evaluation import evaluate_vision, squared_error
+from objectfolder.vision.evaluation import evaluate_vision, noiseless_error
 from objectfolder.vision.renderers.mitsuba import MitsubaRenderer
 from objectfolder.vision.scene import Scene
 from objectfolder.vision.truth import TILES_PER_LIGHT, Frames, render_frames
@@ -110,7 +110,7 @@ def test_the_standard_error_is_the_spread_of_the_score():
     views = split(Noisy(), 4, count=400)
     one = [{name: v[i : i + 1] for name, v in views.items() if name in ("rgba", "noise")} for i in range(400)]
     image = Grey(0.6).image[0]
-    found = [squared_error(image, *(v[0].astype(np.float32) for v in each.values())) for each in one]
+    found = [noiseless_error(image, *(v[0].astype(np.float32) for v in each.values())) for each in one]
     means = [error.mean() for error, _ in found]
     expected = np.sqrt(np.mean([np.square(spread).sum() for _, spread in found])) / 32**2
     assert np.std(means) == pytest.approx(expected, rel=0.15)
