@@ -27,12 +27,10 @@ _MOTION_EDGE = 0.5  # of a triangle's edge, on which modes' motions are read fro
 _EXTRA_ORDERS = 4  # orders of harmonics beyond the wavenumber times the radius
 _SHARED_SPAN = 0.04  # difference of wavenumbers, times the radius, within which modes share a matrix
 _STEP = 1.0  # between the wavenumbers, times the radius, among which dense modes are interpolated
-_NODES = np.arange(-2, 4)  # of these wavenumbers, those around a mode: polynomials of degree 5
+_NODES = np.arange(-3, 5)  # of these wavenumbers, those around a mode: polynomials of degree 7
 _DELAY = 0.5  # radii of sound travel, whose phase is left out while matrices are interpolated
-_MIN_SAVING = (
-    2.0  # times as many matrices, at least, that interpolation must save: those of all nodes are solved too
-)
-# Accepted difference, relative, of fields interpolated with degree 5 and 4
+_MIN_SAVING = 2.0  # times as many matrices, at least, that interpolation must save; nodes are solved too
+# Accepted difference, relative, of fields interpolated with degree 7 and 6
 _MAX_INTERPOLATION_ERROR = 0.0075
 
 
@@ -203,8 +201,8 @@ def _interpolated(
     """Yield modes, and what they send out, (n, C), interpolated between equally spaced wavenumbers.
 
     ``sent`` computes that of some modes from their pressure at a wavenumber. Near the narrow resonances of
-    cavities, where polynomials of degree 5 and 4 differ, the matrices are interpolated instead, whose entries
-    change smoothly everywhere: a matrix is made in a tenth of the time.
+    cavities, where polynomials of degree 7 and 6 differ halfway between two nodes, the matrices are
+    interpolated instead, whose entries change smoothly everywhere: a matrix is made in a tenth of the time.
     """
     if not chosen.any():
         return
@@ -219,14 +217,16 @@ def _interpolated(
         pressure = boundary.solve(matrix.copy(), right)
         return _Node(near, matrix, right, sent(wavenumber, near, pressure))
 
+    halfway = np.array([0.5])
+    doubt = lagrange(_NODES, halfway)[0] - np.append(lagrange(_NODES[:-1], halfway)[0], 0)
     known: dict[int, _Node] = {}
     for first in np.unique(below[chosen]) + _NODES[0]:
         known = {number: known.get(number) or solved(number) for number in range(first, first + len(_NODES))}
         nodes = list(known.values())
         modes = np.flatnonzero(chosen & (below + _NODES[0] == first))
-        weights, rough = _weights(place[modes] - below[modes])
         fields = np.stack([node.of(modes)[1] for node in nodes])
-        values, difference = (np.einsum("ns,snc->nc", w, fields) for w in (weights, weights - rough))
+        values = np.einsum("ns,snc->nc", lagrange(_NODES, place[modes] - below[modes]), fields)
+        difference = np.einsum("s,snc->nc", doubt, fields)
         errors, powers = ((abs(each[:, :-1]) ** 2).sum(1) for each in (difference, values))
         smooth = errors <= _MAX_INTERPOLATION_ERROR**2 * powers
         yield modes[smooth], values[smooth]
@@ -237,22 +237,11 @@ def _interpolated(
             away = (wavenumber - lowest) / step - np.array(list(known))
             # The phase of some travel is left out of what is interpolated.
             phases = np.exp(1j * _DELAY * _STEP * away)
-            shares = (_weights(away[None, -_NODES[0]])[0][0] * phases).astype(np.complex64)
+            shares = (lagrange(_NODES, away[None, -_NODES[0]])[0] * phases).astype(np.complex64)
             pairs = list(zip(shares, nodes, strict=True))
             matrix = sum(share * node.matrix for share, node in pairs)
             right = sum(share * node.of(group)[0] for share, node in pairs)
             yield group, sent(wavenumber, group, boundary.solve(matrix, right))
-
-
-def _weights(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weights (n, 6) of nodes for places between the middle two, for degrees 5 and 4.
-
-    The polynomial of degree 4 goes through the five nearest nodes.
-    """
-    left, right = lagrange(_NODES[:-1], place), lagrange(_NODES[1:], place)
-    nearer = (place < 0.5)[:, None]
-    rough = np.where(nearer, np.pad(left, ((0, 0), (0, 1))), np.pad(right, ((0, 0), (1, 0))))
-    return lagrange(_NODES, place), rough
 
 
 def lagrange(nodes: np.ndarray, places: np.ndarray) -> np.ndarray:
