@@ -26,50 +26,54 @@ def evaluate_vision(file: VisionQueries, truth: dict[str, np.ndarray]) -> dict[s
 
     True views are path-traced and noisy. If they come with their noise, errors are those against views
     without it, see `noiseless_error`; ``psnr_standard_error`` is what the noise leaves uncertain of ``psnr``,
-    dB. No view counts with an error below half of its standard error; ``views_at_least`` counts those within
+    dB. Nothing counts with an error below half of its standard error; ``views_at_least`` counts those within
     two standard errors of a perfect one, whose PSNR is at least what it counts with. ``noise_floor`` and
     ``noise_floor_lit`` are the PSNR of the noise alone, which the SSIM contains.
     """
-    errors, deviations, white, similarity, lit_errors, lit_noise, floors = ([] for _ in range(7))
-    count = len(truth["rgba"])
+    errors, deviations, white, similarity, lit, floors = ([] for _ in range(6))
+    views = truth["rgba"].astype(np.float32)
+    noises = truth.get("noise", np.zeros_like(views)).astype(np.float32)
     asked = truth["camera_to_world"], truth["light"], image_intrinsics(truth)
-    noises = truth.get("noise", np.zeros((count, 1, 1, 4), np.float16))
-    for rgba, noise, pose, light, intrinsics in zip(truth["rgba"].astype(np.float32), noises, *asked):
+    for rgba, noise, pose, light, intrinsics in zip(views, noises, *asked):
         image = file.view(pose, light, intrinsics=intrinsics)[0]
-        error, spread = noiseless_error(image, rgba, noise.astype(np.float32))
-        deviations.append(np.linalg.norm(spread) / spread.size)
-        errors.append(max(error.mean(), deviations[-1] / 2))
-        white.append(noiseless_error(np.ones_like(image), rgba, noise.astype(np.float32))[0].mean())
+        error, spread = noiseless_error(image, rgba, noise)
+        halves = (on_white(torch.from_numpy(half)).numpy() for half in (rgba + noise, rgba - noise))
+        variance = np.square(np.subtract(*halves)).mean(-1) / 4
+        mean, deviation = _pooled(error, spread)
+        errors.append(mean)
+        deviations.append(deviation)
+        floors.append(variance.mean())
+        white.append(noiseless_error(np.ones_like(image), rgba, noise)[0].mean())
         similarity.append(ssim(image, on_white(torch.from_numpy(rgba)).numpy()))
-        lit = find_lit_foreground(rgba - abs(noise))
-        lit_errors.append(error[lit])
-        if "noise" in truth:
-            halves = (on_white(torch.from_numpy(rgba + sign * noise)) for sign in (1, -1))
-            variance = np.square(np.subtract(*(half.numpy() for half in halves))).mean(-1) / 4
-            floors.append(variance.mean())
-            lit_noise.append(variance[lit])
+        chosen = find_lit_foreground(rgba - abs(noise))
+        lit.append(np.stack([error[chosen], spread[chosen], variance[chosen]]))
     scores = {
         "psnr": float(np.mean(psnr(np.array(errors)))),
-        "psnr_pooled": float(psnr(np.mean(errors))),
-        "psnr_worst": float(psnr(np.max(errors))),
+        "psnr_pooled": float(psnr(float(np.mean(errors)))),
+        "psnr_worst": float(psnr(max(errors))),
         "ssim": float(np.mean(similarity)),
         "baseline_white": float(np.mean(psnr(np.array(white)))),
-        "views": count,
+        "views": len(errors),
     }
     order = np.argsort(np.round(errors, 12), kind="stable").tolist()  # perfect ones tie
-    scores |= {"best_view": order[0], "median_view": order[count // 2], "worst_view": order[-1]}
-    lit_error = np.concatenate(lit_errors)
+    scores |= {"best_view": order[0], "median_view": order[len(order) // 2], "worst_view": order[-1]}
+    lit_error, lit_spread, lit_variance = np.concatenate(lit, axis=1)
     if lit_error.size:
-        scores["psnr_lit_foreground"] = float(psnr(lit_error.mean()))
-    if floors:
-        error, deviation = np.array(errors), np.array(deviations)
-        relative = np.divide(deviation, error, out=np.zeros(count), where=error > 0)
-        scores["psnr_standard_error"] = float(10 / np.log(10) * np.linalg.norm(relative) / count)
-        scores["views_at_least"] = int((error < 2 * deviation).sum())
+        scores["psnr_lit_foreground"] = float(psnr(_pooled(lit_error, lit_spread)[0]))
+    if "noise" in truth:
+        relative = np.array(deviations) / np.maximum(errors, 1e-20)
+        scores["psnr_standard_error"] = float(10 / np.log(10) * np.linalg.norm(relative) / len(errors))
+        scores["views_at_least"] = int((relative > 0.5).sum())
         scores["noise_floor"] = float(np.mean(psnr(np.array(floors))))
         if lit_error.size:
-            scores["noise_floor_lit"] = float(psnr(np.concatenate(lit_noise).mean()))
+            scores["noise_floor_lit"] = float(psnr(lit_variance.mean()))
     return scores
+
+
+def _pooled(error: np.ndarray, spread: np.ndarray) -> tuple[float, float]:
+    """Return the mean of errors, at least half of its standard error, and that."""
+    deviation = float(np.linalg.norm(spread)) / spread.size
+    return max(float(error.mean()), deviation / 2), deviation
 
 
 def noiseless_error(image: np.ndarray, rgba: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -127,18 +127,13 @@ def hollow_ball():
     return even_surface(hollow.vertices, hollow.faces, 600)
 
 
-def differences(field, boundary, motion, w):
-    """Relative differences of the fields of modes from those of each mode alone, whose matrix is its own."""
-    errors = []
-    for mode, found in enumerate(field.coefficients):
-        one = radiate_motion(boundary, motion[:, mode : mode + 1], w[mode : mode + 1], RADIUS)
-        exact = np.pad(one.coefficients[0], (0, len(found) - one.coefficients.shape[1]))
-        errors.append(np.linalg.norm(found - exact) / np.linalg.norm(exact))
-    return np.array(errors)
-
-
-@pytest.mark.parametrize(("hollow", "fewest", "most"), [(False, 0, 40), (True, 50, 70)])
-def test_dense_modes_are_interpolated_and_those_near_a_resonance_solved(rng, calls, hollow, fewest, most):
+@pytest.mark.parametrize(
+    ("hollow", "fewest", "most", "median"), [(False, 0, 55, 0.01), (True, 60, 75, 0.002)]
+)
+def test_fields_of_dense_modes_are_interpolated_and_near_resonances_matrices(
+    rng, calls, monkeypatch, hollow, fewest, most, median
+):
+    monkeypatch.setattr("objectfolder.sound.radiation.radiation._SHARED_SPAN", 1e-6)
     ball = trimesh.creation.icosphere(2, RADIUS)
     boundary = Boundary(*(hollow_ball() if hollow else (ball.vertices, ball.faces)))
     motion = rng.normal(size=(len(boundary), 60))
@@ -146,22 +141,13 @@ def test_dense_modes_are_interpolated_and_those_near_a_resonance_solved(rng, cal
     field = radiate_motion(boundary, motion, w, RADIUS)
     assert calls["system"] < 15
     assert fewest < calls["solve"] < most
-    errors = differences(field, boundary, motion, w)
-    assert np.median(errors) < 0.01
-    assert np.quantile(errors, 0.9) < 0.05  # beside a resonance, even modes that share a matrix differ
-
-
-def test_interpolated_matrices_are_exact_where_fields_cannot_be_interpolated(rng, calls, monkeypatch):
-    monkeypatch.setattr("objectfolder.sound.radiation.radiation._SHARED_SPAN", 1e-6)
-    monkeypatch.setattr("objectfolder.sound.radiation.radiation._MAX_INTERPOLATION_ERROR", 0.0)
-    boundary = Boundary(*hollow_ball())
-    motion = rng.normal(size=(len(boundary), 40))
-    w = np.sort(rng.uniform(3.5, 6.0, 40)) / RADIUS * SOUND_SPEED
-    field = radiate_motion(boundary, motion, w, RADIUS)
-    assert calls["system"] < 15 < 40 < calls["solve"]
-    errors = differences(field, boundary, motion, w)
-    assert np.median(errors) < 0.002
-    assert errors.max() < 0.02
+    errors = []
+    for mode, found in enumerate(field.coefficients):
+        one = radiate_motion(boundary, motion[:, mode : mode + 1], w[mode : mode + 1], RADIUS)
+        exact = np.pad(one.coefficients[0], (0, len(found) - one.coefficients.shape[1]))
+        errors.append(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+    assert np.median(errors) < median
+    assert np.quantile(errors, 0.9) < 0.02  # on a narrow resonance, one may be off by a tenth
 
 
 @pytest.mark.parametrize("count", [3, 4])
