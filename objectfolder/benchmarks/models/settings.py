@@ -1,7 +1,7 @@
 """Settings of models and their training, sections of ``params.yaml``; imports no torch."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Interval, MultipleOf
 
@@ -51,6 +51,14 @@ class TrainingConfig:
     weight_decay: NonNegative = 0.01
     patience: Count  #: epochs without a better validation score after which training stops
     seeds: Count = 1  #: runs whose mean is the result
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchFrameConfig:
+    """Setting of tasks that ask what is touched, not where or how."""
+
+    #: Touches as the sensor's images, or as the shape of its gel, as at one depth and upright.
+    touch_frame: Literal["sensor", "own"] = "sensor"
 
 
 @section("reach")

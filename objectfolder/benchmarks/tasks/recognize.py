@@ -10,7 +10,7 @@ from annotated_types import Interval
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.settings import Count, section
 from objectfolder.benchmarks.datasets.splits import Split
-from objectfolder.benchmarks.models.settings import TrainingConfig
+from objectfolder.benchmarks.models.settings import TouchFrameConfig, TrainingConfig
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
 from objectfolder.benchmarks.tasks.task import Objects, Task, Variant
 from objectfolder.workspace.layout import MODALITIES
@@ -24,7 +24,7 @@ REPEATED_MATERIALS = "repeat an input of their material, and were dropped where 
 
 @section("recognize")
 @dataclass(frozen=True, kw_only=True)
-class RecognizeConfig(TrainingConfig):
+class RecognizeConfig(TrainingConfig, TouchFrameConfig):
     """Section ``recognize`` of ``params.yaml``."""
 
     epochs: Count = 5
