@@ -103,7 +103,8 @@ def _calibration(
     changes, displacements = [], []
     for radius in np.exp(rng.uniform(*np.log(RADII), BALLS)):
         ball = BallModel(profile, float(radius))
-        pose = rng.uniform((0, 0, 0.1 * deepest), (profile.height, profile.width, deepest))
+        least, most = np.array([[0, 0, 0.1 * deepest], [profile.height, profile.width, deepest]])
+        pose = rng.uniform(least, most)
         moved = ball.displacement(pose)
         changes.append(_averaged(ball.optics.change(moved), size))
         displacements.append(1e3 * _averaged(moved, size))
