@@ -15,6 +15,8 @@ from objectfolder.workspace.layout import MODALITIES
 
 #: Rows of reconstruction, in their order; touches are not in the paper.
 NAMES = {"average_shape": "average shape", "V": "image", "A": "audio", "T": "", "VA": "image + audio"}
+#: Scores and their decimals, in the order of columns.
+COLUMNS = {"iou": 4, "chamfer_l1": 4, "chamfer_cm": 2, "normal_consistency": 4}
 #: Rows of reconstruction below the paper's, and what they are.
 KNOWN_SHAPES = {
     "similar_view": "known object with the most similar view",
@@ -54,12 +56,12 @@ def _table(split: str, scores: Mapping[str, Any]) -> tables.Table:
     names = NAMES | KNOWN_SHAPES | {"T": f"{scores['touches']} touches"}
     for kind in [*NAMES, *(name for name in KNOWN_SHAPES if name in scores)]:
         score = scores[kind]
-        ours = [tables.format_figure(score.get(name)) for name in ("iou", "chamfer_l1", "normal_consistency")]
+        ours = [tables.format_figure(score.get(name), digits) for name, digits in COLUMNS.items()]
         ours[0] += tables.format_interval(score, 1, ".4f") if "interval_95" in score else ""
         rows.append((names[kind], *ours))
     return tables.Table(
         f"3D reconstruction, {split} objects",
-        ("from", "IoU", "Chamfer-L1", "normal consistency"),
+        ("from", "IoU", "Chamfer-L1", "Chamfer-L1, cm", "normal consistency"),
         rows,
         f"{counts['train']} rows to train with; of each object the first {scores['views']} for validation "
         f"and for the test, {counts['val']} and {counts['test']} in all; "
