@@ -19,8 +19,8 @@ from rich.table import Table
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import atomic, read_json
+from objectfolder.benchmarks.reporting.published import RETRIEVAL
 from objectfolder.benchmarks.run import list_tasks
-from objectfolder.benchmarks.tasks import retrieve
 from objectfolder.workspace.layout import Benchmarks
 
 #: Least accuracy; those of several modalities are the paper's.
@@ -92,13 +92,13 @@ def missed(results: Mapping[str, dict[str, Any]]) -> Iterator[str]:
             if measured[name] < least:
                 yield f"{name} recognized {100 * measured[name]:.1f} %, target {100 * least:g} %"
     if found := scores("retrieve", "seen").get("directions"):
-        for direction, (paper, _) in retrieve.RETRIEVAL.items():
+        for direction, (paper, _) in RETRIEVAL.figures.items():
             least = RETRIEVED.get(direction, paper)
             score = found[direction]
             if score["map"] < least:
                 yield f"{direction} retrieved {score['map']:.3f}, target {least:g}"
     if found := scores("retrieve", "unseen").get("directions"):
-        for direction in retrieve.RETRIEVAL:
+        for direction in RETRIEVAL.figures:
             score = found[direction]
             if score["map"] <= score["cca"]:
                 yield f"{direction} of unseen objects {score['map']:.3f}, CCA {score['cca']:.3f}"

@@ -49,10 +49,12 @@ def score(
 ) -> None:
     """Show how often OURS was preferred, by material, with Wilson's 95 % intervals."""
     from objectfolder.benchmarks.listening import preferences
+    from objectfolder.benchmarks.reporting.published import LISTENING
 
     scores = preferences(results, study)
     title = f"{scores.method} preferred by {plural(scores.listeners, 'listener')} "
-    table = Table(title=Text(title + "(chance: 50 %; the paper's simulation: 42 %)"))
+    paper = f"the paper's simulation: {LISTENING.cells('simulation')[0]} %, {LISTENING.source}"
+    table = Table(title=Text(f"{title}(chance: 50 %; {paper})"))
     for name in ("material", "answers", "preferred", "95 % interval"):
         table.add_column(name, justify="left" if name == "material" else "right")
     for material, one in (*scores.materials.items(), (None, scores.total)):

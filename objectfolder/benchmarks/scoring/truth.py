@@ -30,6 +30,7 @@ class Truth:
 
     surfaces: Mapping[str, Callable[[], Isosurface]]  #: loads the stored surface by key, in label order
     digests: Mapping[str, str]  #: of the Object Files by key
+    sides: Mapping[str, float]  #: longest sides by key, metres
     points: int  #: for the IoU, and on each surface
     resolution: int  #: nodes along a side of the grid
     seed: int
@@ -69,8 +70,16 @@ class Truth:
 
     def floor(self, labels: Sequence[int] | np.ndarray) -> dict[str, float]:
         """Return the mean surface scores of a second sample of objects: those of a perfect prediction."""
-        scores = [self.reference(int(label))[1] for label in labels]
-        return dict(zip(("chamfer_l1", "normal_consistency"), np.mean(scores, 0).tolist()))
+        return self._means(np.array([self.reference(int(label))[1] for label in labels]), labels)
+
+    def _means(self, surfaces: np.ndarray, labels: Sequence[int] | np.ndarray) -> dict[str, float]:
+        """Average surface scores (N, 2) of objects; the distance also in centimetres."""
+        sides = 100 * np.array([self.sides[self.keys[label]] for label in labels])
+        return {
+            "chamfer_l1": float(surfaces[:, 0].mean()),
+            "chamfer_cm": float((surfaces[:, 0] * sides).mean()),
+            "normal_consistency": float(surfaces[:, 1].mean()),
+        }
 
     def scores(
         self,
@@ -82,8 +91,9 @@ class Truth:
         """Score N predictions of objects, labels (N,); ``purpose`` seeds the points on their surfaces.
 
         ``inside`` returns which of ``occupancy.score_points`` are inside the i-th prediction, ``mesh`` its
-        vertices and faces. Returns means of ``iou``, ``chamfer_l1`` and ``normal_consistency``; ``samples``,
-        the number of predictions, of which ``empty`` have no surface; ``per_object``, IoU by key.
+        vertices and faces. Returns means of ``iou``, ``chamfer_l1``, ``chamfer_cm`` (the same distance in
+        centimetres) and ``normal_consistency``; ``samples``, the number of predictions, of which ``empty``
+        have no surface; ``per_object``, IoU by key.
         """
         iou, surfaces, empty = np.zeros(len(labels)), np.zeros((len(labels), 2)), 0
         for i, label in enumerate(labels):
@@ -92,11 +102,9 @@ class Truth:
             predicted = sample_mesh(*mesh(i), self.points, rng)
             surfaces[i] = surface_scores(predicted, self.reference(int(label))[0])
             empty += predicted is None
-        chamfer, consistency = surfaces.mean(0).tolist()
         return {
             "iou": float(iou.mean()),
-            "chamfer_l1": chamfer,
-            "normal_consistency": consistency,
+            **self._means(surfaces, labels),
             "samples": len(labels),
             "empty": empty,
             "per_object": {

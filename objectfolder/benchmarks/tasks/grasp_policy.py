@@ -4,18 +4,19 @@ from collections.abc import Mapping
 from typing import Any
 
 from objectfolder.benchmarks.models.settings import GraspPolicyConfig
+from objectfolder.benchmarks.reporting.published import GRASPING
 from objectfolder.benchmarks.reporting.tables import Table, format_rate
 from objectfolder.benchmarks.tasks.task import Task
 
-#: Rows of grasping, in their order, and the paper's success in %.
+#: Rows of grasping, in their order.
 GRASP_POLICIES = {
-    "touch": ("touch", "-"),
-    "touch_exact": ("touch, exact", "-"),
-    "tactile": ("tactile images alone", "75.5"),
-    "width": ("width alone", "-"),
-    "blind": ("blind", "-"),
-    "random": ("random actions", "53.0"),
-    "nothing": ("none", "-"),
+    "touch": "touch",
+    "touch_exact": "touch, exact",
+    "tactile": "tactile images alone",
+    "width": "width alone",
+    "blind": "blind",
+    "random": "random actions",
+    "nothing": "none",
 }
 
 
@@ -23,13 +24,13 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
     """Lay out the scores of `objectfolder.benchmarks.tasks.grasp_policy.grasp_policy` by object."""
     rows = []
     for key, score in scores.items():
-        for policy, (name, paper) in GRASP_POLICIES.items():
+        for policy, name in GRASP_POLICIES.items():
             seeds = " ".join(f"{100 * value:.1f}" for value in score[policy]["seeds"])
-            rows.append((key, name, format_rate(score[policy]), seeds, paper))
+            rows.append((key, name, format_rate(score[policy]), seeds))
     first = next(iter(scores.values()))
     return Table(
         "Grasping by touch: success in %",
-        ("object", "policy", "success", "each seed", "paper"),
+        ("object", "policy", "success", "each seed"),
         rows,
         f"{first['rollouts']} fresh rollouts per seed, at most {first['episodes']} episodes of training; in "
         "brackets the 95 % interval (Wilson) over all rollouts of these policies; how much trainings differ, "
@@ -50,6 +51,7 @@ random actions and no action. Training curves, a policy and an animation are wri
     training="objectfolder.benchmarks.tasks.grasp_policy_training:grasp_policy",
     columns=("policy", "seed", "episodes", "train_success", "val_success"),
     table=_table,
+    published=(GRASPING,),
     page="Grasping",
     robot=True,
     trains_nets=False,

@@ -130,7 +130,9 @@ def _truth(job: Job[ReconstructConfig]) -> Truth:
     observations = cast(Observations, job.observations)
     surfaces = {key: partial(_surface, observations.object_file(key), key) for key in observations.keys}
     digests = {key: record["object_sha256"] for key, record in observations.records.items()}
-    return Truth(surfaces, digests, job.params.score_points, job.params.resolution, job.seed, job.progress)
+    sides = {key: record["scale"] for key, record in observations.records.items()}
+    sizes = job.params.score_points, job.params.resolution
+    return Truth(surfaces, digests, sides, *sizes, job.seed, job.progress)
 
 
 def _surface(path: Path, key: str) -> Isosurface:

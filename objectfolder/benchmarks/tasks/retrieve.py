@@ -11,22 +11,12 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.settings import Count, Positive, section
 from objectfolder.benchmarks.datasets.splits import Split
 from objectfolder.benchmarks.models.settings import TouchFrameConfig, TrainingConfig
+from objectfolder.benchmarks.reporting.published import RETRIEVAL, UNSEEN_RETRIEVAL
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
 from objectfolder.benchmarks.tasks.task import Objects, Task
 from objectfolder.workspace.layout import MODALITIES
 
-#: Mean average precision, theirs and that of their CCA; seen objects.
-RETRIEVAL = {
-    "V->A": (0.90, 0.57),
-    "V->T": (0.50, 0.24),
-    "A->V": (0.92, 0.59),
-    "A->T": (0.55, 0.31),
-    "T->V": (0.48, 0.29),
-    "T->A": (0.64, 0.33),
-}
-#: Mean average precision of the best method of the ObjectFolder Benchmark (Gao et al., CVPR 2023), 200 unseen
-#: objects of 1,000.
-UNSEEN_RETRIEVAL = {"V->A": 0.307, "V->T": 0.124, "A->V": 0.310, "A->T": 0.090, "T->V": 0.138, "T->A": 0.154}
+DIRECTIONS = ("V->A", "V->T", "A->V", "A->T", "T->V", "T->A")
 SAME_SENSE = ("V->V", "A->A", "T->T")
 REPEATED = "repeat an input of their object, and were dropped if both inputs of a pair do"
 
@@ -59,21 +49,17 @@ def check_objects(split: Split, objects: Objects) -> None:
 
 
 def _table(split: str, scores: Mapping[str, Any]) -> Table:
-    rows, new = [], split == "unseen"
-    for direction in [*RETRIEVAL, *(name for name in SAME_SENSE if name in scores["directions"])]:
+    rows = []
+    for direction in [*DIRECTIONS, *(name for name in SAME_SENSE if name in scores["directions"])]:
         score = scores["directions"][direction]
-        paper = RETRIEVAL.get(direction)
-        papers = ("-", "-") if paper is None else (f"{paper[0]:.2f}", f"{paper[1]:.2f}")
         ours = (_map(score), _map(score["named"]), f"{score['cca']:.3f}", f"{score['chance']:.3f}")
-        unseen = UNSEEN_RETRIEVAL.get(direction)
-        rows.append((direction, *ours, *(("-" if unseen is None else f"{unseen:.3f}",) if new else papers)))
-    theirs = ("ObjectFolder Benchmark, 200 objects",) if new else ("paper", "paper's CCA")
-    columns = ("direction", "mAP", "mAP by names", "CCA", "chance", *theirs)
-    title = f"Cross-sensory retrieval, {split} objects: mean average precision"
-    note = describe_rows(scores, REPEATED)
-    if new:
-        note += " Chance among the 200 objects of the ObjectFolder Benchmark is lower." + NEW_OBJECTS
-    return Table(title, columns, rows, note)
+        rows.append((direction, *ours))
+    return Table(
+        f"Cross-sensory retrieval, {split} objects: mean average precision",
+        ("direction", "mAP", "mAP by names", "CCA", "chance"),
+        rows,
+        describe_rows(scores, REPEATED) + NEW_OBJECTS * (split == "unseen"),
+    )
 
 
 def _map(score: Mapping[str, Any]) -> str:
@@ -91,6 +77,7 @@ Mean average precision for all six directions, next to CCA, chance and the paper
     training="objectfolder.benchmarks.tasks.retrieve_training:retrieve",
     columns=("first", "second", "seed", "epoch", "train_loss", "val_map"),
     table=_table,
+    published=(RETRIEVAL, UNSEEN_RETRIEVAL),
     page="Retrieval",
     splits=("seen", "unseen"),
     samples="observations",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models.settings import EncodeConfig
+from objectfolder.benchmarks.reporting.published import Published, beside, tested_objects
 from objectfolder.benchmarks.reporting.tables import Table, describe_uncertain
 from objectfolder.workspace.params import PARAMS_FILE, read, settings, shared
 
@@ -70,6 +71,7 @@ class Task:
     training: str
     columns: tuple[str, ...]  #: of the training curves
     table: Callable[..., Table]  #: of a split and its scores or, of single objects, of scores by key
+    published: tuple[Published, ...] = ()  #: figures to put beside them
     page: str  #: that describes it: heading of docs/protocols.md
     splits: tuple[str, ...] = ()  #: empty for a task on single objects
     samples: Literal["observations", "close_ups", "grasps"] | None = None  #: None: it asks the Object File
@@ -100,20 +102,31 @@ class Task:
         encode = settings(EncodeConfig, values, path) if self.trains_nets else None
         return TaskParams(settings(self.settings, values, path), encode, shared(values, path).seed)
 
-    def tables(self, scores: Mapping[str, Scores]) -> list[Table]:
-        """Lay out scores by split, a table each, or by object, all in one.
+    def tables(self, scores: Mapping[str, Scores], published: bool = True) -> list[Table]:
+        """Lay out scores by split, a table each, or by object, all in one; with ``published`` figures.
 
         Raises ObjectFolderError if an earlier version wrote them.
         """
+        add = self.with_published if published and self.published else lambda table, *_: table
         try:
             if not self.splits:
-                return [self.table(scores)]
-            return [_with_left_out(self.table(split, found), found) for split, found in scores.items()]
+                return [add(self.table(scores), None, {})]
+            return [
+                add(_with_left_out(self.table(split, found), found), split, found)
+                for split, found in scores.items()
+            ]
         except KeyError as error:
             raise ObjectFolderError(
                 f"{self.name}, {', '.join(scores)}: it lacks {error}, so it is of an earlier version; "
                 "run it again"
             ) from error
+
+    def with_published(self, table: Table, split: str | None, scores: Mapping[str, Any]) -> Table:
+        """Put published figures beside a table, given the ``objects`` and ``rows`` of its scores."""
+        for published in self.published:
+            if published.split == split:
+                table = beside(table, published, tested_objects(split, scores) if split else None)
+        return table
 
 
 def _with_left_out(table: Table, scores: Scores) -> Table:

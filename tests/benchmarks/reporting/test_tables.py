@@ -29,6 +29,7 @@ def test_recognition_in_percent_with_its_interval_beside_chance_and_the_paper():
         **{"V": rate(0.75, 0.125, [0.5, 1.0]), "VAT": rate(1.0)},
         "chance": {"uniform": 0.5, "majority": 0.625},
         **ROWS,
+        "objects": 100,
     }
     shown = score_table("recognize", "seen", scores)
     assert cells(shown) == {
@@ -37,11 +38,17 @@ def test_recognition_in_percent_with_its_interval_beside_chance_and_the_paper():
         "chance": ("62.5", "", "", "1.0"),
     }
     assert "16 rows to train with, 2 for validation, 2 for the test" in shown.note
-    assert shown.note.endswith("dropped where nothing else is sensed: 3 of touch.")
+    source = "of 500 observations of each sense a tenth for the test (Gao et al., CoRL 2021, Table 2)."
+    assert shown.note.endswith(source)
+    assert "dropped where nothing else is sensed: 3 of touch. From the paper: accuracy" in shown.note
     lost = scores | {"untested": {"A": ["die", "mug"], "VA": ["die"]}}
-    assert score_table("recognize", "seen", lost).note.endswith("row: die (A), mug (A), die (VA).")
+    assert "row: die (A), mug (A), die (VA)." in score_table("recognize", "seen", lost).note
+    few = score_table("recognize", "seen", scores | {"objects": 2})
+    assert few.columns == ("modalities", "accuracy", "bound", "each seed")
+    assert "The paper has V 94.8, A 98.3" in few.note
+    assert "not comparable with 2 test objects here: accuracy in %, 100 objects" in few.note
     head, rule, first, *_ = shown.markdown().splitlines()
-    assert head == "| modalities | accuracy | bound | each seed | paper, 100 objects |"
+    assert head == "| modalities | accuracy | bound | each seed | paper |"
     assert rule == "| --- | --- | --- | --- | --- |"
     assert first.startswith("| V | 75.0 ± 12.5 |")
 
@@ -54,6 +61,7 @@ def test_several_touches_stand_below_the_modalities_with_their_bound():
         "touches_not_flat": {"1": rate(0.75, bound=1.0)},
         "chance": {"uniform": 0.5, "majority": 0.625},
         **ROWS,
+        "objects": 100,
     }
     shown = score_table("recognize", "seen", scores)
     assert [(row[0], *row[1:3], row[-1]) for row in shown.rows] == [
@@ -73,16 +81,21 @@ def test_materials_stand_beside_the_commonest_and_the_published():
         **{"materials": ["wood", "steel", "gold"], "left_out": ["gold"]},
         "chance": {"uniform": 0.25, "majority": 0.625},
         **ROWS,
+        "objects": 1000,
     }
     shown = score_table("materials", "unseen", scores)
-    assert shown.title.startswith("Classification of 3 materials, 2 objects, unseen")
+    assert shown.title.startswith("Classification of 3 materials, 1000 objects, unseen")
     assert cells(shown) == {
-        "V": ("50.0", "", "50.0", "92.3"),
+        "V": ("50.0", "", "50.0", "92.25"),
         "VA": ("50.0", "", "50.0", "-"),
-        "VAT": ("50.0", "", "50.0", "96.6"),
+        "VAT": ("50.0", "", "50.0", "96.60"),
         "commonest material": ("62.5", "", "", "-"),
         "chance": ("25.0", "", "", "-"),
     }
+    assert "622 of the 1,000 are of wood" in shown.note
+    seen = score_table("materials", "seen", scores)  # the benchmark has no figures of seen objects
+    assert cells(seen)["V"] == ("50.0", "", "50.0")
+    assert "Benchmark" not in seen.note
     assert "Left out, since no object for training is of it: gold. Intervals cover training" in shown.note
 
 
@@ -92,26 +105,33 @@ def test_published_figures_of_retrieval_stand_beside_their_split():
     score["named"] = {"map": 0.75, "interval_95": None}
     scores = {"directions": dict.fromkeys(names, score), **ROWS}
     ours = ("0.500", "0.750", "0.250", "0.125")
-    seen, unseen = (cells(score_table("retrieve", split, scores)) for split in ("seen", "unseen"))
+    tables = [
+        score_table("retrieve", split, scores | {"objects": objects})
+        for split, objects in (("seen", 100), ("unseen", 1000), ("unseen", 100))
+    ]
+    seen, unseen, fewer = map(cells, tables)
     assert seen["A->T"] == (*ours, "0.55", "0.31")
-    assert unseen["A->T"] == (*ours, "0.090")
-    assert (seen["V->V"], unseen["V->V"]) == ((*ours, "-", "-"), (*ours, "-"))
+    assert (unseen["A->T"], fewer["A->T"]) == ((*ours, "0.070"), ours)
+    assert (seen["V->V"], unseen["V->V"]) == ((*ours, "-", "-"), (*ours, "0.893"))
     assert "A->A" not in seen
+    assert "README.md at 9e40fde of 2024-07-26)" in tables[1].note
+    assert "not comparable with 10 test objects here" in tables[2].note
 
 
 def test_reconstruction_beside_the_average_shape():
-    score = {"iou": 0.5, "chamfer_l1": 0.02, "normal_consistency": 0.75}
+    score = {"iou": 0.5, "chamfer_l1": 0.02, "chamfer_cm": 0.25, "normal_consistency": 0.75}
     counts = {"views": 1, "touches": 4}
     scores = dict.fromkeys(("V", "A", "T", "VA", "average_shape"), score) | ROWS | counts
+    scores |= {"objects": 100}
     shown = score_table("reconstruct", "seen", scores)
     assert list(cells(shown)) == ["average shape", "image", "audio", "4 touches", "image + audio"]
-    assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.7500", "0.8729 / 0.0048 / 0.9504")
+    assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.25", "0.7500", "0.8729", "0.0048", "0.9504")
     used = "16 rows to train with; of each object the first 1 for validation and for the test, 2 and 2 in all"
     assert shown.note.startswith(used)
     known = {"similar_view": score, "perfect": {"chamfer_l1": 0.01, "normal_consistency": 0.99}}
     shown = score_table("reconstruct", "unseen", scores | known)
-    assert cells(shown)["known object with the most similar view"] == ("0.5000", "0.0200", "0.7500", "-")
-    assert cells(shown)["truth, sampled again"] == ("-", "0.0100", "0.9900", "-")
+    assert cells(shown)["known object with the most similar view"] == ("0.5000", "0.0200", "0.25", "0.7500")
+    assert cells(shown)["truth, sampled again"] == ("-", "0.0100", "-", "0.9900")
     with pytest.raises(ObjectFolderError, match="lacks 'views', so it is of an earlier version"):
         score_table("reconstruct", "seen", {name: x for name, x in scores.items() if name != "views"})
 

@@ -63,7 +63,8 @@ class Observed(MadeUp):
         rng, labels = np.random.default_rng(0), np.repeat(np.arange(len(SOLIDS)), COUNT)
         colours = 200 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])[labels]
         arrays = {name: picture(colours, 16, 5, rng) for name in ("vision", "touch")}
-        super().__init__(SOLIDS, arrays | {"audio": hum(500 * (1 + labels), rng)}, object_sha256=[*SOLIDS])
+        arrays["audio"] = hum(500 * (1 + labels), rng)
+        super().__init__(SOLIDS, arrays, object_sha256=[*SOLIDS], scale=[0.1] * len(SOLIDS))
 
     def object_file(self, key):
         return Path(key)
@@ -281,7 +282,8 @@ def test_unknown_objects_are_compared_with_known_ones(occupancy, tmp_path, untra
 def test_average_shape_is_the_mean_of_the_training_objects(occupancy, tmp_path):
     opened = {key: (lambda surface=surface: surface) for key, surface in SURFACES.items()}
     digests = {key: key for key in SOLIDS}
-    shapes = Truth(opened, digests, PARAMS.score_points, PARAMS.resolution, 0, tmp_path)
+    sides = {key: 0.05 if key == "cube" else 0.2 for key in SOLIDS}
+    shapes = Truth(opened, digests, sides, PARAMS.score_points, PARAMS.resolution, 0, tmp_path)
 
     def labels(*keys):
         return np.array([shapes.keys.index(key) for key in keys])
@@ -296,6 +298,10 @@ def test_average_shape_is_the_mean_of_the_training_objects(occupancy, tmp_path):
     candidates = [(both_ & cube).sum() / (both_ | cube).sum() for both_ in (block & slab, block | slab)]
     assert both["iou"] == pytest.approx(max(candidates))
     assert both["threshold"] == (0.05 if candidates[1] >= candidates[0] else 0.5)
+    # A tenth of 20 cm and three tenths of 5 cm.
+    found = shapes._means(np.array([(0.1, 0.9), (0.3, 0.7)]), labels("block", "cube"))
+    assert found == pytest.approx({"chamfer_l1": 0.2, "chamfer_cm": 1.75, "normal_consistency": 0.8})
+    assert same["chamfer_cm"] == pytest.approx(100 * 0.05 * same["chamfer_l1"])
 
 
 def test_best_level_by_hand():
