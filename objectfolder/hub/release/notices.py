@@ -73,6 +73,12 @@ def read_notice(mesh: Path) -> Notice | None:
     return Notice(path, **found)
 
 
+def notice_text(licence: str, author: str) -> str:
+    """Return the notice of a mesh whose licence and author are known; empty if neither is."""
+    lines = {"Licence": licence, "Attribution": author}
+    return "".join(f"{title}: {text}\n" for title, text in lines.items() if text)
+
+
 def licence_name(text: str) -> str:
     """Return the SPDX identifier of a licence such as "CC BY 4.0 (https://...)"; others as they are."""
     short = re.sub(r"[\s-]+", "-", text.partition("(")[0].strip()).lower()
