@@ -6,7 +6,7 @@ PIP_ARGS ?=
 BIN := .venv/bin
 INSTALL = $(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt $(PIP_ARGS)
 
-.PHONY: setup demo test test-slow test-extras fuzz lint docs viewer samples gltf-validate lock sbom licences clean
+.PHONY: setup demo test test-slow test-extras fuzz lint docs viewer samples gltf-validate wheel lock sbom licences clean
 
 # What a build needs. The targets below that test or check install the rest.
 setup: .venv/.build
@@ -74,6 +74,10 @@ gltf-validate: .venv/.dev
 	npm install --silent --no-save --prefix build/.npm gltf-validator@2.0.0-dev.3.10
 	$(BIN)/pytest -n $(JOBS) tests/mesh/reading/test_gltf_validator.py
 
+# What PyPI would get: dist/. Installs it with each supported Python that is here.
+wheel: .venv-supply/.tools
+	.ci/wheel $(PIP_ARGS)
+
 # Hashes of base and build for pip --require-hashes. torch is apart: its CPU build has other hashes.
 UV_LOCK = UV_CUSTOM_COMPILE_COMMAND='make lock' .venv-supply/bin/uv pip compile --quiet --no-config --universal \
   --python-version 3.11 --generate-hashes --annotation-style line -c constraints.txt
@@ -93,7 +97,8 @@ licences: .venv/.dev
 
 .venv-supply/.tools: Makefile
 	$(PYTHON) -m venv .venv-supply
-	.venv-supply/bin/pip install --quiet --disable-pip-version-check cyclonedx-bom==7.5.0 uv==0.13.9
+	.venv-supply/bin/pip install --quiet --disable-pip-version-check build==1.6.1 cyclonedx-bom==7.5.0 \
+	  twine==7.0.0 uv==0.13.9
 	touch $@
 
 .venv-lock/.installed: requirements.lock

@@ -1,5 +1,6 @@
 """Locks, licences and extras agree."""
 
+import os
 import re
 import subprocess
 import sys
@@ -57,6 +58,26 @@ def test_pins_install_on_every_python_that_the_project_allows():
     assert not [
         key for key in CONSTRAINTS.keys() & asked.keys() if not SpecifierSet(asked[key]).contains(oldest)
     ]
+
+
+def test_the_repositorys_address_is_a_placeholder_in_one_place():
+    address = PROJECT["urls"]["Repository"]
+    assert address.startswith("https://example.org/")
+    done = subprocess.run(["git", "grep", "-Il", address], capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout == "pyproject.toml\n"
+
+
+def test_workflows_and_targets_call_what_is_there():
+    """As links of the pages for contributors do."""
+    texts = [path.read_text() for path in (ROOT / ".github/workflows").iterdir()]
+    texts.append((ROOT / "Makefile").read_text())
+    called = {name for text in texts for name in re.findall(r"(?<!\S)\.ci/\w+", text)}
+    assert called == {".ci/run", ".ci/reproduce", ".ci/wheel"}
+    assert all(os.access(ROOT / name, os.X_OK) for name in called)
+    for name in ("CONTRIBUTING.md", "SECURITY.md"):
+        links = re.findall(r"\]\(([^)#]+)", (ROOT / name).read_text())
+        assert links
+        assert [link for link in links if not (ROOT / link).exists()] == []
 
 
 def test_the_lock_holds_what_base_and_build_ask_for_and_torch_is_apart():

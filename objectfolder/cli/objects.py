@@ -3,6 +3,7 @@
 import re
 from math import inf
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
@@ -83,9 +84,9 @@ def add(
     with their referenced files to data/objects/NAME, tracked with DVC and entered in params.yaml. Next:
     `objectfolder build NAME`.
 
-    In a folder, each mesh file and each subfolder with a mesh is an object. --material applies to all;
-    materials.csv (lines `name,material` or `name,material,mass`) or materials.yaml in the folder overrides it
-    by object.
+    In a folder, each mesh file and each subfolder with a mesh is an object. Options apply to all;
+    materials.csv in the folder overrides them by object: its first line names its columns, of `name`,
+    `material`, `size`, `up`, `wall`, `mass`, `licence` and `author`.
     """
     from objectfolder.workspace.discover import Candidate, discover
 
@@ -239,21 +240,27 @@ def _print_findings(findings: "list[Examination]", options: dict[str, Any]) -> N
 def _add_examined(finding: "Examination", options: dict[str, Any]) -> dict[str, Any]:
     """Add an accepted mesh, which is not loaded again; return its entry."""
     from objectfolder.engine.dvc.repository import track
+    from objectfolder.hub.release.notices import SOURCE, notice_text
     from objectfolder.workspace.objects import add_mesh
 
     candidate = finding.candidate
-    return add_mesh(
-        candidate.mesh,
-        candidate.key,
-        candidate.material or "",
-        finding.scale,
-        options["up"],
-        wall=options["wall"],
-        bridge=options["bridge"],
-        examined=True,
-        mass=candidate.mass,
-        track=track,
-    )
+    with TemporaryDirectory() as scratch:
+        notice = Path(scratch, SOURCE)
+        if text := notice_text(candidate.licence, candidate.author):
+            notice.write_text(text, encoding="utf-8")
+        return add_mesh(
+            candidate.mesh,
+            candidate.key,
+            candidate.material or "",
+            finding.scale,
+            candidate.up or options["up"],
+            attachments=[notice] if text else [],
+            wall=candidate.wall or options["wall"],
+            bridge=options["bridge"],
+            examined=True,
+            mass=candidate.mass,
+            track=track,
+        )
 
 
 def fetch(

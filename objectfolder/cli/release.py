@@ -44,6 +44,9 @@ def release(
     version: Annotated[str, typer.Option(help="Version of the dataset.")] = "1.0.0",
     date: Annotated[str | None, typer.Option(help="Date of publication, YYYY-MM-DD; default: today.")] = None,
     url: Annotated[str, typer.Option(help="Where it will be published.")] = "https://example.org",
+    draft: Annotated[
+        bool, typer.Option("--draft", help="Allow placeholders, and licences that are not of SPDX.")
+    ] = False,
     site: Annotated[bool, typer.Option("--site/--no-site", help="Add the report on its objects.")] = True,
 ) -> None:
     """Pack built objects into a folder that can be published and loaded by others; docs/dataset.md.
@@ -51,10 +54,16 @@ def release(
     It holds the Object Files, an index, a dataset card, a datasheet, Croissant metadata, licences, checksums
     and the report. In Python, `objectfolder.Dataset("DIR")` reads it.
 
-    Example: objectfolder release dataset --name "Kitchen" --creator "A. Smith" --licence CC0-1.0
+    Example: objectfolder release kitchen --name Kitchen --creator "A. Smith" --url ADDRESS --licence CC0-1.0
     """
     from objectfolder.hub.fetch.catalogue import read_catalogue
-    from objectfolder.hub.release.entries import entry_of, kept_licences, notices_of, select_keys
+    from objectfolder.hub.release.entries import (
+        check_publishable,
+        entry_of,
+        kept_licences,
+        notices_of,
+        select_keys,
+    )
     from objectfolder.hub.release.pages import describe_release
     from objectfolder.hub.release.write import write_release
     from objectfolder.objectfile.dataset import MAX_CATEGORY, MAX_TEXT
@@ -65,7 +74,7 @@ def release(
         raise ObjectFolderError(f"--version {quoted(version)}, expected three numbers such as 1.0.0")
     if not is_web_address(url):
         raise ObjectFolderError(
-            f"--url {quoted(url)}, expected an address such as https://example.org/kitchen, without password"
+            f"--url {quoted(url)}, expected an address such as https://HOST/kitchen, without password"
         )
     one_line("--name", name)
     one_line("--creator", creator)
@@ -88,6 +97,8 @@ def release(
         )
         notices = notices_of(keys, values)
         kept = kept_licences(licences[""], entries, notices) if "" in licences else ""
+        if not draft:
+            check_publishable(entries, words, notices)
         write_release(
             out, entries, words, notices, site, on_object=lambda key: status.update(f"{key} is done")
         )

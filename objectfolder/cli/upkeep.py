@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
@@ -15,7 +16,9 @@ from objectfolder.cli.files import Targets
 
 def status(
     targets: Targets = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print JSON: a list, of a running build an object.")
+    ] = False,
     check: Annotated[
         bool, typer.Option("--check", help="Exit with code 1 unless all stages are fresh.")
     ] = False,
@@ -26,7 +29,19 @@ def status(
     targets, and why it is not fresh: the changed dependency, parameter (old -> new) or module, the missing
     output, or the failure of the last build and its log. Both show the stages that `objectfolder build` with
     the same targets would bring up to date.
+
+    While a build runs, in any terminal or on a cluster: what it runs, what is done, has failed and is left.
     """
+    from objectfolder.engine.journal import read_journal
+    from objectfolder.engine.progress import print_build, print_death
+
+    build = read_journal()
+    if build and build.alive:  # it holds the lock that the rest needs
+        if as_json:
+            print(json.dumps(asdict(build), indent=1))
+        else:
+            print_build(build, console)
+        raise typer.Exit(check)
     from objectfolder.cli import statusview
     from objectfolder.engine.status import State
     from objectfolder.engine.status import status as examine
@@ -43,7 +58,10 @@ def status(
         statusview.print_details(found, console)
     else:
         statusview.print_table(found, console)
-    raise typer.Exit(check and any(one.state is not State.FRESH for one in found))
+    stale = any(one.state is not State.FRESH for one in found)
+    if build and stale and not as_json:
+        print_death(build, console)
+    raise typer.Exit(check and stale)
 
 
 def verify(

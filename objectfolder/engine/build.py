@@ -24,6 +24,7 @@ from objectfolder.engine.dvc.repository import (
     read_params,
     remove_partial_outputs,
 )
+from objectfolder.engine.journal import JOURNAL, Journal
 from objectfolder.engine.process import (
     Command,
     CommandResult,
@@ -45,6 +46,7 @@ from objectfolder.engine.schedule import Schedule, object_groups
 from objectfolder.engine.signals import StopSignals
 from objectfolder.engine.summary import (
     Disturbed,
+    Event,
     Finished,
     Listener,
     Lost,
@@ -135,7 +137,15 @@ def build(
         reported in the summary.
     """
     start = time.monotonic()
-    with open_repository(root, options.wait) as repository:
+    with (
+        open_repository(root, options.wait) as repository,
+        Journal(repository.own_files / JOURNAL.name) as journal,
+    ):
+
+        def tell(event: Event) -> None:
+            journal.add(event)
+            on_event(event)
+
         check_installed(repository.root)
         repository.remove_partial_files()
         for half in (repository.root / LOGS).glob("*.tmp*"):
@@ -152,8 +162,8 @@ def build(
         if options.timeout is not None:
             limit = options.timeout or None
             needs = {address: replace(need, timeout=limit) for address, need in needs.items()}
-        on_event(Planned({address: need.seconds for address, need in needs.items()}))
-        results = _Build(repository, graph, held, needs, options, on_event, make_workers).run()
+        tell(Planned({address: need.seconds for address, need in needs.items()}))
+        results = _Build(repository, graph, held, needs, options, tell, make_workers).run()
         if options.remember and all(result.status is StageOutcome.SKIPPED for result in results.values()):
             others = other_files(repository, graph.stages.values())
             if others is not None:

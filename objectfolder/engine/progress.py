@@ -1,4 +1,4 @@
-"""Progress of a build (live on a terminal that redraws, else one line per event), and its final summary."""
+"""Progress of a build: live on a terminal that redraws, else a line per event; of one elsewhere; summary."""
 
 import statistics
 import time
@@ -12,8 +12,9 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from objectfolder.base.errors import plural
+from objectfolder.base.errors import plural, shortened
 from objectfolder.base.terminal import Terminal
+from objectfolder.engine.journal import BuildState
 from objectfolder.engine.summary import (
     Disturbed,
     Event,
@@ -25,9 +26,9 @@ from objectfolder.engine.summary import (
     Started,
     Stopping,
     Summary,
+    Tally,
 )
 
-MIN_SHARE = 0.1  # of the planned work, after which the rest is estimated
 MAX_ROWS = 60  # of the summary table; with more results, one row per stage and outcome
 STYLES = {
     StageOutcome.RAN: "green",
@@ -40,7 +41,7 @@ STYLES = {
 UP_TO_DATE = (StageOutcome.RAN, StageOutcome.RESTORED, StageOutcome.SKIPPED)
 
 
-class Progress:
+class Progress(Tally):
     """Progress display: a listener of `objectfolder.engine.build.build` and a context manager.
 
     Parameters
@@ -52,15 +53,9 @@ class Progress:
     """
 
     def __init__(self, console: Console | None = None, task: str = "reading the pipeline"):
+        super().__init__()
         self.task = task
         self.console = console or Terminal(stderr=True)
-        self.total = 0
-        self.counts = dict.fromkeys(StageOutcome, 0)
-        self.running: dict[str, float] = {}
-        self._clock = time.monotonic()
-        # Rough seconds of the remaining stages, and of those that have run.
-        self._ahead: dict[str, float] = {}
-        self._behind = 0.0
         self._live = (
             Live(get_renderable=self._render, console=self.console, refresh_per_second=4, transient=True)
             if self.console.is_terminal and not self.console.is_dumb_terminal  # which cannot redraw lines
@@ -82,51 +77,27 @@ class Progress:
 
     def __call__(self, event: Event) -> None:
         """Show one event of the build."""
+        self.add(event)
         match event:
-            case Planned(seconds):
-                self._clock = time.monotonic()
-                self._ahead = dict(seconds)
-                self.total = len(seconds)
+            case Planned():
                 self._line(plural(self.total, "stage"))
             case Started(address):
-                self.running[address] = time.monotonic()
                 if self._live is None:
                     self._line(f"started  {address}")
             case Lost(address, reason):
-                self.running.pop(address, None)
                 self._line(f"lost     {address} {reason}; it will run again", "yellow")
             case Disturbed(address, files):
-                self.running.pop(address, None)
                 text = f"again    {address} {', '.join(files)} changed while it ran; nothing was saved"
                 self._line(text, "yellow")
             case Stopping():
                 self._line("stopping: running stages are killed, finished ones are kept", "yellow")
             case Finished(result):
-                self.running.pop(result.address, None)
-                self.counts[result.status] += 1
-                expected = self._ahead.pop(result.address, 0.0)
-                if result.status is StageOutcome.RAN:
-                    self._behind += expected
                 # Skipped stages are only counted: there may be thousands.
                 if result.status is not StageOutcome.SKIPPED:
                     self._line(self._describe(result), STYLES[result.status])
 
-    @property
-    def done(self) -> int:
-        """Number of stages that have ended."""
-        return sum(self.counts.values())
-
-    def seconds_left(self) -> float | None:
-        """Return the remaining time in s at the speed so far; None before a tenth of the work is done."""
-        ahead = sum(self._ahead.copy().values())
-        if not self._behind or self._behind < MIN_SHARE * (self._behind + ahead):
-            return None
-        return (time.monotonic() - self._clock) * ahead / self._behind
-
     def _times(self) -> str:
-        left = self.seconds_left()
-        elapsed = f"{_duration(time.monotonic() - self._clock)} elapsed"
-        return f"{elapsed}, about {_duration(left)} left" if left else elapsed
+        return _describe_times(self.elapsed, self.seconds_left())
 
     def _interruption(self) -> str:
         if not self.total:
@@ -152,7 +123,7 @@ class Progress:
         now = time.monotonic()
         # Copied in one step, because this runs in the display thread.
         if not self.total:
-            return Group(Text(f"{self.task} ...  {_duration(now - self._clock)}"))
+            return Group(Text(f"{self.task} ...  {_duration(self.elapsed)}"))
         lines = [f"  {address}  {now - start:.0f} s" for address, start in self.running.copy().items()]
         running = [Text(line, style="bold", no_wrap=True, overflow="ellipsis") for line in lines]
         counts = "  ".join(f"{count} {status}" for status, count in self.counts.copy().items() if count)
@@ -165,6 +136,30 @@ class Progress:
             self._times(),
         )
         return Group(*running, bar, Text(f"  {counts}", no_wrap=True, overflow="ellipsis"))
+
+
+def print_build(build: BuildState, console: Console) -> None:
+    """Print what a build in another process does, and how far it is; outside a terminal, in whole lines."""
+    whole = not console.is_terminal
+    times = _describe_times(build.elapsed, build.left)
+    console.print(Text(f"a build runs (process {build.pid} on {build.host}): {times}"), soft_wrap=whole)
+    for address, seconds in build.running.items():
+        line = Text(f"  {_duration(seconds)}  {address}", style="bold")
+        console.print(line, soft_wrap=whole, no_wrap=True, overflow="ignore" if whole else "ellipsis")
+    for address, error in build.failed.items():
+        text = Text(f"  failed  {address}: {error}", style=STYLES[StageOutcome.FAILED])
+        console.print(text, soft_wrap=whole)
+    console.print(Text(_counted(build)), soft_wrap=whole)
+
+
+def print_death(build: BuildState, console: Console) -> None:
+    """Print how far the last build was when it died."""
+    running = f" with {shortened(', '.join(build.running), 300)} running" if build.running else ""
+    died = (
+        f"the last build (process {build.pid} on {build.host}) died after {_duration(build.elapsed)}{running}"
+    )
+    text = Text(f"{died}; {_counted(build)}; `objectfolder build` continues", style="yellow")
+    console.print(text, soft_wrap=True)
 
 
 def print_summary(summary: Summary, console: Console | None = None) -> None:
@@ -222,6 +217,19 @@ def _failure(result: StageResult) -> Text:
     if result.log is not None:
         text.append(f"  log: {result.log}\n", style="default")
     return text
+
+
+def _counted(build: BuildState) -> str:
+    if not build.total:
+        return "reading the pipeline"
+    counts = ", ".join(f"{count} {status}" for status, count in build.counts.items())
+    done = f"{build.done} of {plural(build.total, 'stage')} done" + (f" ({counts})" if counts else "")
+    return f"{done}, {len(build.running)} running, {build.total - build.done} left"
+
+
+def _describe_times(elapsed: float, left: float | None) -> str:
+    text = f"{_duration(elapsed)} elapsed"
+    return f"{text}, about {_duration(left)} left" if left else text
 
 
 def _duration(seconds: float) -> str:

@@ -1,5 +1,6 @@
-"""Events and final summary of a build."""
+"""Events of a build, what they add up to, and its final summary."""
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -117,3 +118,52 @@ class Stopping:
 
 Event = Planned | Started | Lost | Disturbed | Finished | Stopping
 Listener = Callable[[Event], None]
+MIN_SHARE = 0.1  # of the planned work, after which the rest is estimated
+
+
+class Tally:
+    """What a build has done so far, by its events."""
+
+    def __init__(self) -> None:
+        self.total = 0
+        self.counts = dict.fromkeys(StageOutcome, 0)
+        self.running: dict[str, float] = {}  #: when each running stage started, by `time.monotonic`
+        self._start = time.monotonic()
+        # Rough seconds of the remaining stages, and of those that have run.
+        self._ahead: dict[str, float] = {}
+        self._behind = 0.0
+
+    def add(self, event: Event) -> None:
+        """Count one event."""
+        match event:
+            case Planned(seconds):
+                self._start = time.monotonic()
+                self._ahead = dict(seconds)
+                self.total = len(seconds)
+            case Started(address):
+                self.running[address] = time.monotonic()
+            case Lost(address) | Disturbed(address):
+                self.running.pop(address, None)
+            case Finished(result):
+                self.running.pop(result.address, None)
+                self.counts[result.status] += 1
+                expected = self._ahead.pop(result.address, 0.0)
+                if result.status is StageOutcome.RAN:
+                    self._behind += expected
+
+    @property
+    def done(self) -> int:
+        """Number of stages that have ended."""
+        return sum(self.counts.values())
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the stages are known, or before that, since the tally was made."""
+        return time.monotonic() - self._start
+
+    def seconds_left(self) -> float | None:
+        """Return the remaining time in s at the speed so far; None before a tenth of the work is done."""
+        ahead = sum(self._ahead.copy().values())  # in one step: other threads ask
+        if not self._behind or self._behind < MIN_SHARE * (self._behind + ahead):
+            return None
+        return self.elapsed * ahead / self._behind

@@ -16,7 +16,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from objectfolder.base.checks import check_mass
+from objectfolder.base.checks import check_mass, one_line
 from objectfolder.base.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.base.materials import own_material
 from objectfolder.base.yamlfile import is_yaml_name, read_yaml
@@ -67,6 +67,17 @@ INNER = {
     *SCANS,
 }  #: folders inside an object's, which name none
 LISTS = ("materials.csv", "materials.yaml", "materials.yml")
+#: Columns of materials.csv, in any order, and what their cells hold; "license" is "licence".
+COLUMNS = {
+    "name": "a file, subfolder or key",
+    "material": "a material or its file",
+    "size": "metres above 0, such as 0.112, or nothing",
+    "up": "y, z or nothing",
+    "wall": "metres above 0, such as 0.002, or nothing",
+    "mass": "kilograms above 0, such as 0.118, or nothing",
+    "licence": "a licence such as CC-BY-4.0",
+    "author": "who is to be named",
+}
 
 
 @dataclass(frozen=True)
@@ -78,7 +89,12 @@ class Candidate:
     material: str | None = None
     refusal: str | None = None  #: reason why its location alone rules it out
     others: tuple[Path, ...] = ()  #: further meshes in its folder, of which the one with a texture counts
+    size: float | None = None  #: longest side, metres
+    up: str | None = None
+    wall: float | None = None  #: thickness that open sheets get, metres
     mass: float | None = None  #: of the real object, kg
+    licence: str = ""  #: of the mesh
+    author: str = ""
 
 
 @dataclass(frozen=True)
@@ -117,11 +133,10 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
 
     Keys are made from file or subfolder names, which keep their numbers where others have the same words.
     Folders such as ``meshes`` or ``google_16k`` belong to the object of the folder above.
-    ``materials.csv`` (lines ``name,material`` or ``name,material,mass``, kg) or ``materials.yaml``
-    (``name: material``) in the folder assigns materials by file, subfolder or key, and masses of the real
-    objects; ``material`` is that of the others. Returns candidates by name; those with a duplicate key have a
-    refusal. Raises ObjectFolderError if there is no mesh, or the list of materials is invalid or names an
-    unknown object.
+    ``materials.csv`` (a table with `COLUMNS`) or ``materials.yaml`` (``name: material``) in the folder
+    assigns materials and more by file, subfolder or key; ``material`` is that of the others. Returns
+    candidates by name; those with a duplicate key have a refusal. Raises ObjectFolderError if there is no
+    mesh, or the list of materials is invalid or names an unknown object.
     """
     listed = _materials(folder)
     found = [(path.stem, [path]) for path in _meshes(folder)]
@@ -162,8 +177,8 @@ def discover(folder: Path, material: str | None = None) -> list[Candidate]:
                 f"{_listed(sharing[key])} in {folder} would {each} be named {key!r}; rename all but one, or "
                 "add one by its path"
             )
-        own, mass = next((listed[n] for n in names if n in listed), (material, None))
-        candidates.append(Candidate(key, mesh, own, refusal, tuple(inside[1:]), mass))
+        given = {"material": material} | next((listed[n] for n in names if n in listed), {})
+        candidates.append(Candidate(key, mesh, refusal=refusal, others=tuple(inside[1:]), **given))
     unknown = sorted(set(listed) - named)
     if unknown:
         raise ObjectFolderError(
@@ -201,23 +216,21 @@ def _meshes(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if _is_mesh(path))
 
 
-def _materials(folder: Path) -> dict[str, tuple[str, float | None]]:
-    """Read the list of a folder: material and mass, kg, by name."""
+def _materials(folder: Path) -> dict[str, dict[str, Any]]:
+    """Read the list of a folder: fields of `Candidate` by name."""
     lists = [folder / name for name in LISTS if (folder / name).is_file()]
     if len(lists) > 1:
         raise ObjectFolderError(f"{' and '.join(map(str, lists))} both assign materials; keep one")
     if not lists:
         return {}
     path = lists[0]
-    expected = (
-        "lines `name,material` or `name,material,mass`" if path.suffix == ".csv" else "lines `name: material`"
-    )
+    expected = f"a table of {', '.join(COLUMNS)}" if path.suffix == ".csv" else "lines `name: material`"
     try:
         if path.suffix == ".csv":
             values: Any = _csv_rows(path)
         else:
             values = read_yaml(path)
-            values = {n: (v, None) for n, v in values.items()} if isinstance(values, dict) else values
+            values = {n: {"material": v} for n, v in values.items()} if isinstance(values, dict) else values
     except ObjectFolderError:
         raise
     except (ValueError, csv.Error) as error:
@@ -225,38 +238,65 @@ def _materials(folder: Path) -> dict[str, tuple[str, float | None]]:
     if not isinstance(values, dict):
         raise ObjectFolderError(f"{path} holds {type(values).__name__}; expected {expected}")
     assigned = {}
-    for name, (value, mass) in values.items():
-        if isinstance(value, dict | list):
-            raise ObjectFolderError(f"{path}: {quoted(name)} is {quoted(value)}; expected {expected}")
+    for name, fields in values.items():
+        if "material" in fields:
+            value = fields["material"]
+            if isinstance(value, dict | list):
+                raise ObjectFolderError(f"{path}: {quoted(name)} is {quoted(value)}; expected {expected}")
+            fields["material"] = str(folder / str(value)) if is_yaml_name(value) else str(value)
         # File systems may have names in decomposed Unicode.
-        material = str(folder / str(value)) if is_yaml_name(value) else str(value)
-        assigned[unicodedata.normalize("NFC", str(name))] = material, mass
+        assigned[unicodedata.normalize("NFC", str(name))] = fields
     return assigned
 
 
-def _csv_rows(path: Path) -> dict[str, tuple[str, float | None]]:
-    """Read lines ``name,material`` or ``name,material,mass``; they may follow a line with these words."""
+def _csv_rows(path: Path) -> dict[str, dict[str, Any]]:
+    """Read a table whose first line may name its columns; else they are name, material and perhaps mass."""
     lines = csv.reader(path.read_text(encoding="utf-8-sig").splitlines())
+    columns: list[str] = []
     rows = {}
     for row in lines:
-        where = f"{path}, line {lines.line_num}"
-        if row and len(row) not in (2, 3):
-            raise ObjectFolderError(
-                f"{where} is {quoted(','.join(row))}, expected `name,material` or `name,material,mass`"
-            )
-        name, material, mass = [*(cell.strip() for cell in row), ""][:3] if row else ("", "", "")
-        if row and [cell.strip().lower() for cell in row] != ["name", "material", "mass"][: len(row)]:
-            rows[name] = material, _kilograms(mass, f"{where}: mass of {quoted(name)}") if mass else None
+        cells, where = [cell.strip() for cell in row], f"{path}, line {lines.line_num}"
+        if not any(cells):
+            continue
+        if not columns and not rows:
+            columns = _columns(cells, where)
+            if columns:
+                continue
+        named = columns or ["name", "material", "mass"]
+        if len(cells) > len(named) or (not columns and len(cells) < 2):
+            expected = ",".join(columns) or "name,material` or `name,material,mass"
+            raise ObjectFolderError(f"{where} is {quoted(','.join(row))}, expected `{expected}`")
+        found = {column: text for column, text in zip(named, cells) if text}
+        name = found.pop("name", "")
+        rows[name] = {
+            column: _cell(column, text, f"{where}: {column} of {quoted(name)}")
+            for column, text in found.items()
+        }
     return rows
 
 
-def _kilograms(text: str, where: str) -> float:
+def _columns(cells: Sequence[str], where: str) -> list[str]:
+    """Return the columns that the first line of a table names; none if it is a row."""
+    names = ["licence" if cell.lower() == "license" else cell.lower() for cell in cells]
+    if "name" not in names:
+        return []
+    for cell, name in zip(cells, names):
+        if name not in COLUMNS or names.count(name) > 1:
+            problem = "is there twice" if name in COLUMNS else "is unknown"
+            raise ObjectFolderError(
+                f"{where}: column {quoted(cell)} {problem}; expected each once of {', '.join(COLUMNS)}"
+            )
+    return names
+
+
+def _cell(column: str, text: str, where: str) -> str | float:
+    """Return the value of a cell that is not empty."""
+    if column in ("material", "licence", "author"):
+        return one_line(where, text, 1000)
     with suppress(ValueError):
-        if 0 < (mass := float(text)) < inf:
-            return mass
-    raise ObjectFolderError(
-        f"{where} is {quoted(text)}, expected kilograms above 0, such as 0.118, or nothing"
-    )
+        if (column == "up" and text in ("y", "z")) or (column != "up" and 0 < float(text) < inf):
+            return text if column == "up" else float(text)
+    raise ObjectFolderError(f"{where} is {quoted(text)}, expected {COLUMNS[column]}")
 
 
 def examine(
@@ -272,12 +312,13 @@ def examine(
 
     ``values``: contents of ``params.yaml``; ``scale``: longest side, metres, None takes the mesh's own;
     ``up``: None guesses from the file format; ``unit``: of the mesh's coordinates; ``wall``: thickness that
-    open sheets get, metres; ``bridge``: where to fill small gaps, "all", "fem" or "off". Raises
-    ObjectFolderError if it cannot become an object.
+    open sheets get, metres; ``bridge``: where to fill small gaps, "all", "fem" or "off". What the candidate
+    itself says of the first three comes first. Raises ObjectFolderError if it cannot become an object.
     """
     if candidate.refusal is not None:
         raise ObjectFolderError(candidate.refusal)
     key, mesh = candidate.key, candidate.mesh
+    scale, up, wall = candidate.size or scale, candidate.up or up, candidate.wall or wall
     check_new(key, values, mesh=mesh)
     if candidate.material is None:
         raise ObjectFolderError(f"{key} has no material; give --material, or list it in {LISTS[0]}")
@@ -418,7 +459,11 @@ def examination_table(examinations: Sequence[Examination], up_given: bool) -> Ta
         if shown.refusal is not None:
             row.append(Text("refused", style="bold red"))
         else:
-            row += [_digits(shown.scale), shown.up + ("" if up_given else "?"), str(shown.pieces)]
+            row += [
+                _digits(shown.scale),
+                shown.up + ("" if up_given or candidate.up else "?"),
+                str(shown.pieces),
+            ]
             row += [CLOSED if shown.rung == "keep" else shown.rung, _digits(shown.volume * 1e6)]
         result.add_row(*row)
     return result

@@ -19,6 +19,7 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.cli import app
 from objectfolder.engine.build import build
 from objectfolder.engine.dvc.repository import track
+from objectfolder.hub.release.notices import read_notice
 from objectfolder.mesh.normalize import Normalized
 from objectfolder.mesh.reading.load import load_mesh
 from objectfolder.workspace import discover as discovery
@@ -334,6 +335,28 @@ def test_a_list_names_materials(workspace, collection, file, text):
         ("materials.csv", "brick\n", r"line 1 is 'brick', expected `name,material` or `name,material,mass`$"),
         ("materials.csv", "brick,a,1,b\n", r"line 1 is 'brick,a,1,b', expected `name,material` or `name,mat"),
         *(
+            ("materials.csv", f"name,{column}\nBrick,{text}\n", rf"line 2: {column} of 'Brick'.* {expected}")
+            for column, text, expected in (
+                ("size", "112 mm", r"is '112 mm', expected metres above 0, such as 0\.112"),
+                ("size", "0", "is '0', expected metres"),
+                ("wall", "-0.002", r"is '-0\.002', expected metres above 0, such as 0\.002"),
+                ("up", "x", "is 'x', expected y, z or nothing"),
+                ("licence", "a\x1bb", r"'a\\x1bb', expected a line of 1 to 1000 characters"),
+                ("author", "a" * 1001, "expected a line of 1 to 1000 characters"),
+            )
+        ),
+        (
+            "materials.csv",
+            "name,colour\nBrick,red\n",
+            "line 1: column 'colour' is unknown; .* name, material, ",
+        ),
+        (
+            "materials.csv",
+            "name,License,licence\nBrick,a,b\n",
+            "line 1: column 'License' is there twice; expected",
+        ),
+        ("materials.csv", "name,size\nBrick,1,iron\n", "line 2 is 'Brick,1,iron', expected `name,size`"),
+        *(
             (
                 "materials.csv",
                 f"name,material,mass\nBrick,iron,{mass}\n",
@@ -372,6 +395,30 @@ def test_masses_of_a_list_are_entered_and_impossible_ones_refused(workspace, col
     (collection / "025_Mug (blue)").rename(collection / "025_Cup (blue)")
     said = re.search(r"refused cup_blue: (.*)", run(collection).output)[1]
     assert re.match(r"mass is 350 kg, in its volume of .* for 350 g, or check the scale, in metres", said)
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_table_gives_each_object_its_size_up_axis_wall_licence_and_author(workspace, collection):
+    lines = [
+        "Author, LICENSE, name, up, wall, size, mass, material",
+        '"Smith, A.", CC-BY-4.0, 025_Mug (blue), z, 0.004, 0.15, 0.35, ceramic',
+        ",,Brick",
+        ",,,,,,,",
+        ",CC0-1.0,open,,,0.3",
+    ]
+    (collection / "materials.csv").write_text("\n".join(lines))
+    result = run(collection, "--material", "wood", "--wall", "0.01")
+    assert row(result, "mug_blue")[:4] == ["mug_blue", "ceramic", "0.15", "z"]
+    assert row(result, "brick")[:4] == ["brick", "wood", "0.2", "z?"]
+    objects = params.read()["objects"]
+    mug = {name: objects["mug_blue"][name] for name in ("material", "scale", "up", "wall", "mass")}
+    assert mug == {"material": "ceramic", "scale": 0.15, "up": "z", "wall": 0.004, "mass": 0.35}
+    assert objects["brick"]["wall"] == 0.01
+    notice = read_notice(Path(objects["mug_blue"]["mesh"]))
+    assert (notice.licence, notice.attribution, notice.title) == ("CC-BY-4.0", "Smith, A.", "")
+    assert notice.path.read_text() == "Licence: CC-BY-4.0\nAttribution: Smith, A.\n"
+    assert read_notice(Path(objects["brick"]["mesh"])) is None
+    assert {one.key: one.size for one in discover(collection)}["open"] == 0.3
 
 
 @pytest.mark.usefixtures("coarse")

@@ -1,13 +1,16 @@
 """`status`, `verify` and `prune` where there is no workspace, or one that a build refuses."""
 
+import json
 import shutil
 
 import pytest
 from refusals import refused
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.io import write_json
 from objectfolder.cli import app
 from objectfolder.engine.dvc.repository import open_repository
+from objectfolder.engine.journal import JOURNAL
 
 
 @pytest.mark.parametrize(
@@ -78,6 +81,17 @@ def test_status_refuses_parameters_with_the_message_of_a_build(workspace, old, n
         found.append(str(caught.value))
     assert found == found[:1] * 4
     assert message in found[0]
+
+
+def test_status_says_that_the_last_build_died(workspace, capsys):
+    state = {"host": "node7", "pid": 1, "elapsed": 311, "left": None, "total": 9, "counts": {"ran": 4}}
+    note = state | {"running": {"modal@mug": 5}, "failed": {}, "time": 0, "place": "", "start": ""}
+    write_json(workspace / JOURNAL, note)
+    app(["status"], standalone_mode=False)
+    died = "the last build (process 1 on node7) died after 0:05:11 with modal@mug running; 4 of 9 stages done"
+    assert died in capsys.readouterr().out
+    app(["status", "--json"], standalone_mode=False)
+    assert json.loads(capsys.readouterr().out)[0]["state"] == "never built"
 
 
 def test_a_dry_run_waits_for_another_process_if_told_to(workspace, monkeypatch):

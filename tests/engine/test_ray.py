@@ -20,6 +20,7 @@ from objectfolder.base.installation import install_command
 from objectfolder.cli import app
 from objectfolder.engine import resources
 from objectfolder.engine.build import BuildOptions, build
+from objectfolder.engine.journal import read_journal
 from objectfolder.engine.ray import Node, RayWorkers, fit_to_nodes, ray_workers
 from objectfolder.engine.resources import Needs
 
@@ -223,9 +224,12 @@ def test_stages_die_with_the_engine_and_the_next_build_completes(located, cluste
     engine = start(located, cluster)
     wait_for(lambda: started(located, "solve@mug"), 60)
     stage = started(located, "solve@mug")
+    wait_for(lambda: (state := read_journal(located.root)) and "solve@mug" in state.running)
     engine.send_signal(number)
     engine.communicate(timeout=60)
     assert engine.returncode == code
+    state = read_journal(located.root)
+    assert (state and not state.alive) if number == signal.SIGKILL else state is None
     wait_for(lambda: not alive(stage), 20 if number == signal.SIGKILL else 1)
     located.control("solve@mug", None)
     assert build(root=located.root).ok

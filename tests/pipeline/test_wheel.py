@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from conftest import TINY
 from ruamel.yaml import YAML
+from setuptools.command.egg_info import FileList
 
 from objectfolder.shapes import generate
 from objectfolder.workspace.installed import PIPELINE, package_digests, pipeline_files
@@ -45,6 +46,15 @@ def test_a_wheel_holds_the_package_and_the_pipeline(wheel):
     ):
         assert f"objectfolder/{name}" in held
     assert not [name for name in held if name.startswith(("objectfolder/stages", "objectfolder/tests"))]
+
+
+def test_an_sdist_holds_what_its_wheel_needs_of_the_top_level(monkeypatch):
+    """`make wheel` builds the wheel from the sdist, as pip does from PyPI."""
+    monkeypatch.chdir(ROOT)
+    files = FileList()
+    for line in (ROOT / "MANIFEST.in").read_text().splitlines():
+        files.process_template_line(line)
+    assert {*pipeline_files()} - {*files.files} == set()
 
 
 @pytest.mark.slow

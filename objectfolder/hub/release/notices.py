@@ -12,6 +12,10 @@ from objectfolder.base.text import in_markdown, visible
 from objectfolder.objectfile.dataset import MAX_TEXT, IndexEntry
 
 SOURCE = "SOURCE.txt"  #: that ``objectfolder fetch`` writes beside a mesh
+#: Of what a notice consists, for messages; docs/dataset.md describes it.
+NOTICE_LINES = (
+    "lines `Licence: CC-BY-4.0`, `Attribution: WHO`, `Mesh and textures: TITLE, ADDRESS`, `Changes: WHAT`"
+)
 _CC = "https://creativecommons.org"
 #: Address by identifier of SPDX. In lower case identifiers are those of the Hugging Face Hub.
 LICENCE_URLS = {
@@ -73,10 +77,32 @@ def read_notice(mesh: Path) -> Notice | None:
     return Notice(path, **found)
 
 
+def notice_text(licence: str, author: str) -> str:
+    """Return the notice of a mesh whose licence and author are known; empty if neither is."""
+    lines = {"Licence": licence, "Attribution": author}
+    return "".join(f"{title}: {text}\n" for title, text in lines.items() if text)
+
+
 def licence_name(text: str) -> str:
-    """Return the SPDX identifier of a licence such as "CC BY 4.0 (https://...)"; others as they are."""
+    """Return the SPDX expression of a licence such as "CC BY 4.0 (https://...)"; others as they are."""
     short = re.sub(r"[\s-]+", "-", text.partition("(")[0].strip()).lower()
-    return next((name for name in LICENCE_URLS if name.lower() == short), text.strip())
+    known = next((name for name in LICENCE_URLS if name.lower() == short), "")
+    return known or spdx_expression(re.sub(r"\s*\(https?://[^()]*\)\s*$", "", text)) or text.strip()
+
+
+def spdx_expression(text: str) -> str:
+    """Return a licence as SPDX writes it, such as "MIT OR CC0-1.0"; empty if it is no expression of SPDX."""
+    from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
+
+    try:
+        return canonicalize_license_expression(text)
+    except InvalidLicenseExpression:
+        return ""
+
+
+def is_placeholder(text: str) -> bool:
+    """Return whether a text stands for one that nobody has given yet."""
+    return re.search(r"^\s*unnamed\s*$|\bexample\.(org|com|net)\b", text, re.IGNORECASE) is not None
 
 
 def licence_address(text: str) -> str:

@@ -88,10 +88,8 @@ def fetched(workspace, publisher):
 
 
 def release(*arguments):
-    app(
-        ["release", "out", *arguments, "--no-site", "--catalogue", "catalogs/real.yaml"],
-        standalone_mode=False,
-    )
+    options = ("--no-site", "--catalogue", "catalogs/real.yaml", "--creator", "A", "--url", "https://a.test")
+    app(["release", "out", *arguments, *options], standalone_mode=False)
 
 
 def test_every_object_has_its_licence_and_attribution_in_all_places(fetched, capsys):

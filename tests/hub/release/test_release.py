@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from folders import contents
+from index_rows import MUG
 from refusals import refused
 
 from objectfolder import Dataset
@@ -19,15 +20,17 @@ from objectfolder.cli import app
 from objectfolder.engine.process import CommandResult
 from objectfolder.engine.records import LOGS, record_cost
 from objectfolder.hub.release.croissant import croissant
+from objectfolder.hub.release.entries import check_publishable
 from objectfolder.hub.release.notices import read_notice
 from objectfolder.hub.release.pages import Words
-from objectfolder.objectfile.dataset import COLUMNS
+from objectfolder.objectfile.dataset import COLUMNS, IndexEntry
 from objectfolder.objectfile.samples import sample_path
 from objectfolder.workspace import params
 from objectfolder.workspace.layout import Build
 
 SCORES = {"vision": {"psnr": 41.23456789}, "audio": {"gain_error": 0.0025}, "touch": {"psnr": 57.0}}
-OPTIONS = ("--licence", "CC0-1.0", "--name", "Three things", "--creator", "A. Smith", "--date", "2026-11-24")
+PUBLISHER = ("--creator", "A. Smith", "--url", "https://smith.test/three")
+OPTIONS = ("--licence", "CC0-1.0", "--name", "Three things", *PUBLISHER, "--date", "2026-11-24")
 
 
 @pytest.fixture
@@ -212,7 +215,7 @@ def test_a_notice_without_a_licence_is_refused_unless_it_is_given(fetched):
     path.write_text("Mesh and textures: a friend\n")
     unknown = r"cup: .*SOURCE\.txt states no licence; add a line `Licence"
     check_refused(unknown, "cup", "--licence", "CC0-1.0")
-    release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0", "--category", "cup=vessels")
+    release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0", "--category", "cup=vessels", *PUBLISHER)
     assert Dataset("out").entry("cup").licence == "CC0-1.0"
 
 
@@ -227,7 +230,7 @@ def test_no_key_is_an_id_of_croissants_other_nodes(dataset):
 
 def test_spellings_of_a_licence_are_one(fetched):
     licences = ("--licence", "cup=cc-by 4.0", "--licence", "CC-BY-4.0")
-    release("out", "cup", "mug", "--no-site", *licences)
+    release("out", "cup", "mug", "--no-site", *licences, *PUBLISHER)
     text = (fetched / "out/README.md").read_text()
     assert "license: cc-by-4.0\n" in text
     assert "Licences: CC-BY-4.0 2;" in text
@@ -260,10 +263,55 @@ def test_wrong_arguments_write_nothing(built, arguments, message):
     assert not (built / "out").exists()
 
 
-def test_a_licence_may_be_the_address_of_a_page(built):
-    address = "https://example.org/?licence=3"
-    release("out", "mug", "--no-site", "--licence", address)
-    assert Dataset("out").entry("mug").licence == address
+def test_a_licence_may_be_of_another_list_with_the_address_of_a_page(built):
+    given = ("mug=LicenseRef-Kitchen (https://smith.test/?licence=3)", "die=mit or cc0-1.0")
+    release("out", "mug", "die", "--no-site", *PUBLISHER, *(w for text in given for w in ("--licence", text)))
+    entry = Dataset("out").entry("mug")
+    assert (entry.licence, entry.licence_url) == ("LicenseRef-Kitchen", "https://smith.test/?licence=3")
+    assert Dataset("out").entry("die").licence == "MIT OR CC0-1.0"
+
+
+def test_placeholders_are_refused_with_object_field_value_and_remedy_unless_it_is_a_draft(fetched):
+    path = fetched / "data/objects/cup/SOURCE.txt"
+    path.write_text(
+        "Unnamed\nMesh and textures: X, http://www.Example.com/x\nLicence: ask me\nAttribution: unnamed\n"
+    )
+    arguments = ("cup", "mug", "--licence", "mug=https://example.org/?licence=3")
+    own = "correct data/objects/cup/SOURCE.txt"
+    expected = "one of SPDX such as CC-BY-4.0, or LicenseRef-NAME (ADDRESS) for another"
+    option = "give --licence mug=LICENCE"
+    assert check_refused("cannot be published as it is.* --draft", *arguments).splitlines()[1:] == [
+        "the release: creator is 'unnamed', expected who publishes it; give --creator",
+        "the release: url is 'https://example.org', expected where it will be published; give --url",
+        f"mug: licence is 'https://example.org/?licence=3', expected {expected}; {option}",
+        f"mug: licence_url is 'https://example.org/?licence=3', expected that of the mesh; {option}",
+        f"cup: licence is 'ask me', expected {expected}; {own}",
+        f"cup: title is 'Unnamed', expected that of the mesh; {own}",
+        f"cup: source is 'X, http://www.Example.com/x', expected that of the mesh; {own}",
+        f"cup: attribution is 'unnamed', expected that of the mesh; {own}",
+    ]
+    release("out", "--no-site", "--draft", *arguments)
+    assert Dataset("out").entry("cup").licence == "ask me"
+
+
+def test_a_refusal_of_many_objects_stays_short(built):
+    entries = [
+        IndexEntry(
+            **MUG | {"key": f"mug_{number}", "path": f"objects/mug_{number}.safetensors", "licence": "?"}
+        )
+        for number in range(100)
+    ]
+    words = Words(name="a", summary="b", creator="c", version="1.0.0", date="2026-01-01", url="https://a.b")
+    said = refused("mug_9: licence is", check_publishable, entries, words, {}).splitlines()
+    assert (len(said), said[-1]) == (12, "90 more")
+
+
+def test_an_unknown_licence_of_a_mesh_is_refused_with_the_format_of_its_notice(fetched):
+    path = fetched / "data/objects/cup/SOURCE.txt"
+    path.unlink()
+    said = check_refused("cup: the licence of its mesh is not known", "cup")
+    assert "or write data/objects/cup/SOURCE.txt with lines `Licence: CC-BY-4.0`, `Attribution: WHO`" in said
+    assert "SOURCE.txt" not in check_refused("mug: the licence of its mesh is not known", "mug")
 
 
 @pytest.mark.parametrize(
