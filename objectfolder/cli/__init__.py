@@ -36,7 +36,7 @@ from objectfolder.cli import (
     view,
     workspace,
 )
-from objectfolder.cli.files import SAMPLE
+from objectfolder.cli.files import FORMS
 
 __all__ = ["app", "main"]
 
@@ -79,7 +79,7 @@ app = typer.Typer(
     "In a workspace (a folder with dvc.yaml; `objectfolder init` makes one): `objectfolder add MESH ...`, "
     "then `objectfolder build`.\n\n"
     "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`; "
-    f"FILE may be {SAMPLE}.",
+    f"FILE is a {FORMS}.",
 )
 
 
