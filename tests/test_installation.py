@@ -1,17 +1,27 @@
 """Messages name a command that installs this package from where it is, since no package index has it."""
 
+import json
+import os
 import re
+import shutil
 import subprocess
 import sys
-from importlib.metadata import version
+from importlib.metadata import distribution, version
 from pathlib import Path
 
+import numpy as np
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from PIL import Image
 from typer.testing import CliRunner
 
 import objectfolder
 from objectfolder.base import installation
-from objectfolder.base.installation import install_command, installed_version, requirement
+from objectfolder.base.installation import extra_with, install_command, installed_version, requirement
+from objectfolder.base.seeding import seeded
+from objectfolder.benchmarks.models.settings import InputSizes
+from objectfolder.benchmarks.models.shape_model import Setup, ShapeModel, new_net, save_model
 from objectfolder.cli import app
 
 ROOT = Path(__file__).parents[1]
@@ -80,3 +90,99 @@ def test_the_version_is_at_hand_without_imports_that_take_time():
     assert found == version("objectfolder")
     assert {"ObjectFile", "Dataset", "__version__"} < set(names)
     assert {"torch", "numpy", "objectfolder.objectfile"}.isdisjoint(modules)
+
+
+def test_a_missing_module_has_the_extra_that_brings_it():
+    found = {
+        name: extra_with(name) for name in ("igl", "dvc_data.index", "mujoco", "sklearn", "ray", "numpy")
+    }
+    assert list(found.values()) == ["build", "build", "rl", "bench", "ray", ""]
+
+
+@pytest.fixture(scope="module")
+def base_only(tmp_path_factory):
+    """A folder to import from: the package and what it needs without an extra, down to the last package."""
+    site, todo, found = tmp_path_factory.mktemp("site"), ["objectfolder"], set()
+    (site / "objectfolder").symlink_to(ROOT / "objectfolder")
+    while todo:
+        if (name := canonicalize_name(todo.pop())) in found:
+            continue
+        found.add(name)
+        held = distribution(name)
+        for top in {path.parts[0] for path in held.files} - {"..", "__pycache__"}:
+            if not (site / top).exists():
+                (site / top).symlink_to(held.locate_file(top))
+        asked = map(Requirement, held.requires or ())
+        todo += [one.name for one in asked if one.marker is None or one.marker.evaluate({"extra": ""})]
+    return site
+
+
+IN_TURN = """
+import json, sys
+from objectfolder.cli import main
+ended = []
+for line in sys.stdin.read().splitlines():
+    sys.argv = ["objectfolder", *line.split()]
+    try:
+        main()
+    except SystemExit as end:
+        ended.append(end.code)
+print(json.dumps(ended))
+"""
+ENCODER = "#!/bin/sh\ncat > /dev/null\nfor out; do :; done\necho film > $out\n"
+#: Commands of README for who only queries, and those that need an extra, with its name.
+QUERIES = """info mug
+view mug --no-open --out page.html
+sample vision v.npy -n 1
+sample audio mug a.npy -n 1
+sample touch mug t.npy -n 1
+query vision mug v.npy views --resolution 8
+query audio mug a.npy sounds --duration 0.1
+query touch mug t.npy touches
+report mug --no-open
+video mug --seconds 0.04 --size 16 --contacts 1
+reconstruct photo.png mesh.glb --model model.safetensors --background 255,255,255
+export nerfstudio nerf mug -n 1 --resolution 8
+bench --help
+preset laptop
+sensor list
+doctor"""
+NEEDY = {
+    "bench recognize mug bell --preset quick": "build",
+    "bench reach mug --preset quick": "build",
+    "add photo.png": "build",
+    "build": "build",
+    "fit sound mug sounds/1.wav": "build",
+    "init new": "build",
+    "inspect modal@mug": "build",
+    "export mjcf bodies mug": "rl",
+    "simulate scene.xml": "rl",
+    "export lerobot episodes mug": "hub",
+}
+
+
+def test_the_base_install_runs_what_queries_and_else_names_the_extra(base_only, tmp_path):
+    setup = Setup(("vision",), "resnet18_quarter", InputSizes(16, (8, 8), (8, 8)), 16, 4, 1, 0, 8, ("mug",))
+    with seeded(0, "untrained"):
+        save_model(tmp_path / "model.safetensors", ShapeModel(setup, new_net(setup)))
+    photo = np.full((24, 24, 3), 255, np.uint8)
+    photo[6:18, 6:18] = 90
+    Image.fromarray(photo).save(tmp_path / "photo.png")
+    shutil.copy(ROOT / "params.yaml", tmp_path)
+    shutil.copytree(ROOT / "params", tmp_path / "params")
+    (tmp_path / "ffmpeg").write_text(ENCODER)
+    (tmp_path / "ffmpeg").chmod(0o755)
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    variables = os.environ | {"PYTHONPATH": str(base_only), "PATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+    lines = [*QUERIES.splitlines(), *NEEDY]
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", IN_TURN],  # without the packages of its environment
+        **{"input": "\n".join(lines), "cwd": tmp_path, "env": variables},
+        **{"capture_output": True, "text": True},
+    )
+    assert done.returncode == 0, done.stderr
+    codes = dict(zip(lines, json.loads(done.stdout.splitlines()[-1]), strict=True))
+    assert {line: codes[line] for line in QUERIES.splitlines() if codes[line]} == {}, done.stderr
+    for line, extra in NEEDY.items():
+        said = done.stderr if codes[line] == 1 else codes[line]
+        assert re.search(f"is not installed; .*{re.escape(install_command(extra))}", said), line

@@ -4,15 +4,17 @@ It is on no package index, so the source is a clone, a commit of its repository,
 """
 
 import json
+import re
 import shlex
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib.metadata import PackageNotFoundError, distribution, requires, version
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 from urllib.request import url2pathname
 
 _NAME = "objectfolder"
+_PACKAGES = {"igl": "libigl", "pxr": "usd-core", "sklearn": "scikit-learn"}  # whose modules have other names
 _HOME = Path(__file__).resolve().parents[2]  # directory that contains the package
 
 
@@ -38,6 +40,18 @@ def install_command(extra: str = "") -> str:
         return f"pip install {shlex.quote(f'{_NAME}{brackets} @ {source}')}"
     editable = "-e " if source == _HOME else ""
     return f"pip install {editable}{shlex.quote(f'{source}{brackets}')}"
+
+
+def extra_with(module: str) -> str:
+    """Return the first extra that asks for a module's package; ``build`` if none does. "": the base does."""
+    top = module.partition(".")[0]
+    package = _PACKAGES.get(top, top.replace("_", "-"))
+    with suppress(PackageNotFoundError):
+        for line in requires(_NAME) or ():
+            if line.startswith(package) and not re.match(r"[\w.-]", line[len(package) :]):
+                found = re.search(r"extra == ['\"]([\w-]+)", line)
+                return found[1] if found else ""
+    return "build"
 
 
 def requirement(extra: str) -> str:

@@ -29,11 +29,11 @@ from objectfolder.benchmarks.tasks.running import KnownObject, Run, machine, run
 from objectfolder.benchmarks.tasks.task import Objects, Scores, Task, TaskParams, find_task
 from objectfolder.engine.process import in_processes
 from objectfolder.engine.resources import cores
-from objectfolder.objectfile.dataset import INDEX, Dataset
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.workspace import params as workspace
 from objectfolder.workspace.installed import pipeline_folder
 from objectfolder.workspace.layout import Benchmarks, Build
+from objectfolder.workspace.lookup import find_object_files
 from objectfolder.workspace.presets import read_preset
 from objectfolder.workspace.stages import BENCHMARKS
 
@@ -62,7 +62,7 @@ TITLES = {"observations": "observing objects", "close_ups": "looking and touchin
 class BenchmarkOptions:
     """Options of a benchmark on Object Files; None stands for the default."""
 
-    files: Sequence[Path] | None = None  #: Object Files, or folders that contain some; default: ``build``
+    files: Sequence[Path] | None = None  #: what `find_object_files` takes; default: ``build``
     preset: str | None = None  #: default: ``params.yaml`` of the workspace
     out: Path | None = None  #: folder of results; default: ``benchmarks/PRESET``
     splits: Sequence[str] | None = None  #: default: those of the task that the objects allow
@@ -280,36 +280,20 @@ class LoadedFile(NamedTuple):
 
 
 def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
-    """Load Object Files, those of folders and of releases, too; return them by key. Default: ``build``.
+    """Load the Object Files that users name; return them by key. Default: ``build``.
 
-    Raises ObjectFolderError if a place has none, one is invalid, or two are of the same object.
+    Raises ObjectFolderError if `find_object_files` finds none, one is invalid, or two are of the same object.
     """
     sources: dict[str, LoadedFile] = {}
-    for path, file in (found for place in places or [Build("any").dir.parent] for found in _files_in(place)):
+    named = places or [Build("any").dir.parent]
+    for path in [found for place in named for found in find_object_files(place)]:
+        file = ObjectFile.load(path)
         if file.key in sources:
             raise ObjectFolderError(
                 f"{path} and {sources[file.key].path} are both of {file.key}; give each object once"
             )
         sources[file.key] = LoadedFile(path, file)
     return sources
-
-
-def _files_in(place: Path) -> Iterator[tuple[Path, ObjectFile]]:
-    if (place / INDEX).is_file():
-        dataset = Dataset(place)
-        yield from zip(map(dataset.path, dataset.keys), dataset)
-        return
-    if place.is_file():
-        yield place, ObjectFile.load(place)
-        return
-    name = Build("any").object_file.name
-    # Skip the copies in folders of observations, which queries are written to first.
-    found = [path for path in sorted(place.rglob(name)) if not (path.parent / observations.QUERIES).exists()]
-    if not found:
-        raise ObjectFolderError(
-            f"no Object Files in {place}: no {name} in it or below; run `objectfolder build`, or name others"
-        )
-    yield from ((path, ObjectFile.load(path)) for path in found)
 
 
 def collect_samples(

@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 from objectfolder.base.disk import is_shortage
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.base.installation import installed_version
+from objectfolder.base.installation import extra_with, install_command, installed_version
 from objectfolder.base.terminal import Terminal, guard_streams
 from objectfolder.base.text import visible
 from objectfolder.cli import (
@@ -36,7 +36,7 @@ from objectfolder.cli import (
     view,
     workspace,
 )
-from objectfolder.cli.files import SAMPLE
+from objectfolder.cli.files import FORMS
 
 __all__ = ["app", "main"]
 
@@ -79,7 +79,7 @@ app = typer.Typer(
     "In a workspace (a folder with dvc.yaml; `objectfolder init` makes one): `objectfolder add MESH ...`, "
     "then `objectfolder build`.\n\n"
     "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`; "
-    f"FILE may be {SAMPLE}.",
+    f"FILE is a {FORMS}.",
 )
 
 
@@ -131,4 +131,5 @@ def main() -> None:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] == "objectfolder":
             raise
-        sys.exit(f"error: {error.name} is not installed; `objectfolder doctor` shows what to install")
+        needed = install_command(extra_with(error.name or ""))
+        sys.exit(f"error: {error.name} is not installed; this needs: {needed}")

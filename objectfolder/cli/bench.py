@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 from typer.main import get_group
 
 from objectfolder.cli.console import print_line, print_wide, track_progress
-from objectfolder.cli.files import SAMPLE, files_or_folders
+from objectfolder.cli.files import FORMS, object_files
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.reporting.tables import Table
@@ -53,8 +53,8 @@ FILES = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="[FILE]...",
-        help=f"Object Files, folders of builds, releases, or {SAMPLE}; default: build.",
-        callback=files_or_folders,
+        help=f"Object Files, each a {FORMS}; default: build.",
+        callback=object_files,
     ),
 ]
 PRESET = Annotated[

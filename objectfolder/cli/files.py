@@ -1,4 +1,4 @@
-"""What commands are given: Object Files, the samples among them, and folders to write."""
+"""What commands are given: Object Files, and folders to write."""
 
 import os
 from collections.abc import Sequence
@@ -7,12 +7,15 @@ from typing import Annotated
 
 import typer
 
-from objectfolder.base.errors import ObjectFolderError, shortened
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import check_output
-from objectfolder.objectfile.samples import available_samples, file_or_sample
+from objectfolder.base.terminal import Terminal
+from objectfolder.objectfile.samples import available_samples
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.lookup import FORMS, find_object_files, own_keys
 
-#: Names of the samples, for the help of commands.
-SAMPLE = f"a sample: {', '.join(available_samples())}"
+#: Names of an object of this workspace, for help.
+OWN = "key in params.yaml, or Object File in build/"
 PAGES = (".html", ".htm")  #: suffixes
 #: Stages that a command on a workspace is for.
 Targets = Annotated[
@@ -24,48 +27,44 @@ Targets = Annotated[
 
 
 def object_file(given: Path) -> Path:
-    """Return the Object File that a command is given: a path, or the sample of that name.
+    """Return the Object File that a command is given; see `objectfolder.workspace.lookup.find_object_files`.
 
-    A file of that name comes before the sample.
-
-    Raises ObjectFolderError if there is neither, or it is a folder.
+    Raises ObjectFolderError if there is none, or several.
     """
-    found = _there(file_or_sample(given), given)
-    if found.is_dir():
-        raise ObjectFolderError(
-            f"{found} is a folder, expected an Object File such as {found}/ObjectFile.safetensors"
-        )
-    return found
-
-
-def file_or_folder(given: Path) -> Path:
-    """Return a path, or the sample of that name; a file or folder of that name comes before the sample."""
-    return _there(given if _exists(given) else file_or_sample(given), given)
-
-
-def _there(found: Path, given: Path) -> Path:
-    if not _exists(found):
-        raise ObjectFolderError(
-            f"{shortened(given, 300)} does not exist; expected an Object File, or {SAMPLE}"
-        )
-    return found
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except OSError as error:  # a name that is too long, a folder without permission
-        raise ObjectFolderError(f"{shortened(path, 300)} cannot be read: {error.strerror}") from error
+    found = _named(given)
+    if len(found) > 1:
+        raise ObjectFolderError(f"{given} has {len(found)} Object Files, expected one, such as {found[0]}")
+    return found[0]
 
 
 def object_files(given: Sequence[Path] | None) -> list[Path] | None:
     """Return the Object Files that a command is given, if any; see `object_file`."""
-    return None if given is None else [object_file(path) for path in given]
+    return None if given is None else [file for name in given for file in _named(name)]
 
 
-def files_or_folders(given: Sequence[Path] | None) -> list[Path] | None:
-    """Return the Object Files, and folders with some, that a command is given, if any."""
-    return None if given is None else [file_or_folder(path) for path in given]
+def _named(given: Path) -> list[Path]:
+    """Find Object Files; say so if a build comes before a sample."""
+    found = find_object_files(given)
+    if str(given) in available_samples() and found == [Build(str(given)).object_file]:
+        said = f"note: {given} is {found[0]}, not the sample of that name"
+        Terminal(stderr=True).print(said, highlight=False, soft_wrap=True)
+    return found
+
+
+def object_key(given: str) -> str:
+    """Return the key of this workspace's object that a command is given, by `OWN`; it may not exist.
+
+    Raises ObjectFolderError if it is something else, or several.
+    """
+    keys = own_keys(Path(given))
+    if len(keys) > 1:
+        raise ObjectFolderError(f"{given} has {len(keys)} objects, expected one, such as {keys[0]}")
+    return keys[0]
+
+
+def object_keys(given: Sequence[str] | None) -> list[str] | None:
+    """Return the keys of this workspace's objects that a command is given, if any; see `object_key`."""
+    return None if given is None else [key for name in given for key in own_keys(Path(name))]
 
 
 def folder_to_write(given: Path) -> Path:
@@ -128,6 +127,7 @@ def empty_folder(given: Path) -> Path:
 
 #: Object Files that a command is for.
 FilesArgument = Annotated[
-    list[Path], typer.Argument(metavar="FILE...", help=f"Object Files, or {SAMPLE}.", callback=object_files)
+    list[Path],
+    typer.Argument(metavar="FILE...", help=f"Object Files, each a {FORMS}.", callback=object_files),
 ]
 OpenOption = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")]

@@ -7,6 +7,7 @@ import typer
 from rich.table import Table
 
 from objectfolder.cli.console import print_line, print_wide
+from objectfolder.cli.files import OWN, object_key
 
 fit_app = typer.Typer(
     no_args_is_help=True,
@@ -24,7 +25,9 @@ def _group() -> None:
 
 @fit_app.command()
 def sound(
-    key: Annotated[str, typer.Argument(metavar="OBJECT", help="Built object of the workspace.")],
+    key: Annotated[
+        str, typer.Argument(metavar="OBJECT", help=f"Built object: its {OWN}.", callback=object_key)
+    ],
     recordings: Annotated[
         list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC or OGG files of taps.")
     ],

@@ -11,7 +11,7 @@ from rich.table import Table
 from objectfolder.base.arrays import read_rows
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_line
-from objectfolder.cli.files import SAMPLE, empty_folder, object_file
+from objectfolder.cli.files import FORMS, empty_folder, object_file
 from objectfolder.stored.header import PARTS, RADIATION
 from objectfolder.stored.kinds import known_kinds
 
@@ -43,7 +43,7 @@ _MAX_SAMPLES = 2**30 - 100
 
 FileArgument = Annotated[
     Path,
-    typer.Argument(metavar="FILE", help=f"An ObjectFile.safetensors, or {SAMPLE}.", callback=object_file),
+    typer.Argument(metavar="FILE", help=f"Object File: a {FORMS}.", callback=object_file),
 ]
 ImagesArgument = Annotated[
     Path,

@@ -11,13 +11,18 @@ import typer
 from objectfolder.base.checks import is_web_address, one_line
 from objectfolder.base.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.cli.console import console, print_line
-from objectfolder.cli.files import folder_to_write
+from objectfolder.cli.files import OWN, folder_to_write, object_keys
 
 
 def release(
     out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to create.")],
     objects: Annotated[
-        list[str] | None, typer.Argument(metavar="[OBJECT]...", help="Objects; default: all that are built.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[OBJECT]...",
+            help=f"Built objects, each by its {OWN}; default: all.",
+            callback=object_keys,
+        ),
     ] = None,
     licence: Annotated[
         list[str] | None,

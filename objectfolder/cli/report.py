@@ -7,7 +7,7 @@ import typer
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_line, show_page
-from objectfolder.cli.files import SAMPLE, OpenOption, object_files, page_to_write, site_to_write
+from objectfolder.cli.files import FORMS, OpenOption, object_files, page_to_write, site_to_write
 
 
 def report(
@@ -15,7 +15,7 @@ def report(
         list[Path] | None,
         typer.Argument(
             metavar="[FILE]...",
-            help=f"Object Files, or {SAMPLE}; default: all objects of the workspace.",
+            help=f"Object Files, each a {FORMS}; default: all objects of the workspace.",
             callback=object_files,
         ),
     ] = None,

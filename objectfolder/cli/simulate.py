@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.encoding import encoder, write_video
-from objectfolder.cli.files import object_files
+from objectfolder.cli.files import FORMS, object_files
 
 
 def simulate(
@@ -15,7 +15,8 @@ def simulate(
         list[Path] | None,
         typer.Argument(
             metavar="[FILE...]",
-            help="Object Files of its bodies, which bear the objects' keys; default: the samples among them.",
+            help=f"Object Files of its bodies, which bear the objects' keys, each a {FORMS}; default: the "
+            "samples among them.",
             callback=object_files,
         ),
     ] = None,

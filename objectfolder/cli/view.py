@@ -24,7 +24,7 @@ def view(
     Writes one page that holds the files and the program that answers from them. It needs no server and no
     network; docs/viewer.md.
 
-    Examples: objectfolder view mug, objectfolder view build/mug/ObjectFile.safetensors
+    Examples: objectfolder view mug, objectfolder view mug.safetensors
     """
     from objectfolder.base.io import write_text
     from objectfolder.objectfile.file import ObjectFile

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 NAMES = ("ground truth", "Object File", "difference")
 ENLARGED = 4  #: amplification of displayed differences of images
+#: matplotlib's colours of that name, every 32nd, RGB: a report needs no matplotlib.
+MAGMA = bytes.fromhex("000004 1d1147 51127c 832681 b73779 e55064 fb8761 fec287 fcfdbf")
 SHOWN_SECONDS = (0.1, 0.2, 0.5, 1.0)  # of a spectrogram in a row: the shortest in which the sound decays
 
 
@@ -68,8 +70,6 @@ def join_spectrograms(truth: np.ndarray | None, answer: np.ndarray, rate: int) -
 
     Decibels are relative to the peak of the truth.
     """
-    from matplotlib import colormaps
-
     sounds = [answer] if truth is None else [truth, answer, answer - truth]
     levels = [magnitudes(sound)[::-1] for sound in sounds]
     top = levels[0].max()
@@ -81,4 +81,6 @@ def join_spectrograms(truth: np.ndarray | None, answer: np.ndarray, rate: int) -
     shown = [20 * np.log10(np.maximum(level, floor)) / DYNAMIC_RANGE + 1 for level in levels]
     gap = np.ones((len(shown[0]), 2))
     panels = [part for level in shown for part in (gap, level)][1:]
-    return np.asarray(colormaps["magma"](np.concatenate(panels, 1)))[..., :3], seconds
+    joined, colours = np.concatenate(panels, 1), np.frombuffer(MAGMA, np.uint8).reshape(-1, 3) / 255
+    steps = np.linspace(0, 1, len(colours))
+    return np.stack([np.interp(joined, steps, channel) for channel in colours.T], -1), seconds

@@ -70,6 +70,17 @@ def test_a_recording_without_a_strike_is_named(built, recordings, tmp_path):
     assert [line for line in lines if "no strike" in line] == [f"{noise}: no strike, left out"]
 
 
+def test_an_object_is_named_by_its_file_too(built, recordings, tmp_path):
+    Build("mug").object_file.write_bytes(b"packed")
+    shown = run(Build("mug").object_file, *recordings, "--dry-run")
+    assert shown.output == run("mug", *recordings, "--dry-run").output
+    (tmp_path / "mug.safetensors").write_bytes(b"of others")
+    refusal = str(run(tmp_path / "mug.safetensors", *recordings).exception)
+    assert refusal.endswith(
+        "not built in this workspace; expected a key of params.yaml, or build/KEY/ObjectFile.safetensors"
+    )
+
+
 def test_the_next_command_is_in_one_line(built, recordings, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
     last = run("mug", *recordings).output.splitlines()[-1]

@@ -1,20 +1,26 @@
-"""Wherever a command takes an Object File, it takes a sample's name; a path that is not there is refused."""
+"""Whatever names Object Files does so for every command; what is not there is refused."""
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from brick import SCALE, SIDES
+from index_rows import MUG
 from refusals import refused
 from typer.main import get_command
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.run import load_object_files
 from objectfolder.cli import app, main
-from objectfolder.cli.files import file_or_folder, object_file
+from objectfolder.cli.files import object_file, object_files
+from objectfolder.hub.release.entries import index_text
+from objectfolder.objectfile.dataset import IndexEntry
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.samples import sample_path
+from objectfolder.workspace.layout import Build
+from objectfolder.workspace.lookup import FORMS
 from objectfolder.workspace.stages import BENCHMARKS
 
 #: How commands show arguments that are Object Files.
@@ -28,6 +34,7 @@ def commands(command, *words):
             yield from commands(inner, *words, name)
     arguments = [param for param in command.params if param.param_type_name == "argument"]
     if any(param.metavar in SHOWN for param in arguments):
+        assert f" a {FORMS}" in next(param.help for param in arguments if param.metavar in SHOWN), words
         yield words, ["FILE" if param.metavar in SHOWN else f"new{i}" for i, param in enumerate(arguments)]
 
 
@@ -45,29 +52,56 @@ def test_all_commands_are_found():
 
 
 @pytest.mark.parametrize(("words", "arguments"), COMMANDS, ids=[" ".join(words) for words, _ in COMMANDS])
-def test_every_command_names_the_samples_if_a_file_is_not_there(tmp_path, monkeypatch, words, arguments):
+def test_every_command_says_what_it_looked_for_if_a_file_is_not_there(
+    tmp_path, monkeypatch, words, arguments
+):
     monkeypatch.chdir(tmp_path)
     given = [argument.replace("FILE", "nosuch.safetensors") for argument in arguments]
-    message = r"^nosuch\.safetensors does not exist; expected an Object File, or a sample: bell, die, mug$"
+    message = f"^{re.escape(f'nosuch.safetensors does not exist; expected a {FORMS}')}$"
     refused(message, app, [*words, *given], standalone_mode=False)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_of_a_samples_name_comes_first_and_a_folder_where_folders_are_taken(tmp_path, monkeypatch):
+@pytest.fixture
+def built(brick, tmp_path, monkeypatch):
+    """A folder with builds of bricks whose keys are lid and mug, and a release of them."""
     monkeypatch.chdir(tmp_path)
-    assert object_file(Path("mug")) == file_or_folder(Path("mug")) == sample_path("mug")
-    Path("mug").mkdir()
-    assert file_or_folder(Path("mug")) == Path("mug")
-    assert object_file(Path("mug")) == sample_path("mug")
-    Path("die").write_bytes(b"a file of that name")
-    assert object_file(Path("die")) == file_or_folder(Path("die")) == Path("die")
-    refused(
-        r"^die is neither an Object File nor another readable .*: header",
-        app,
-        ["info", "die"],
-        standalone_mode=False,
-    )
-    refused(r"^\. is a folder, expected an Object File such as", object_file, Path())
+    Path("out/objects").mkdir(parents=True)
+    rows = []
+    for key in ("lid", "mug"):
+        Build(key).dir.mkdir(parents=True)
+        ObjectFile(brick.header | {"key": key}, brick.tensors).save(Build(key).object_file)
+        rows.append(MUG | {"key": key, "path": f"objects/{key}.safetensors", "material": brick.material})
+        shutil.copy(Build(key).object_file, Path("out", rows[-1]["path"]))
+    Path("out/objects.csv").write_text(index_text([IndexEntry(**row) for row in rows]))
+
+
+def test_a_name_is_a_path_then_a_key_then_a_sample(built, capsys):
+    builds = [Build("lid").object_file, Build("mug").object_file]
+    released = [Path("out/objects/lid.safetensors"), Path("out/objects/mug.safetensors")]
+    found = object_files([Path(name) for name in ("out", "lid", "build", "bell")])
+    assert found == [*released, builds[0], *builds, sample_path("bell")]
+    assert capsys.readouterr().err == ""
+    Path("mug").mkdir()  # without Object Files
+    assert object_file(Path("mug")) == builds[1]
+    said = "note: mug is build/mug/ObjectFile.safetensors, not the sample of that name\n"
+    assert capsys.readouterr().err == said
+    shutil.copy(builds[0], "mug")
+    assert object_file(Path("mug")) == Path("mug/ObjectFile.safetensors")
+    Path("lid").write_bytes(b"a file of that name")
+    assert object_file(Path("lid")) == Path("lid")
+    refused(r"^build has 2 Object Files, expected one, such as build/lid/", object_file, Path("build"))
+    refused(r"^no Object Files in out/objects: no ObjectFile\.safe", object_file, Path("out/objects"))
+    refused(r"^cup does not exist; .*; `objectfolder build` builds objects$", object_file, Path("cup"))
+
+
+def test_commands_take_keys_and_releases(built, capsys):
+    app(["info", "lid"], standalone_mode=False)
+    assert "lid (" in capsys.readouterr().out
+    app(["view", "out", "--out", "page.html", "--no-open"], standalone_mode=False)
+    assert all(f'data-object="{key}"' in Path("page.html").read_text() for key in ("lid", "mug"))
+    assert list(load_object_files([Path("out")])) == list(load_object_files(None)) == ["lid", "mug"]
+    refused("both of lid; give each object once", load_object_files, [Path("out"), Path("lid")])
 
 
 def test_the_frequency_above_which_modes_are_not_stored_is_shown(brick, tmp_path, capsys):
@@ -118,10 +152,7 @@ def test_a_sample_is_shown_sampled_queried_and_seen(tmp_path, monkeypatch, capsy
     assert [path.name for path in Path("seen").iterdir()] == ["1.png"]
     app(["view", "mug", "die", "--out", "both.html", "--no-open"], standalone_mode=False)
     assert Path("both.html").is_file()
-    assert list(load_object_files([file_or_folder(Path(name)) for name in ("mug", "bell")])) == [
-        "mug",
-        "bell",
-    ]
+    assert list(load_object_files([Path("mug"), Path("bell")])) == ["mug", "bell"]
 
 
 @pytest.mark.parametrize(

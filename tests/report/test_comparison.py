@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from matplotlib import colormaps
 from PIL import Image
 
 from objectfolder.base.figures import page, save_page
-from objectfolder.report.comparison import show_sounds, show_views
+from objectfolder.report.comparison import MAGMA, join_spectrograms, show_sounds, show_views
 from objectfolder.sound.spectrogram import magnitudes
 
 
@@ -47,3 +48,15 @@ def test_the_sheet_of_silence_says_so(tmp_path):
     assert all(a.texts[0].get_text() == "silent" for a in figure.axes)
     assert save_page(figure, tmp_path / "sheet.png").stat().st_size > 1000
     assert magnitudes(np.ones(32000)).shape == (257, 201)  # as of the paper's spectrogram
+
+
+def test_spectrograms_in_a_row_have_matplotlibs_colours_without_it():
+    colours = colormaps["magma"](np.linspace(0, 1, 9))[:, :3]
+    np.testing.assert_allclose(np.array([*MAGMA]).reshape(9, 3) / 255, colours, atol=0.01)
+    tone = np.sin(2 * np.pi * 2000 * np.arange(16000) / 16000)
+    image, seconds = join_spectrograms(tone, tone, 16000)
+    assert seconds == 1.0
+    width = (image.shape[1] - 4) // 3  # of truth, answer and difference, with gaps of two
+    loudest = image[-65, 10:90]  # 2 of 8 kHz
+    np.testing.assert_allclose(loudest, np.broadcast_to(colours[-1], (80, 3)), atol=0.05)
+    np.testing.assert_allclose(image[:, -width:], np.broadcast_to(colours[0], (257, width, 3)), atol=0.01)

@@ -10,7 +10,6 @@ from objectfolder.base.pictures import decoded
 from objectfolder.benchmarks.models.framing import OBJECT, composite, frame_cutout, resize_picture
 from objectfolder.benchmarks.models.shape_model import ShapeModel
 from objectfolder.benchmarks.scoring.shapes import intersection_over_union
-from objectfolder.mesh.reading.load import default_up
 from objectfolder.mesh.srgb import decode, encode
 from objectfolder.mesh.textured import y_up
 
@@ -107,10 +106,10 @@ def write_mesh(path: str | Path, vertices: np.ndarray, faces: np.ndarray) -> Non
     import trimesh
 
     check_mesh_name(path)
-    upright = y_up(vertices) if default_up(path) == "y" else vertices
+    kind = Path(path).suffix[1:].lower()
+    upright = y_up(vertices) if kind == "glb" else vertices
     with atomic(path) as temporary:
-        mesh = trimesh.Trimesh(upright, faces, process=False)
-        mesh.export(temporary, file_type=Path(path).suffix[1:].lower())
+        trimesh.Trimesh(upright, faces, process=False).export(temporary, file_type=kind)
 
 
 def cluttered(height: int, width: int, rng: np.random.Generator, rectangles: int = 40) -> np.ndarray:

@@ -17,6 +17,7 @@ from objectfolder import Dataset
 from objectfolder.base.io import file_digest, write_json
 from objectfolder.benchmarks.run import load_object_files
 from objectfolder.cli import app
+from objectfolder.cli.files import object_key
 from objectfolder.engine.process import CommandResult
 from objectfolder.engine.records import LOGS, record_cost
 from objectfolder.hub.release.croissant import croissant
@@ -82,6 +83,15 @@ def test_the_same_objects_give_the_same_bytes(dataset, capsys):
     assert "note: no scores of die, bell: `objectfolder build` writes them" in capsys.readouterr().out
     sums = [(dataset.folder.with_name(name) / "SHA256SUMS").read_text() for name in ("out", "again")]
     assert sums[0] == sums[1]
+
+
+def test_objects_are_named_by_their_files_too(built):
+    release("some", str(Build("bell").object_file), "mug", "--no-site", *OPTIONS)
+    assert Dataset("some").keys == ("mug", "bell")
+    release("all", "mug", "build", "--no-site", *OPTIONS)
+    assert Dataset("all").keys == ("mug", "die", "bell")
+    refused("some/objects/mug.safetensors was not built in this workspace", release, "new", "some")
+    refused("build has 3 objects, expected one, such as bell", object_key, "build")
 
 
 def test_a_dataset_is_a_sequence_that_filters(dataset):
