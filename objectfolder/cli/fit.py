@@ -26,7 +26,7 @@ def _group() -> None:
 def sound(
     key: Annotated[str, typer.Argument(metavar="OBJECT", help="Built object of the workspace.")],
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC or OGG files of taps.")
+        list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC, OGG or M4A files of taps.")
     ],
     law: Annotated[str, typer.Option(help="Damping model: loss_factor or rayleigh.")] = "loss_factor",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the fit; change nothing.")] = False,
