@@ -1,6 +1,5 @@
 """Videos with sound, by the program ffmpeg."""
 
-import shutil
 import subprocess
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,6 +8,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, shortened
+from objectfolder.base.installation import find_ffmpeg
 from objectfolder.base.io import atomic, check_output
 from objectfolder.cli.console import print_line, track_progress
 
@@ -24,11 +24,7 @@ def encoder(command: str, out: Path, *sides: int) -> str:
     for side in sides:
         if side < 2 or side % 2:
             raise ObjectFolderError(f"size is {side}, expected an even number: the codec halves the colours")
-    program = shutil.which("ffmpeg")
-    if program is None:
-        raise ObjectFolderError(
-            f"{command} needs the program ffmpeg, which is not on the PATH: apt-get install ffmpeg"
-        )
+    program = find_ffmpeg(command)
     check_output(out)
     return program
 

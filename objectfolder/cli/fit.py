@@ -29,7 +29,7 @@ def sound(
         str, typer.Argument(metavar="OBJECT", help=f"Built object: its {OWN}.", callback=object_key)
     ],
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC or OGG files of taps.")
+        list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC, OGG or M4A files of taps.")
     ],
     law: Annotated[str, typer.Option(help="Damping model: loss_factor or rayleigh.")] = "loss_factor",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the fit; change nothing.")] = False,

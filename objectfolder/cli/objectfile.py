@@ -36,6 +36,7 @@ TOUCH_COLUMNS = {
 }
 SHEAR_COLUMNS = {"torque": "torque_Nm", "slipping": "slipping"}
 _BATCH = 64  # sheared contacts at once
+_FAINTEST = 0.003  # peak of a sound, 50 dB below full scale: the noise of a quiet room
 
 # A WAV file counts its bytes, and those of a second, in 32 bits; a sample has 4.
 _MAX_RATE = 2**30 - 1
@@ -172,9 +173,11 @@ def audio(
     ] = None,
     normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
 ) -> None:
-    """Synthesize impact sounds as float WAV files.
+    """Synthesize impact sounds as float WAV files, of strikes that `objectfolder sample audio` writes.
 
-    Amplitudes are absolute and tiny; `--normalize` makes them audible.
+    `objectfolder query audio mug VERTICES.npy OUT/ --sample-rate 48000 --listener 0.5 0 0.3 --normalize`
+
+    Amplitudes are absolute: most are too faint or too loud for a player without `--normalize`.
     """
     from objectfolder.base.arrays import wav_bytes
     from objectfolder.base.io import write_bytes
@@ -213,6 +216,10 @@ def audio(
     loudest = _peak_summary(peak, response, listener is not None, normalize)
     modes = _mode_summary(frequencies, sample_rate)
     print_line(f"{plural(len(sounds), 'sound')} in {out}/, {loudest}; {modes}")
+    if not normalize and (peak > 1 or 0 < peak < _FAINTEST):
+        limit = "above full scale: players clip it" if peak > 1 else "too faint to be heard"
+        warning = f"warning: a peak of {peak:.3g} is {limit}; give --normalize to listen"
+        console.print(warning, style="yellow", soft_wrap=True, highlight=False)
 
 
 @query_app.command()

@@ -18,6 +18,8 @@ sample_app = typer.Typer(
     help="Write random, valid query files: `vision`, `audio` or `touch`; `query` answers them.",
 )
 
+_TAP = 0.01, 0.05  # impulses of taps with a small hammer or a finger, N s
+
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT.npy", help="File to write.")]
 CountOption = Annotated[int, typer.Option("-n", "--count", min=1, help="Queries, one per row.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="The same seed gives the same file.")]
@@ -56,7 +58,10 @@ def audio(
     out: OutArgument,
     count: CountOption = 20,
     seed: SeedOption = 0,
-    force: Annotated[float, typer.Option(help="Magnitude of every impulse, N s.")] = 1.0,
+    force: Annotated[
+        float | None,
+        typer.Option(help="Magnitude of every impulse, N s; default: of taps, 0.01 to 0.05, uniform."),
+    ] = None,
     directions: Annotated[
         str,
         typer.Option(
@@ -72,15 +77,17 @@ def audio(
 ) -> None:
     """Write strikes, (N, 6): points on the surface (metres), uniform by area, and impulses (N s).
 
-    With `--forces`, two files of (N, 3), as in the published dataset. Then:
+    Then, with `--forces FORCES.npy` for two files of (N, 3), as in the published dataset:
 
-    `objectfolder query audio FILE OUT.npy SOUNDS/ [--forces FORCES.npy]`
+    `objectfolder query audio FILE OUT.npy SOUNDS/ --sample-rate 48000 --listener 0.5 0 0.3 --normalize`
     """
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.objectfile.query_files import sample_strikes
 
     _check_names(out, forces)
-    rows = sample_strikes(ObjectFile.load(file), count, seed, force, directions)
+    rows = sample_strikes(ObjectFile.load(file), count, seed, 1.0 if force is None else force, directions)
+    if force is None:  # drawn by a generator independent of those of points and directions
+        rows[:, 3:] *= np.random.default_rng(seed).spawn(2)[1].uniform(*_TAP, (count, 1))
     _write({out: rows} if forces is None else {out: rows[:, :3], forces: rows[:, 3:]})
 
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from objectfolder.base.figures import show_image
-from objectfolder.base.metrics import psnr
 from objectfolder.sound.spectrogram import DYNAMIC_RANGE, HOP, magnitudes, show_spectrogram
 
 if TYPE_CHECKING:
@@ -24,17 +23,18 @@ def compare_images(truth: np.ndarray, answer: np.ndarray) -> list[np.ndarray]:
     return [truth, answer, 1 - (ENLARGED * np.abs(answer - truth)).clip(0, 1)]
 
 
-def show_views(figure: "Figure", truth: np.ndarray, answers: np.ndarray, titles: Sequence[str]) -> None:
-    """Fill a page with one view per column, and the PSNR of the answer below its title.
+def show_views(
+    figure: "Figure", truth: np.ndarray, answers: np.ndarray, scores: np.ndarray, titles: Sequence[str]
+) -> None:
+    """Fill a page with one view per column, and its score, dB, below its title.
 
     Views are (N, H, W, 3) arrays in [0, 1].
     """
     panels = figure.subplots(3, len(truth), squeeze=False)
-    for column, image, answer, title in zip(panels.T, truth, answers, titles):
+    for column, image, answer, score, title in zip(panels.T, truth, answers, scores, titles):
         for axes, values in zip(column, compare_images(image, answer)):
             show_image(axes, values)
-        error = np.square(answer - image).mean()
-        column[0].set_title(f"{title}\n{float(psnr(error)):.1f} dB", fontsize=9)
+        column[0].set_title(f"{title}\n{score:.1f} dB", fontsize=9)
     for axes, name in zip(panels[:, 0], (*NAMES[:2], f"{NAMES[2]}, {ENLARGED} times")):
         axes.set_axis_on()  # for its label alone
         axes.set(xticks=[], yticks=[])

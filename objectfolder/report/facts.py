@@ -172,15 +172,14 @@ def _views(file: ObjectFile, build: Build | None, metrics: dict[str, Any] | None
         return shown
     data = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "center")
     titles = choose_views(metrics["vision"], VIEWS)
-    pairs = zip(*compare_views(file, data, list(titles)))
+    compared = zip(*compare_views(file, data, list(titles)))
     named = (f"{title}, one point light" for title in titles.values())
-    return shown + [_compared(title, *pair) for title, pair in zip(named, pairs)]
+    return shown + [_compared(title, *each) for title, each in zip(named, compared)]
 
 
-def _compared(title: str, truth: np.ndarray, answer: np.ndarray) -> dict[str, Any]:
+def _compared(title: str, truth: np.ndarray, answer: np.ndarray, score: float) -> dict[str, Any]:
     """Return images beside each other, with the PSNR of the answer."""
-    score = _rounded(psnr(np.square(answer - truth).mean()))
-    return {"title": title, "score": score, "source": picture_uri(join_images(truth, answer))}
+    return {"title": title, "score": _rounded(score), "source": picture_uri(join_images(truth, answer))}
 
 
 def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
@@ -236,7 +235,8 @@ def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     if truths.shape != answers.shape:  # of another sensor, since the file was written
         return _touches_alone(file)
     titles = map(_contact, data["depths"][rows], data["obstructed"][rows])
-    return [_compared(*each) for each in zip(titles, truths, answers)]
+    scores = psnr(np.square(answers - truths).mean((1, 2, 3)))
+    return [_compared(*each) for each in zip(titles, truths, answers, scores)]
 
 
 def _touches_alone(file: ObjectFile) -> list[dict[str, Any]]:

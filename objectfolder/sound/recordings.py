@@ -4,14 +4,17 @@ import io
 import math
 import re
 import struct
+import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError, shortened
+from objectfolder.base.installation import find_ffmpeg
 from objectfolder.base.io import content_hint
 
 if TYPE_CHECKING:
@@ -22,6 +25,7 @@ CLIPPED_RUN = 3  # samples
 FLAT_TOP_RUN = 2  # samples in a row at the highest level, where a sound was cut off below full scale
 LEVELS = 8  # below the highest, which together are taken more often unless the sound is cut off
 FLOAT_SUBTYPES = ("FLOAT", "DOUBLE")  # subtypes of files that hold samples above full scale
+FORMATS = "WAV, FLAC, OGG, M4A or another container that ffmpeg decodes"
 MIN_PEAK = 1e-4  # of full scale, peak
 MIN_RATE = 8000.0  # Hz
 MAX_SECONDS = 600.0
@@ -32,6 +36,8 @@ UNKNOWN_SIZE = 0x7FFF0000
 UNKNOWN_LENGTH = 2**62  # samples; as many or more stand for a number that is not known
 #: In the log of libsndfile: bytes of sound that the header says, and that the file has.
 _SIZES = re.compile(r"^\s*(?:data|SSND|Data Size|riff|Riff size)\s*: (\d+) \(should be (\d+)\)", re.MULTILINE)
+#: What files begin with that ffmpeg decodes: Matroska and WebM, AMR, AAC, ASF. MP4 has b"ftyp" at byte 4.
+_CONTAINERS = (b"\x1aE\xdf\xa3", b"#!AMR", b"\xff\xf1", b"\xff\xf9", b"0&\xb2u")
 _PAGE = 65307  # bytes, of the longest page of Ogg
 USABLE_BAND = 0.45  #: of the sample rate: modes above are not looked for
 
@@ -64,21 +70,21 @@ def read_recording(path: Path) -> tuple[np.ndarray, float]:
 def open_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
     """Open an audio file; its errors, also of what is done with it, become ObjectFolderError.
 
-    A WAV file whose header has no sizes, as of a program that wrote to a pipe, goes on to its end. Raises
-    ObjectFolderError if it does not exist, cannot be read, or does not say how long it is; if an OGG file
-    lacks its end.
+    A WAV file whose header has no sizes, as of a program that wrote to a pipe, goes on to its end. M4A and
+    other containers are decoded by ffmpeg. Raises ObjectFolderError if it does not exist, cannot be read, or
+    does not say how long it is; if an OGG file lacks its end, or ffmpeg is needed and not installed.
     """
     import soundfile
 
     try:
         if path.is_dir() or not path.exists():
             problem = "is a folder" if path.is_dir() else "does not exist"
-            raise ObjectFolderError(f"{path} {problem}; expected a recording: WAV, FLAC or OGG")
+            raise ObjectFolderError(f"{path} {problem}; expected a recording: {FORMATS}")
         if _lacks_end(path):
             raise ObjectFolderError(
                 f"{path} is cut off: its last page is not that of the end; copy or record it again"
             )
-        with soundfile.SoundFile(_sized(path) or path) as file:
+        with _decoded(path) as sound, soundfile.SoundFile(_sized(sound) or sound) as file:
             if file.frames >= UNKNOWN_LENGTH:
                 raise ObjectFolderError(
                     f"{path} does not say how long it is; convert it, as by `ffmpeg -i FILE sound.wav`"
@@ -86,8 +92,29 @@ def open_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
             yield file
     except (soundfile.LibsndfileError, OSError) as error:
         raise ObjectFolderError(
-            f"{path} is not a readable audio file ({error}){content_hint(path)}; expected WAV, FLAC or OGG"
+            f"{path} is not a readable audio file ({error}){content_hint(path)}; expected {FORMATS}"
         ) from error
+
+
+@contextmanager
+def _decoded(path: Path) -> Iterator[Path]:
+    """Give the path of a sound that libsndfile reads: the file itself, or what ffmpeg decodes of it."""
+    with path.open("rb") as file:
+        head = file.read(12)
+    if head[4:8] != b"ftyp" and not head.startswith(_CONTAINERS):
+        yield path
+        return
+    program = find_ffmpeg(path)
+    with TemporaryDirectory() as folder:
+        sound = Path(folder, "sound.wav")
+        # No file that it names is read. 24 bits are clipped where a recording is.
+        source = ["-nostdin", "-v", "error", "-protocol_whitelist", "file", "-i", f"file:{path}"]
+        written = ["-vn", "-t", str(MAX_SECONDS + 1), "-c:a", "pcm_s24le", str(sound)]
+        done = subprocess.run([program, *source, *written], stderr=subprocess.PIPE, check=False)
+        if done.returncode or done.stderr:
+            said = shortened(done.stderr.decode(errors="replace").strip().partition("\n")[0], 200)
+            raise ObjectFolderError(f"{path} cannot be decoded by ffmpeg ({said}); expected {FORMATS}")
+        yield sound
 
 
 def read_channels(file: "soundfile.SoundFile", path: Path, most: float = math.inf) -> np.ndarray:

@@ -118,9 +118,15 @@ def choose_views(scores: dict[str, Any], count: int) -> dict[int, str]:
 
 def compare_views(
     file: VisionQueries, views: dict[str, np.ndarray], rows: list[int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return true held-out whole views and the Object File's; both (N, H, W, 3), sRGB on white."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return true held-out whole views, the Object File's, and the PSNR of each as it is scored, dB.
+
+    Views are (N, H, W, 3), sRGB on white.
+    """
     rgba = views["rgba"][rows].astype(np.float32)
+    noise = views.get("noise", np.zeros(0))
+    noise = noise[rows].astype(np.float32) if noise.ndim == 4 else np.zeros_like(rgba)  # fewer in old builds
     whole = image_intrinsics(views)[0]
     answers = file.view(views["camera_to_world"][rows], views["light"][rows], intrinsics=whole)
-    return on_white(torch.from_numpy(rgba)).numpy(), answers
+    errors = [_pooled(*noiseless_error(*each))[0] for each in zip(answers, rgba, noise)]
+    return on_white(torch.from_numpy(rgba)).numpy(), answers, psnr(np.array(errors))

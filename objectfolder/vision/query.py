@@ -1,5 +1,7 @@
 """Vision of an Object File: cameras and lights in, pictures out."""
 
+import logging
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +30,8 @@ from objectfolder.vision.lighting import Lamp, PointLight
 from objectfolder.vision.picture import Drawer, Picture, Views
 
 _BYTES_DRAWING = 64  # per pixel of the image that is being drawn
+_LARGEST = math.sqrt(3) / 2  # radius of the ball about a box whose longest side is 1
+log = logging.getLogger(__name__)
 
 #: "studio", or lights.
 Lights = str | Sequence[Lamp] | None
@@ -92,6 +96,8 @@ class LitCameras:
 
 class VisionSense(ABC):
     """What an Object File asks a vision net of any kind."""
+
+    warned = False  #: whether a camera inside the object's ball was warned of
 
     @property
     def base_colors(self) -> BaseColors | None:
@@ -163,6 +169,7 @@ class VisionQueries(StoredObject):
         """
         smooth, seen_by = true_or_false("supersample", supersample), Intrinsics.given(intrinsics, resolution)
         cameras = LitCameras.checked(camera, light, gather_lamps(lights, environment), seen_by, 12)
+        self._warn_if_inside(cameras)
         return like_first(view_images(self._parts.vision.drawer(smooth), cameras), camera)
 
     @usual_modes()
@@ -188,7 +195,24 @@ class VisionQueries(StoredObject):
         """
         smooth, seen_by = true_or_false("supersample", supersample), Intrinsics.given(intrinsics, resolution)
         cameras = LitCameras.checked(camera, light, gather_lamps(lights, environment), seen_by, 44)
+        self._warn_if_inside(cameras)
         return render_views(self._parts.vision.drawer(smooth), cameras, self.scale)
+
+    def _warn_if_inside(self, cameras: LitCameras) -> None:
+        """Warn, once, of a camera inside the ball that holds the object: its position may be in metres."""
+        sense: VisionSense = self._parts.vision
+        places = cameras.poses[:, :3, 3]
+        distances = np.linalg.norm(places, axis=1)
+        if sense.warned or distances.min(initial=_LARGEST) >= _LARGEST or not self._parts.surface.stored:
+            return
+        radius = np.linalg.norm(self._parts.geometry.vertices, axis=1).max()
+        if distances.min() < radius:
+            sense.warned = True
+            log.warning(
+                "%s: the camera at %s is inside the object's bounding ball of radius %.2f; cameras are in "
+                "the unit frame, in which the object's longest side is 1: divide metres by %g",
+                *(self.key, places[distances.argmin()].round(4).tolist(), radius, self.scale),
+            )
 
 
 def light_picture(drawer: Drawer, pose: np.ndarray, lamps: Sequence[Lamp], intrinsics: Intrinsics) -> Picture:

@@ -168,13 +168,30 @@ def test_the_peak_has_its_unit_and_is_that_before_normalizing(brick, strike, opt
     output, sounds = strike("--duration", 0.1, *options, *["--normalize"] * normalize)
     said = f"out/, peak {np.abs(expected).max():.3g} {unit}{' before normalizing' * normalize}; 12 modes"
     assert said in output
+    assert ("give --normalize to listen" in output) == (not normalize)
     written = max(np.abs(sound).max() for sound, _ in sounds)
     assert written == pytest.approx(0.9 if normalize else np.abs(expected).max(), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("peak", "warning"),
+    [(0.001, "is too faint to be heard"), (0.5, None), (19, "is above full scale: players clip it")],
+)
+def test_sounds_that_players_clip_or_nobody_hears_are_named(brick, brick_path, tmp_path, peak, warning):
+    points, ear = brick.sample_surface(1), [0.3, 0.1, 0.5]
+    loudest = np.abs(brick.impact(points, [[0, 0, 1]], duration=0.1, listener=ear)).max()
+    np.save(tmp_path / "strike.npy", np.c_[points, [[0, 0, peak / loudest]]])
+    places = brick_path, tmp_path / "strike.npy", tmp_path / "out"
+    output = run("query", "audio", *places, "--duration", 0.1, "--listener", *ear)
+    assert re.findall("warning: a peak of (.*); give --normalize to listen", output) == (
+        [f"{peak} {warning}"] if warning else []
+    )
 
 
 def test_a_silent_object_says_so(brick, strike):
     output, sounds = strike("--sample-rate", int(brick.frequencies[0]), "--duration", 0.1, "--normalize")
     assert "peak 0: silent; 12 modes, 12 left out" in output
+    assert "warning" not in output
     assert not any(sound.any() for sound, _ in sounds)
 
 

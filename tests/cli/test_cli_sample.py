@@ -88,6 +88,16 @@ def test_strikes_are_on_the_surface_uniform_by_area_and_push_straight_in(brick, 
     np.testing.assert_allclose(impulses[flat] / 0.25, inward[flat], atol=0.02)
 
 
+def test_strikes_are_taps_unless_their_impulse_is_given(brick, brick_path, tmp_path):
+    run("sample", "audio", brick_path, tmp_path / "s.npy", "-n", 1000)
+    points, impulses = np.hsplit(np.load(tmp_path / "s.npy", allow_pickle=False), 2)
+    expected = sample_strikes(brick, 1000)
+    np.testing.assert_array_equal(points, expected[:, :3])
+    size = np.linalg.norm(impulses, axis=1)
+    np.testing.assert_allclose(impulses / size[:, None], expected[:, 3:], atol=1e-12)
+    assert stats.kstest(size, "uniform", (0.01, 0.04)).pvalue > 1e-3
+
+
 def test_random_strikes_go_anywhere_inward(brick):
     points, impulses = np.hsplit(sample_strikes(brick, 2000, directions="random"), 2)
     np.testing.assert_allclose(np.linalg.norm(impulses, axis=1), 1, rtol=1e-12)

@@ -11,6 +11,7 @@ from refusals import refused
 
 from objectfolder import ObjectFile
 from objectfolder.base.materials import material
+from objectfolder.base.metrics import psnr
 from objectfolder.objectfile.evaluation import summary_row
 from objectfolder.sound.evaluation import (
     SoundTruth,
@@ -281,9 +282,22 @@ def test_the_best_the_median_and_the_worst_view_are_named(brick, views):
 
 
 def test_views_are_compared_with_their_truth(brick, views):
-    truth, answers = compare_views(brick, views, [2, 0])
+    truth, answers, scores = compare_views(brick, views, [2, 0])
     assert truth.shape == answers.shape == (2, 20, 30, 3)
     np.testing.assert_allclose(truth[1], answers[1], atol=1e-6)
+    assert scores[0] == pytest.approx(evaluate_vision(brick, views)["psnr_worst"])
+    assert scores[1] > 60
+
+
+def test_compared_views_are_scored_without_the_noise_of_their_truth(brick, views):
+    noise = 0.001 * np.random.default_rng(5).normal(size=views["rgba"].shape)
+    noise *= views["rgba"][..., 3:] * [1, 1, 1, 0]
+    noisy = views | {"rgba": views["rgba"] + noise, "noise": noise}
+    truth, answers, scores = compare_views(brick, noisy, [2, 0])
+    assert scores[0] == pytest.approx(evaluate_vision(brick, noisy)["psnr_worst"])
+    old = compare_views(brick, noisy | {"noise": np.zeros((5, 2))}, [2, 0])[2]  # of an older build
+    np.testing.assert_allclose(old, psnr(np.square(answers - truth).mean((1, 2, 3))), rtol=1e-4)
+    assert scores[1] > old[1] + 3
 
 
 # Touches

@@ -149,6 +149,18 @@ def test_a_camera_inside_the_object_sees_no_background(brick):
     assert (image < 1).any()
 
 
+def test_a_camera_in_metres_is_warned_of_once(brick_path, caplog):
+    brick = ObjectFile.load(brick_path)
+    light, corner = [0, 0, 1.0], np.linalg.norm(SIDES) / 2
+    brick.view([[2.0, 1, 1], [corner + 0.01, 0, 0]], light, 2)
+    assert not caplog.messages
+    for ask in (brick.render, brick.view):
+        ask([[2.0, 1, 1], [0, 0.55, 0]], light, 2)
+    (message,) = caplog.messages
+    assert message.startswith("brick: the camera at [0.0, 0.55, 0.0] is inside the object's bounding ball")
+    assert message.endswith("unit frame, in which the object's longest side is 1: divide metres by 0.1")
+
+
 POSE = look_at(np.array([2.0, 1.0, 1.0]))[0]
 MIRROR = np.diag([-1.0, 1, 1, 1])
 NO_MOTIONS = [

@@ -12,8 +12,8 @@ from objectfolder.sound.spectrogram import magnitudes
 
 def test_the_sheet_of_views_shows_truth_answer_and_enlarged_difference(rng, tmp_path):
     figure, truth = page(4, 6, "x: views"), 0.2 + 0.8 * rng.random((2, 20, 30, 3))
-    show_views(figure, truth, np.clip(truth - 0.1, 0, 1), ["one", "two"])
-    assert [a.get_title() for a in figure.axes[:2]] == ["one\n20.0 dB", "two\n20.0 dB"]
+    show_views(figure, truth, np.clip(truth - 0.1, 0, 1), np.array([42.31, 7]), ["one", "two"])
+    assert [a.get_title() for a in figure.axes[:2]] == ["one\n42.3 dB", "two\n7.0 dB"]
     labels = [axes.get_ylabel() for axes in figure.axes[::2]]
     assert labels == ["ground truth", "Object File", "difference, 4 times"]
     difference = figure.axes[5].images[0].get_array()

@@ -125,6 +125,40 @@ def test_a_path_without_a_recording_is_told_from_an_unreadable_one(tmp_path):
     refused(f"^{re.escape(str(tmp_path))} is a folder; expected a rec", read_recording, tmp_path)
 
 
+@pytest.fixture
+def phone(tmp_path, monkeypatch):
+    """A recording of a phone, and what stands in for ffmpeg and runs a line of shell."""
+    program = tmp_path / "ffmpeg"
+
+    def install(line):
+        program.write_text(f"#!/bin/sh\nfor out; do :; done\n{line}\n")
+        program.chmod(0o755)
+        monkeypatch.setattr("shutil.which", lambda name: str(program))
+
+    recording = tmp_path / "tap.m4a"
+    recording.write_bytes(b"\0\0\0\x1cftypM4A \0\0\2\0")
+    return recording, install
+
+
+def test_a_container_is_decoded_by_ffmpeg(written, phone, tmp_path):
+    (recording, install), tap = phone, written(loud(0.5), "PCM_24")
+    install(f'echo "$@" > {tmp_path}/said; cp {tap} "$out"')
+    sound, rate = read_recording(recording)
+    np.testing.assert_array_equal(sound, read_recording(tap)[0])
+    assert rate == RATE
+    said = (tmp_path / "said").read_text()
+    assert f"-protocol_whitelist file -i file:{recording} " in said
+
+
+def test_a_container_that_cannot_be_decoded_is_named(phone, monkeypatch):
+    recording, install = phone
+    install("echo moov atom not found >&2; exit 1")
+    refused(r"tap\.m4a cannot be decoded by ffmpeg \(moov atom not found\)", read_recording, recording)
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    needed = r"tap\.m4a needs the program ffmpeg, which is not on the PATH: apt-get install ffmpeg"
+    refused(needed, read_recording, recording)
+
+
 def test_a_rate_at_which_modes_would_be_lost_is_refused_by_name():
     sounds = [(np.ones(9), rate) for rate in (96000.0, 8000.0, 48000.0)]
     message = (
