@@ -253,7 +253,7 @@ def _csv_rows(path: Path) -> dict[str, dict[str, Any]]:
     """Read a table whose first line may name its columns; else they are name, material and perhaps mass."""
     lines = csv.reader(path.read_text(encoding="utf-8-sig").splitlines())
     columns: list[str] = []
-    rows = {}
+    rows: dict[str, dict[str, Any]] = {}
     for row in lines:
         cells, where = [cell.strip() for cell in row], f"{path}, line {lines.line_num}"
         if not any(cells):
