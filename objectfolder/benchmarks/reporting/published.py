@@ -38,7 +38,7 @@ class Published:
 
 
 def beside(table: Table, published: Published, tested: int | None) -> Table:
-    """Add published figures to a table, in its note if another number of objects was tested than here."""
+    """Add published figures to a table; only to its note unless as many objects were tested here."""
     if tested != published.tested:
         listed = ", ".join(f"{row} {' / '.join(published.cells(row))}" for row in published.figures)
         told = f"The {published.by} has {listed}, not comparable with {tested} test objects here"
