@@ -4,13 +4,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
 
 from objectfolder import ObjectFile
 from objectfolder.base.io import atomic
 from objectfolder.objectfile.samples import available_samples
-from objectfolder.sound.spectrogram import spectrogram
+from objectfolder.report.comparison import join_spectrograms, shown_rate
 
 CAMERAS = np.array([[1.9, -1.2, 1.1], [-1.6, -1.6, 1.2], [0.6, 2.0, 1.5]])
 
@@ -26,16 +25,9 @@ def main(objects: list[ObjectFile]) -> None:
         contrast = images.astype(float).std((1, 2)).sum(1)
         for ax, image in zip(row[3:5], images[np.argsort(contrast)[[-1, -12]]]):
             ax.imshow(image)
-        sound = obj.impact(points[:1], [[0.6, 0.5, 0.7]])
-        level = 20 * np.log10(spectrogram(torch.from_numpy(sound))[0].abs().numpy() + 1e-20)
-        row[5].imshow(
-            level[:, :100],
-            origin="lower",
-            aspect="auto",
-            extent=(0, 1, 0, 8),
-            vmin=level.max() - 80,
-            cmap="magma",
-        )
+        rate = shown_rate(obj)
+        image, seconds = join_spectrograms(None, obj.impact(points[:1], [[0.6, 0.5, 0.7]], rate)[0], rate)
+        row[5].imshow(image, aspect="auto", extent=(0, seconds, 0, rate / 2000))
         row[5].set(xlabel="s", ylabel="kHz")
         row[0].set_ylabel(f"{obj.key}: {obj.material}, {obj.scale * 100:.0f} cm")
         for ax in row[:5]:

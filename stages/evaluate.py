@@ -8,7 +8,7 @@ from objectfolder.base.io import file_digest, read_json, write_json
 from objectfolder.base.seeding import numpy_generator
 from objectfolder.objectfile.file import load_placed
 from objectfolder.objectfile.settings import EvaluateConfig
-from objectfolder.report.comparison import show_sounds, show_views
+from objectfolder.report.comparison import show_sounds, show_views, shown_rate
 from objectfolder.sound.evaluation import SoundTruth, UnitStrikes, compare_sounds, evaluate_sound
 from objectfolder.touch.evaluation import evaluate_touch
 from objectfolder.vision.evaluation import choose_views, compare_views, evaluate_vision
@@ -42,13 +42,14 @@ def main(key: str) -> None:
         "file_sha256": file_digest(build.object_file),
     }
     write_json(build.metrics, metrics)
-    titles = choose_views(vision, SHOWN_VIEWS)
+    titles = choose_views(vision, views["rgba"], SHOWN_VIEWS)
     sheet = page(1.6 * len(titles), 5.8, f"{key}: held-out views")
     show_views(sheet, *compare_views(file, views, list(titles)), list(titles.values()))
     save_page(sheet, build.vision_sheet)
-    shown = strikes[:SHOWN]
+    shown, rate = strikes[:SHOWN], shown_rate(file)
     sheet = page(3.6 * SHOWN, 9, f"{key}: 1 N s at held-out points of the surface, displacement")
-    show_sounds(sheet, *compare_sounds(file, modes, shown), shown.describe(modes["points"] * file.scale))
+    sounds = compare_sounds(file, modes, shown, rate)
+    show_sounds(sheet, *sounds, rate, shown.describe(modes["points"] * file.scale))
     save_page(sheet, build.sound_sheet)
 
 

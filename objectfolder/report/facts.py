@@ -16,7 +16,7 @@ from objectfolder.base.seeding import numpy_generator
 from objectfolder.engine.records import recall_costs
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.report.certificate import build_checks, file_checks
-from objectfolder.report.comparison import join_images, join_spectrograms
+from objectfolder.report.comparison import SHOWN_RATE, join_images, join_spectrograms
 from objectfolder.report.pictures import picture_uri, playing_rate, sound_uri
 from objectfolder.sound.evaluation import UnitStrikes, compare_sounds
 from objectfolder.sound.fem.certainty import uncertainty_warning
@@ -171,7 +171,7 @@ def _views(file: ObjectFile, build: Build | None, metrics: dict[str, Any] | None
     if build is None or metrics is None or not build.views("test").is_file():
         return shown
     data = read_npz(build.views("test"), "rgba", "camera_to_world", "light", "focal", "center")
-    titles = choose_views(metrics["vision"], VIEWS)
+    titles = choose_views(metrics["vision"], data["rgba"], VIEWS)
     compared = zip(*compare_views(file, data, list(titles)))
     named = (f"{title}, one point light" for title in titles.values())
     return shown + [_compared(title, *each) for title, each in zip(named, compared)]
@@ -206,7 +206,7 @@ def _sounds(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
         sounds.append(
             {
                 "title": title.replace("\n", " "),
-                "axes": f"0 to {rate / 2000:g} kHz upwards, 0 to {seconds:g} s to the right",
+                "axes": f"0 to {min(rate, SHOWN_RATE) / 2000:g} kHz upwards, 0 to {seconds:g} s to the right",
                 "truth": None if truth is None else sound_uri(truth, peak, rate),
                 "answer": sound_uri(answer, peak, rate),
                 "source": picture_uri(image),

@@ -12,9 +12,9 @@ from objectfolder.base.arrays import read_safetensors
 from objectfolder.base.figures import page, page_rows, save_page, show_image
 from objectfolder.base.io import read_json
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.report.comparison import show_sound, shown_rate
 from objectfolder.report.inspection import Inspection, in_kilobytes, kilobytes, picture_path, require, span
-from objectfolder.sound.spectrogram import show_spectrogram
-from objectfolder.vision.cameras import CAMERA_RADIUS
+from objectfolder.vision.lighting import PointLight, studio
 from objectfolder.workspace.layout import Build
 
 #: Unit of the horizontal axis of a training curve, and the loss, by sense.
@@ -24,7 +24,7 @@ CURVES = {
     "touch": ("step, or round of the depth offset's search", "squared error of images in [0, 1]"),
 }
 CAMERAS = np.array([[0.8, -2.1, 1.1], [2.2, 0.9, 0.7], [-1.7, 1.5, 1.0], [0.3, -1.2, -2.1]])
-LIGHT_OFFSET = np.array([-0.3, -0.3, 0.5])  # beside the camera, so that the visible side is lit
+FILL = PointLight((0.1, -0.6, -0.8))  # beside the studio, which leaves the underside dark
 TOUCHES = 4
 PRESS = 0.001  # m
 #: Scores by parts of their names: unit, and what is better. Those in per cent are stored as shares.
@@ -116,8 +116,8 @@ def _pack_picture(build: Build, file: ObjectFile) -> Path:
     title = f"pack@{build.key}: answers of the Object File ({file.material}, {file.scale * 1000:g} mm)"
     figure = page(14, 12, title)
     views, touches, sounds = page_rows(figure, 1.1, 1.1, 1)
-    lights = CAMERAS / CAMERA_RADIUS + LIGHT_OFFSET
-    for axes, image, camera in zip(views.subplots(1, len(CAMERAS)), file.view(CAMERAS, lights), CAMERAS):
+    images = file.view(CAMERAS, lights=[*studio(), FILL])
+    for axes, image, camera in zip(views.subplots(1, len(CAMERAS)), images, CAMERAS):
         show_image(axes, image, f"camera at {_triple(camera)} sizes")
     if (fixed := file.fixed_contact) is not None:
         depth, angle = fixed.depth, fixed.angle
@@ -125,13 +125,14 @@ def _pack_picture(build: Build, file: ObjectFile) -> Path:
         depth, angle = min(PRESS, file.sensor_profile.max_indentation), 0.0
     for axes, point, image in zip(touches.subplots(1, TOUCHES), points, file.touch(points, depth, angle)):
         show_image(axes, image, f"pressed {depth * 1000:g} mm at {_triple(point * 1000)} mm")
-    sound = file.impact(points[:1], np.array([[0.0, 0.0, 1.0]]))[0]
+    rate = shown_rate(file)
+    sound = file.impact(points[:1], np.array([[0.0, 0.0, 1.0]]), rate)[0]
     left, right = sounds.subplots(1, 2)
-    left.plot(np.arange(len(sound)) / 16000, sound * 1e6, linewidth=0.5)
+    left.plot(np.arange(len(sound)) / rate, sound * 1e6, linewidth=0.5)
     left.set(title=f"struck at {_triple(points[0] * 1000)} mm with 1 N s along z", xlabel="time [s]")
     left.set_ylabel("sum of modal displacements [$10^{-6}$ m kg$^{1/2}$]")
     left.grid(alpha=0.3)
-    show_spectrogram(right, sound, "its spectrogram")
+    show_sound(right, sound, rate, "its spectrogram")
     return save_page(figure, picture_path(build, "pack"))
 
 

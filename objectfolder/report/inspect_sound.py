@@ -11,12 +11,12 @@ from objectfolder.base.arrays import read_npz, read_safetensors
 from objectfolder.base.figures import page, page_rows, save_page, show_image
 from objectfolder.base.io import read_json
 from objectfolder.mesh.ply import read_surface
+from objectfolder.report.comparison import SHOWN_RATE, show_sound
 from objectfolder.report.inspect_scene import draw_scene, triangles
 from objectfolder.report.inspection import Inspection, kilobytes, picture_path, require, span
 from objectfolder.sound.gains_net import energy_weights
 from objectfolder.sound.radiation.farfield import FarField, unpack_far_field
 from objectfolder.sound.radiation.harmonics import real_harmonics
-from objectfolder.sound.spectrogram import SAMPLE_RATE, show_spectrogram
 from objectfolder.sound.synthesis import gains, sinusoid_bank
 from objectfolder.workspace.layout import Build
 
@@ -89,13 +89,10 @@ def _modal_picture(
     point, direction, sound = _loudest_strike(modes)
     place = np.array2string(modes["points"][point] * scale * 1000, precision=1, suppress_small=True)
     struck = f"struck at {place} mm along {'xyz'[direction]}"
-    show_spectrogram(left, sound, f"{struck}: loudest point (displacement)")
+    show_sound(left, sound, SHOWN_RATE, f"{struck}: loudest point (displacement)")
     right.scatter(frequency / 1000, decay, s=18)
     right.set(title=f"all {len(frequency)} modes", xlabel="frequency [kHz]", ylabel="decay time T60 [s]")
     right.set_yscale("log")
-    nyquist = "Nyquist frequency of the spectrogram"
-    right.axvline(SAMPLE_RATE / 2000, color="grey", linestyle=":", label=nyquist)
-    right.legend()
     right.grid(alpha=0.3, which="both")
     return save_page(figure, picture_path(build, "modal"))
 
@@ -118,7 +115,7 @@ def _loudest_strike(modes: dict[str, np.ndarray]) -> tuple[int, int, np.ndarray]
     energy = modes["shapes"].astype(np.float64) ** 2 @ energy_weights(*tuning)
     point, axis = (int(i) for i in np.unravel_index(energy.argmax(), energy.shape))
     damped, damping = map(torch.from_numpy, tuning)
-    bank = sinusoid_bank(damped, damping)
+    bank = sinusoid_bank(damped, damping, SHOWN_RATE)
     force = torch.eye(3)[axis][None]
     return point, axis, (gains(torch.from_numpy(modes["shapes"][[point]]), force) @ bank)[0].numpy()
 

@@ -2,6 +2,7 @@
 
 import base64
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -9,6 +10,7 @@ from typing import Any
 
 from objectfolder.base.materials import LAWS, material, material_names
 from objectfolder.base.text import in_html, in_script
+from objectfolder.sound.contact import load_striker
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.viewer.background import pack_background
 
@@ -56,7 +58,8 @@ def _settings() -> str:
     """Return materials and sensors as JSON that may stand in HTML."""
     materials = {law: {name: _material(name, law) for name in material_names()} for law in LAWS}
     sensors = {name: page_sensor(name) for name in available_profiles()}
-    return in_script({"materials": materials, "sensors": sensors})
+    striker = asdict(load_striker("steel"))  # which strikes by default
+    return in_script({"materials": materials, "sensors": sensors, "striker": striker})
 
 
 def _material(name: str, law: str) -> dict[str, Any]:

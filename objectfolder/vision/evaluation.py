@@ -9,12 +9,13 @@ from scipy.ndimage import uniform_filter
 from objectfolder.base.metrics import psnr, ssim
 from objectfolder.mesh import srgb
 from objectfolder.vision.cameras import image_intrinsics
-from objectfolder.vision.color import find_lit_foreground, on_white
+from objectfolder.vision.color import MIN_FOREGROUND_ALPHA, find_lit_foreground, on_white
 from objectfolder.vision.query import VisionQueries
 
 _NEIGHBOURHOOD = 5  # pixels along a side, over which noise and error of a view are compared
 _NOISY = 0.05  # variance over squared error below which colours are taken as they are
 _BRIGHTEST = 2.0  # radiance at which rare bright paths are cut
+_DARK = 0.2  # share of the object that is lit in a view, below which it is too dark to show
 _TANGENT = 1e-6  # difference of colours below which a chord is the tangent
 
 
@@ -104,16 +105,19 @@ def noiseless_error(image: np.ndarray, rgba: np.ndarray, noise: np.ndarray) -> t
     return (slope**2 * (error**2 - half**2)).mean(-1), abs((2 * slope**2 * error * half).mean(-1))
 
 
-def choose_views(scores: dict[str, Any], count: int) -> dict[int, str]:
-    """Choose at most ``count`` views of `evaluate_vision`; return the title of each by its index.
+def choose_views(scores: dict[str, Any], rgba: np.ndarray, count: int) -> dict[int, str]:
+    """Choose at most ``count`` of the true views (N, H, W, 4); return the title of each by its index.
 
-    They are the worst, the median and the best, and others at equal steps.
+    They are the worst, the median and the best of `evaluate_vision`, but not a best one that is dark, which
+    shows nothing; then those that are lit most.
     """
+    lit = find_lit_foreground(rgba).sum((1, 2)) / (rgba[..., 3] >= MIN_FOREGROUND_ALPHA).sum((1, 2)).clip(1)
     named = {scores[f"{name}_view"]: name for name in ("best", "median", "worst")}
-    others = [i for i in range(scores["views"]) if i not in named]
-    step = np.linspace(0, len(others) - 1, min(max(count - len(named), 0), len(others)))
+    if named[best := scores["best_view"]] == "best" and lit[best] < _DARK:
+        del named[best]
+    others = [i for i in np.argsort(-lit, kind="stable").tolist() if i not in named]
     chosen = {row: f"{named[row]}: view {row + 1}" for row in reversed(named)}
-    return chosen | {others[int(i)]: f"view {others[int(i)] + 1}" for i in step}
+    return chosen | {row: f"view {row + 1}" for row in others[: max(count - len(named), 0)]}
 
 
 def compare_views(

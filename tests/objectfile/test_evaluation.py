@@ -271,14 +271,18 @@ def test_the_best_the_median_and_the_worst_view_are_named(brick, views):
     # The median is the third best, of three that are perfect.
     assert (scores["worst_view"], scores["median_view"], scores["best_view"]) == (2, 3, 0)
     assert scores["psnr_worst"] < 50
-    titles = choose_views(scores, 4)
+    rgba = np.ones((5, 2, 2, 4))
+    titles = choose_views(scores, rgba, 4)
     assert list(titles.items())[:3] == [(2, "worst: view 3"), (3, "median: view 4"), (0, "best: view 1")]
     assert len(titles) == 4
-    assert set(choose_views(scores, 9)) == set(range(5))
+    assert set(choose_views(scores, rgba, 9)) == set(range(5))
+    rgba[0, ..., :3] = rgba[1, 0, :, :3] = 0  # the best is black, another half lit
+    titles = choose_views(scores, rgba, 4)
+    assert list(titles.values()) == ["worst: view 3", "median: view 4", "view 5", "view 2"]
     single = {name: value if name == "focal" else value[2:3] for name, value in views.items()}
     scores = evaluate_vision(brick, single)
     assert scores["best_view"] == scores["median_view"] == scores["worst_view"] == 0
-    assert choose_views(scores, 5) == {0: "worst: view 1"}
+    assert choose_views(scores, rgba[:1], 5) == {0: "worst: view 1"}
 
 
 def test_views_are_compared_with_their_truth(brick, views):

@@ -19,6 +19,7 @@ from objectfolder.base.text import visible
 from objectfolder.benchmarks.listening import study_page
 from objectfolder.cli import app
 from objectfolder.report.site import write_site
+from objectfolder.sound.contact import Striker, load_striker
 from objectfolder.touch.photographs import read_photograph
 from objectfolder.touch.profiles import available_profiles, load_profile
 from objectfolder.viewer.background import STEP
@@ -60,6 +61,7 @@ def test_a_page_knows_materials_and_sensors():
     assert found["materials"]["loss_factor"]["wood"]["loss_factor"] == [[500, 0.01], [5000, 0.02]]
     assert list(found["sensors"]) == available_profiles()
     assert found["sensors"]["digit"]["lights"][0]["intensity"] > 0
+    assert Striker(**found["striker"]) == load_striker("steel")
 
 
 def test_a_page_holds_the_backgrounds_of_sensors_with_a_picture_within_two_levels():
@@ -74,8 +76,8 @@ def test_a_page_holds_the_backgrounds_of_sensors_with_a_picture_within_two_level
 
 
 def test_pages_stay_small():
-    assert len(static_text("viewer.js").encode()) <= 91_000
-    assert len(viewer_page({}).encode()) <= 141_000
+    assert len(static_text("viewer.js").encode()) <= 92_000
+    assert len(viewer_page({}).encode()) <= 143_000
 
 
 def test_view_writes_one_page(brick_path, tmp_path, monkeypatch, capsys):

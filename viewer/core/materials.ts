@@ -11,6 +11,30 @@ export interface Material {
   loss_factor?: [number, number][];
 }
 
+/** What strikes an object: a rounded tip, as objectfolder/sound/contact.py. */
+export interface Striker {
+  youngs_modulus: number; // Pa
+  poisson_ratio: number;
+  radius: number; // m
+  mass: number; // kg
+  speed: number; // m/s
+}
+
+/** Contact time over largest indentation times speed, of any Hertzian collision. */
+const DURATION = 2.94327518;
+
+/** Return how long a striker and an object of a mass, kg, touch, seconds: Hertz's elastic collision. */
+export function contactTime(striker: Striker, material: Material, mass: number): number {
+  const { radius, speed } = striker;
+  const shared = 1 / (1 / striker.mass + 1 / mass);
+  const soft = [striker, material].reduce(
+    (sum, one) => sum + (1 - one.poisson_ratio ** 2) / one.youngs_modulus,
+    0,
+  );
+  const indentation = ((15 * shared * speed ** 2 * soft) / (16 * Math.sqrt(radius))) ** 0.4;
+  return (DURATION * indentation) / speed;
+}
+
 /** Return the decay rate, 1/s, of a mode with an eigenvalue in rad^2/s^2. */
 export function damping(material: Material, eigenvalue: number): number {
   const knots = material.loss_factor;

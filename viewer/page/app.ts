@@ -3,19 +3,19 @@
 import source from "worker-source";
 import { BOUND } from "../core/grid.ts";
 import type { PointLight } from "../core/indirect.ts";
-import type { Material } from "../core/materials.ts";
+import { contactTime, type Material, type Striker } from "../core/materials.ts";
 import type { Gaps, Header } from "../core/objectfile.ts";
 import type { Profile } from "../core/sensor.ts";
 import { ownMaterial } from "../core/tuning.ts";
 import type { Vector } from "../core/vector.ts";
 import type { Place, Reply, Request, StrikeSettings, TouchSettings } from "../worker/protocol.ts";
 import { clear, drawHeights, drawImage, drawTones, drawWave } from "./charts.ts";
-import { canvas, element, input, options, select, tell, whenever } from "./elements.ts";
+import { canvas, element, input, options, save, select, tell, whenever } from "./elements.ts";
 import { Gestures } from "./gestures.ts";
 import { single, studio } from "./lighting.ts";
 import { embedded, type Source, whenOpened } from "./objects.ts";
 import { Orbit } from "./orbit.ts";
-import { Player } from "./player.ts";
+import { Player, wav } from "./player.ts";
 import { View } from "./view.ts";
 
 const START: Vector = [1.8, 1.2, 1.15]; // of the camera
@@ -40,6 +40,8 @@ export interface Settings {
   /** By law of damping, then by name. */
   materials?: Record<"rayleigh" | "loss_factor", Record<string, Material>>;
   sensors?: Record<string, Profile>;
+  /** That strikes by default. */
+  striker?: Striker;
 }
 
 export class App {
@@ -316,7 +318,7 @@ export class App {
     element("sound-readout").textContent = "Strike the object to hear it.";
     element("touch-readout").textContent = "Touch the object to feel it.";
     element("notes").replaceChildren();
-    element<HTMLButtonElement>("again").disabled = true;
+    for (const id of ["again", "save-sound"]) element<HTMLButtonElement>(id).disabled = true;
     delete this.times.strike;
     delete this.times.touch;
     this.timing();
@@ -332,6 +334,7 @@ export class App {
     ]);
     select("material").disabled = input("size").disabled = !tunable;
     input("size").value = "0";
+    input("contact").value = String(this.contact(header) * 1e3);
     const sensors = Object.keys(this.settings.sensors ?? {});
     const own = this.gaps?.touch === null ? header.touch!.net : null;
     const tacto = own?.renderer === "tacto" ? " (images as this library's gel, not TACTO)" : "";
@@ -341,6 +344,13 @@ export class App {
       ...sensors.filter((name) => name !== own?.sensor.name).map((name) => [name, name] as [string, string]),
     ]);
     this.labels();
+  }
+
+  /** How long the library's striker touches the object, seconds; an impulse where it does not know either. */
+  private contact(header: Header): number {
+    const [own, { striker }] = [ownMaterial(header), this.settings];
+    const mass = (header.solid?.volume ?? Number.POSITIVE_INFINITY) * header.scale ** 3 * (own?.density ?? 1);
+    return own && striker ? contactTime(striker, own, mass) : 0;
   }
 
   private get sensor(): Profile | null {
@@ -406,7 +416,7 @@ export class App {
     element("notes").replaceChildren(
       ...sound.notes.map((text) => Object.assign(document.createElement("li"), { textContent: text })),
     );
-    element<HTMLButtonElement>("again").disabled = false;
+    for (const id of ["again", "save-sound"]) element<HTMLButtonElement>(id).disabled = false;
     this.timing();
   }
 
@@ -421,6 +431,17 @@ export class App {
   private play(): void {
     const { lastSound } = this;
     if (lastSound?.reference) this.player.play(lastSound.samples, 1 / (lastSound.reference * STRONGEST));
+  }
+
+  private saveSound(): void {
+    const { lastSound, header } = this;
+    if (lastSound?.reference && header)
+      save(wav(lastSound.samples, 1 / (lastSound.reference * STRONGEST), RATE), `${header.key}.wav`);
+  }
+
+  private saveView(): void {
+    const { header } = this;
+    if (header) canvas("view").toBlob((picture) => picture && save(picture, `${header.key}.png`));
   }
 
   private showTouch(touch: Extract<Reply, { kind: "touch" }>): void {
@@ -469,6 +490,10 @@ export class App {
     whenever(["azimuth", "elevation", "distance"], "input", () => this.relight());
     whenever(["setup"], "change", () => this.relight());
     element("again").addEventListener("click", () => this.play());
+    element("save-sound").addEventListener("click", () => this.saveSound());
+    element("save-view").addEventListener("click", () => this.saveView());
+    // Frames of notebooks and reports may not save.
+    element("save-sound").hidden = element("save-view").hidden = window.parent !== window;
     element("reset").addEventListener("click", () => {
       this.orbit.reset();
       this.view.changed();

@@ -24,6 +24,15 @@ export function options(id: string, entries: [value: string, label: string][], c
   );
 }
 
+/** Save a file by the browser. */
+export function save(content: Blob, name: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(content);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
 /** Call a function when one of some controls changes, and once for each before. */
 export function whenever(ids: string[], event: "input" | "change", call: () => void): void {
   for (const id of ids) element(id).addEventListener(event, call);

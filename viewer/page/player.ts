@@ -2,6 +2,20 @@
 
 const LOUDEST = 0.9; // of full scale
 
+/** Level of what is played and saved, clipped beyond full scale. */
+const leveled = (samples: Float32Array, gain: number): Float32Array =>
+  samples.map((value) => Math.max(-1, Math.min(1, value * gain * LOUDEST)));
+
+/** Return a sound as a WAV file of 16 bits. */
+export function wav(samples: Float32Array, gain: number, rate: number): Blob {
+  const size = 2 * samples.length;
+  // "RIFF", its size, "WAVE"; "fmt ": PCM, one channel, rate, bytes per second, bytes and bits of a sample; "data".
+  const form = [0x46464952, 36 + size, 0x45564157, 0x20746d66, 16, 0x10001, rate, 2 * rate, 0x100002];
+  const head = Uint32Array.of(...form, 0x61746164, size);
+  const body = Int16Array.from(leveled(samples, gain), (value) => Math.round(value * 32767));
+  return new Blob([head, body], { type: "audio/wav" });
+}
+
 export class Player {
   private context: AudioContext | null = null;
   private playing: AudioBufferSourceNode | null = null;
@@ -23,8 +37,7 @@ export class Player {
       return;
     }
     const buffer = context.createBuffer(1, samples.length, this.rate);
-    const data = buffer.getChannelData(0);
-    for (let n = 0; n < data.length; n++) data[n] = Math.max(-1, Math.min(1, samples[n] * gain * LOUDEST));
+    buffer.getChannelData(0).set(leveled(samples, gain));
     this.playing?.stop();
     this.playing = context.createBufferSource();
     this.playing.buffer = buffer;

@@ -74,8 +74,23 @@ async function firstTap(page) {
   await until('window.objectfolder.player.state === "running"');
 }
 
+/** Save the sound and the picture. */
+async function save(page) {
+  for (const [id, start] of [
+    ["save-sound", "RIFF"],
+    ["save-view", "\x89PNG"],
+  ]) {
+    const [saved] = await Promise.all([
+      page.waitForEvent("download", WAIT),
+      page.locator(`#${id}`).press("Enter"),
+    ]);
+    assert.ok(readFileSync(await saved.path(), "latin1").startsWith(start), `${id} saves its format`);
+  }
+}
+
 async function use(page) {
   await strike(page);
+  await save(page);
   const sound = await page.evaluate(() => {
     const { samples, rate, tones } = window.objectfolder.lastSound;
     // Power of the sound at a frequency, by Goertzel's algorithm.

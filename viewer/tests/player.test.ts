@@ -1,5 +1,5 @@
 import { afterEach, describe, expect, it, vi } from "vitest";
-import { Player } from "../page/player.ts";
+import { Player, wav } from "../page/player.ts";
 
 /** A context that counts the sounds that start in it, and starts suspended. */
 class Context {
@@ -70,5 +70,17 @@ describe("sound", () => {
     gesture("keydown");
     expect(player.state).toBe("running");
     expect(Context.made.length).toBe(1);
+  });
+});
+
+describe("a saved sound", () => {
+  it("is a WAV file of 16 bits at the level that is played", async () => {
+    const bytes = new DataView(await wav(Float32Array.of(0.5, -4), 1, 44100).arrayBuffer());
+    const text = (at: number) => String.fromCharCode(...new Uint8Array(bytes.buffer, at, 4));
+    expect([0, 8, 12, 36].map(text)).toEqual(["RIFF", "WAVE", "fmt ", "data"]);
+    expect([4, 16, 24, 28, 40].map((at) => bytes.getUint32(at, true))).toEqual([40, 16, 44100, 88200, 4]);
+    expect([20, 22, 32, 34].map((at) => bytes.getUint16(at, true))).toEqual([1, 1, 2, 16]);
+    expect([44, 46].map((at) => bytes.getInt16(at, true))).toEqual([Math.round(0.45 * 32767), -32767]);
+    expect(bytes.byteLength).toBe(48);
   });
 });

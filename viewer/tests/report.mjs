@@ -25,6 +25,10 @@ async function look(page, name) {
   );
   const wide = await page.evaluate(() => document.documentElement.scrollWidth - window.innerWidth);
   assert.ok(wide <= 0, `${name}: ${wide} pixels too wide`);
+  const cut = await page
+    .locator(".scroll")
+    .evaluateAll((boxes) => boxes.map((box) => box.scrollWidth - box.clientWidth));
+  assert.ok(Math.max(0, ...cut) <= 0, `${name}: no column of a table is cut`);
   const broken = await page.evaluate(() =>
     [...document.images].filter((image) => image.complete && !image.naturalWidth).map(({ alt }) => alt),
   );

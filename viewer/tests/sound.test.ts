@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Gains } from "../core/gains.ts";
-import { damping, type Material } from "../core/materials.ts";
+import { contactTime, damping, type Material } from "../core/materials.ts";
 import type { Header } from "../core/objectfile.ts";
 import { plain as gained, synthesise } from "../core/synthesis.ts";
 import { type Modes, tuned } from "../core/tuning.ts";
@@ -131,5 +131,13 @@ describe("another material or size", () => {
     };
     expect(damping(lossy, eigenvalue)).toBeCloseTo((0.02 * 2 * Math.PI * 1500) / 2);
     expect(damping(STEEL, eigenvalue)).toBeCloseTo((5 + 3e-8 * eigenvalue) / 2);
+  });
+});
+
+describe("a strike", () => {
+  it("lasts as long as the library's", () => {
+    const striker = { youngs_modulus: 2e11, poisson_ratio: 0.29, radius: 0.005, mass: 0.01, speed: 1 };
+    expect(contactTime(striker, STEEL, 0.36)).toBeCloseTo(4.98660436389e-5, 9);
+    expect(contactTime(striker, STEEL, Number.POSITIVE_INFINITY)).toBeCloseTo(5.04155607567e-5, 9);
   });
 });
