@@ -248,7 +248,7 @@ def refused(*arguments):
 def test_what_is_wrong_is_said_before_any_work(files, workspace, tmp_path):
     one, other = sorted(files.iterdir())
     assert "needs two at least" in refused("recognize", one)
-    assert "no Object Files in build" in refused("recognize")
+    assert "build does not exist; expected a file, release or folder of builds" in refused("recognize")
     assert "give each object once" in refused("recognize", one, other, other)
     assert "expected seen or unseen" in refused("retrieve", files, "--split", "sen")
     assert "expected one of quick, faithful, faithful-small, laptop, standard" in refused(

@@ -54,8 +54,8 @@ class TrainingConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchFrameConfig:
-    """Setting of tasks that ask what is touched, not where or how."""
+class TouchFrameConfig(TrainingConfig):
+    """Settings of tasks that ask what is touched, not where or how."""
 
     #: Touches as the sensor's images, or as the shape of its gel, as at one depth and upright.
     touch_frame: Literal["sensor", "own"] = "sensor"

@@ -5,36 +5,27 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 import torch
 from torch import nn
 from torch.nn.functional import adaptive_avg_pool2d
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import read_json, write_json
-from objectfolder.benchmarks.datasets.observations import Observations
 from objectfolder.benchmarks.datasets.samples import Samples
 from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, without_rows
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder, registered
 from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flip_some, shift_each
-from objectfolder.benchmarks.models.settings import EncodeConfig, InputSizes, TouchFrameConfig, TrainingConfig
-from objectfolder.benchmarks.models.touch_frame import (
-    Mirrored,
-    PhotometricInverse,
-    levelled,
-    mirror_each,
-    shape_inputs,
-    upright,
-)
+from objectfolder.benchmarks.models.settings import EncodeConfig, InputSizes, TrainingConfig
+from objectfolder.benchmarks.models.touch_frame import Mirrored, gel_inputs, levelled, mirror_each, upright
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, Objective, TrainSettings, train
 from objectfolder.workspace.layout import SPLITS
 
 if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.sim.body import RigidBody
-    from objectfolder.touch.profiles import SensorProfile
+    from objectfolder.touch.inverse import PhotometricInverse
 
 CHUNK = 64  #: rows encoded at once
 GROUND = 1000  #: training touches at most to find their `Ground` of
@@ -95,6 +86,8 @@ class Job(Generic[_Params]):
     weights: Weights | None = None  #: initial weights of encoders; default: random
     device: str | torch.device = "cpu"
     report: Report = lambda line: None
+    #: Given one, touches are in their own frame; see `objectfolder.benchmarks.tasks.touch_shapes`.
+    inverse: "PhotometricInverse | None" = None
     #: By name, shared by jobs on parts of the split; see `once`.
     row_caches: dict[str, RowCache] = field(default_factory=dict, compare=False, repr=False)
 
@@ -162,11 +155,7 @@ class Job(Generic[_Params]):
     def make_encoder(self, modality: str) -> nn.Module:
         """Make an untrained encoder; call within `objectfolder.base.seeding.seeded`."""
         encoder = make_encoder(self.encoder, modality, self.weights)
-        return Mirrored(encoder) if self._is_shape(modality) else encoder
-
-    def _is_shape(self, modality: str) -> bool:
-        params = self.params
-        return modality == "touch" and isinstance(params, TouchFrameConfig) and params.touch_frame == "own"
+        return Mirrored(encoder) if modality == "touch" and self.inverse else encoder
 
     def inputs(self, modality: str, rows: np.ndarray, rng: np.random.Generator | None = None) -> torch.Tensor:
         """Return the encoder inputs of rows; see `objectfolder.benchmarks.models.inputs.encoder_inputs`.
@@ -176,15 +165,15 @@ class Job(Generic[_Params]):
         """
         if modality == "audio":
             return self._spectra(rows).to(self.device)
-        if self._is_shape(modality):
-            shapes = shape_inputs(self._gel_shapes(rows).float()).to(self.device)
+        if modality == "touch" and self.inverse:
+            shapes = gel_inputs(self._gel_shapes(rows, self.inverse).float()).to(self.device)
             inputs = shapes if rng is None else mirror_each(shapes, rng)
         else:
             raw = self.observations.read(modality, rows)
             inputs = encoder_inputs(modality, raw, self.sizes, rng, self.device)
         if modality == "vision" and self.encode.flip and rng is not None:
             inputs = flip_some(inputs, rng)
-        if modality == "touch" and self.encode.subtract and not self._is_shape(modality):
+        if modality == "touch" and self.encode.subtract and not self.inverse:
             inputs = self.ground.subtracted(inputs)
         if modality == "touch" and self.encode.shift and rng is not None:
             inputs = shift_each(inputs, self.encode.shift, rng)
@@ -200,29 +189,18 @@ class Job(Generic[_Params]):
 
         return self.once("audio", rows, (1, *self.sizes.spectrogram), make)
 
-    def _gel_shapes(self, rows: np.ndarray) -> torch.Tensor:
+    def _gel_shapes(self, rows: np.ndarray, inverse: "PhotometricInverse") -> torch.Tensor:
         """Return the gel of touches in their own frame, (n, h, w) float16, mm."""
 
         def make(some: np.ndarray) -> torch.Tensor:
             height, width = self.observations.shape("touch")[:2]
-            shapes = self.inverse.displacement(self.observations.read("touch", some))
+            shapes = inverse.displacement(self.observations.read("touch", some))
             return upright(levelled(shapes), height / width).half()
 
         def in_parts(some: np.ndarray) -> torch.Tensor:
             return in_chunks(make, some)
 
         return self.once("gel", rows, self.sizes.touch, in_parts, torch.float16)
-
-    @cached_property
-    def inverse(self) -> PhotometricInverse:
-        """Shape of the gel from touches."""
-        profile, background = single_sensor(cast(Observations, self.observations))
-        inverse = PhotometricInverse.fitted(profile, background, self.sizes.touch)
-        self.report(
-            f"shapes of touches: slopes of {profile.name}'s gel are {100 * inverse.error:.0f} % wrong "
-            "under balls"
-        )
-        return inverse
 
     def once(
         self,
@@ -318,25 +296,6 @@ class Job(Generic[_Params]):
         for path in spent:
             path.unlink(missing_ok=True)
         return result
-
-
-def single_sensor(observations: Observations) -> tuple["SensorProfile", np.ndarray]:
-    """Return the sensor of all touches, and its image without an object, (H, W, 3) uint8.
-
-    Raises ObjectFolderError if objects were touched by different sensors.
-    """
-    from objectfolder.objectfile.file import ObjectFile
-
-    sensors = {key: record["sensor"] for key, record in observations.records.items()}
-    first, *others = sensors
-    for key in others:
-        if sensors[key] != sensors[first]:
-            raise ObjectFolderError(
-                f"{key}: touched by sensor {sensors[key]!r}, {first} by {sensors[first]!r}; touches in their "
-                "own frame need a single one: build all objects with it, or set touch_frame: sensor"
-            )
-    file = ObjectFile.load(observations.object_file(first))
-    return file.sensor_profile, file.sensor_background
 
 
 def in_chunks(make: Callable[[np.ndarray], torch.Tensor], rows: np.ndarray) -> torch.Tensor:

@@ -10,7 +10,7 @@ from annotated_types import Interval
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.settings import Count, section
 from objectfolder.benchmarks.datasets.splits import Split
-from objectfolder.benchmarks.models.settings import TouchFrameConfig, TrainingConfig
+from objectfolder.benchmarks.models.settings import TouchFrameConfig
 from objectfolder.benchmarks.reporting.published import MATERIALS, RECOGNITION
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
 from objectfolder.benchmarks.tasks.task import Objects, Task, Variant
@@ -22,7 +22,7 @@ REPEATED_MATERIALS = "repeat an input of their material, and were dropped where 
 
 @section("recognize")
 @dataclass(frozen=True, kw_only=True)
-class RecognizeConfig(TrainingConfig, TouchFrameConfig):
+class RecognizeConfig(TouchFrameConfig):
     """Section ``recognize`` of ``params.yaml``."""
 
     epochs: Count = 5

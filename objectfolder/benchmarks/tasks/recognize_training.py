@@ -29,6 +29,7 @@ from objectfolder.benchmarks.tasks.recognize import (
     material_target,
 )
 from objectfolder.benchmarks.tasks.task import Objects
+from objectfolder.benchmarks.tasks.touch_shapes import in_touch_frame
 
 LETTERS = {"V": "vision", "A": "audio", "T": "touch"}
 #: V, A, T, VA, VT, AT, VAT: input modalities; the rows of the main paper's Table 2.
@@ -111,6 +112,7 @@ def _classify(job: Job[RecognizeConfig], target: Target) -> tuple[dict[str, Any]
     """Train and score all combinations; see `recognize`."""
     seeds = range(job.params.seeds)
     job.check_sizes(LETTERS.values())
+    job = in_touch_frame(job)
     repeats = job.repeats(LETTERS.values(), target.labels)
     setting = _Setting.of(job, repeats, target)
     finished = {(run, name): _train_once(setting, run, name) for run in seeds for name in COMBINATIONS}

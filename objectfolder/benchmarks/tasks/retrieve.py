@@ -10,7 +10,7 @@ from annotated_types import Ge
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.settings import Count, Positive, section
 from objectfolder.benchmarks.datasets.splits import Split
-from objectfolder.benchmarks.models.settings import TouchFrameConfig, TrainingConfig
+from objectfolder.benchmarks.models.settings import TouchFrameConfig
 from objectfolder.benchmarks.reporting.published import RETRIEVAL, UNSEEN_RETRIEVAL
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
 from objectfolder.benchmarks.tasks.task import Objects, Task
@@ -23,7 +23,7 @@ REPEATED = "repeat an input of their object, and were dropped if both inputs of 
 
 @section("retrieve")
 @dataclass(frozen=True, kw_only=True)
-class RetrieveConfig(TrainingConfig, TouchFrameConfig):
+class RetrieveConfig(TouchFrameConfig):
     """Section ``retrieve`` of ``params.yaml``."""
 
     epochs: Count = 5

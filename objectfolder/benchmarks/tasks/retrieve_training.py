@@ -19,6 +19,7 @@ from objectfolder.benchmarks.tasks import naming
 from objectfolder.benchmarks.tasks.job import Job, in_chunks
 from objectfolder.benchmarks.tasks.retrieve import RetrieveConfig, check_objects
 from objectfolder.benchmarks.tasks.task import Objects
+from objectfolder.benchmarks.tasks.touch_shapes import in_touch_frame
 from objectfolder.workspace.layout import MODALITIES
 
 Pair = tuple[str, str]  #: two modalities
@@ -52,6 +53,7 @@ def retrieve(job: Job[RetrieveConfig]) -> tuple[dict[str, Any], list[list[Any]]]
     """
     check_objects(job.split, Objects(job.observations.keys, job.observations.labels))
     job.check_sizes(MODALITIES)
+    job = in_touch_frame(job)
     # The same gallery for all pairs, although only some of them may repeat a row.
     job, rows = job.without_duplicates(*PAIRS)
     labels = job.observations.labels[job.split.test]

@@ -1,29 +1,20 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from objectfolder.benchmarks.models import touch_frame
 from objectfolder.benchmarks.models.resnet import ResNet18
 from objectfolder.benchmarks.models.touch_frame import (
     DEEPEST,
     DEPTH,
     Mirrored,
-    PhotometricInverse,
-    integrated,
+    gel_inputs,
     levelled,
     mirror_each,
     mirrored,
-    shape_inputs,
     upright,
 )
-from objectfolder.touch.ball import BallModel
-from objectfolder.touch.profiles import load_profile
-
-SIZE = (20, 15)
-DIGIT = replace(load_profile("digit"), height=40, width=30)
 
 
 def _hill(angle, size=(40, 30), at=(0.0, 0.0)):
@@ -33,47 +24,6 @@ def _hill(angle, size=(40, 30), at=(0.0, 0.0)):
     along = np.cos(angle) * across + np.sin(angle) * down
     beside = np.cos(angle) * down - np.sin(angle) * across
     return torch.from_numpy(np.exp(-((along / 9) ** 2) - (beside / 3) ** 2)).float()[None]
-
-
-@pytest.fixture(scope="module")
-def inverse():
-    return PhotometricInverse.fitted(DIGIT, BallModel(DIGIT, 0.01).optics.background.numpy(), SIZE)
-
-
-def test_shapes_follow_from_images(inverse):
-    """Of balls that the inverse was not fitted to, as if all were pressed equally deep."""
-    rng = np.random.default_rng(5)
-    found, true = [], []
-    for radius in (0.002, 0.004, 0.008, 0.02):
-        ball = BallModel(DIGIT, radius)
-        moved = ball.displacement(np.array([*rng.uniform((15, 10), (25, 20)), rng.uniform(0.0008, 0.0018)]))
-        found.append(inverse.displacement(ball.optics.render(moved).numpy()))
-        true.append(1e3 * torch.nn.functional.adaptive_avg_pool2d(moved, SIZE))
-    found, true = levelled(torch.cat(found)), levelled(torch.cat(true))
-    error = (found - true).square().mean().sqrt() / (
-        true - true.mean((1, 2), keepdim=True)
-    ).square().mean().sqrt()
-    assert error < 0.3
-    assert 0 < inverse.error < 0.25
-
-
-def test_a_sensor_that_touches_nothing_is_flat(inverse):
-    background = BallModel(DIGIT, 0.01).optics.background.numpy()[None]
-    assert not inverse.displacement(background).any()
-
-
-def test_a_surface_follows_from_its_slopes_up_to_its_mean():
-    """Of quadratic surfaces the mean slope of two pixels is the step between them."""
-    down, across = torch.meshgrid(torch.arange(9.0), torch.arange(7.0), indexing="ij")
-    surface = torch.stack([across**2 - 3 * across * down, down**2 / 2 + across - 2])
-    slopes = torch.stack(
-        [
-            torch.stack([2 * across - 3 * down, torch.ones_like(across)]),
-            torch.stack([-3 * across, down]),
-        ]
-    )
-    expected = surface - surface.mean((1, 2), keepdim=True)
-    torch.testing.assert_close(integrated(slopes), expected, atol=2e-4, rtol=1e-5)
 
 
 def test_levelled_touches_do_not_depend_on_the_depth():
@@ -105,11 +55,11 @@ def test_upright_touches_have_the_proportions_of_the_gel():
 def test_mirrored_inputs_are_those_of_the_mirrored_shape(across, down):
     hill = _hill(0.3, at=(4.0, -3.0))
     flipped = hill.flip([axis for axis, chosen in ((1, down), (2, across)) if chosen])
-    torch.testing.assert_close(mirrored(shape_inputs(hill), across, down), shape_inputs(flipped))
+    torch.testing.assert_close(mirrored(gel_inputs(hill), across, down), gel_inputs(flipped))
 
 
 def test_training_sees_all_four_mirror_images_and_scores_do_not_depend_on_them():
-    inputs = shape_inputs(_hill(0.3, at=(4.0, -3.0)))
+    inputs = gel_inputs(_hill(0.3, at=(4.0, -3.0)))
     four = [mirrored(inputs, across, down) for across in (False, True) for down in (False, True)]
     drawn = mirror_each(inputs.repeat(64, 1, 1, 1), np.random.default_rng(0))
     found = [[torch.equal(one, other[0]) for other in four] for one in drawn]
@@ -125,10 +75,3 @@ def test_training_sees_all_four_mirror_images_and_scores_do_not_depend_on_them()
         assert not torch.allclose(net.encoder(four[0]), net.encoder(four[3]), rtol=1e-2)
         net.train()
         assert torch.equal(net(inputs.repeat(2, 1, 1, 1))[0], net(inputs.repeat(2, 1, 1, 1))[1])
-
-
-def test_an_inverse_is_fitted_once_for_a_sensor_and_size(inverse, monkeypatch):
-    monkeypatch.setattr(touch_frame, "BallModel", None)
-    again = PhotometricInverse.fitted(DIGIT, np.zeros((40, 30, 3), np.uint8), SIZE)
-    assert torch.equal(again.coefficients, inverse.coefficients)
-    assert not again.background.any()

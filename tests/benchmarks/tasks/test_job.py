@@ -1,19 +1,18 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 from encoding import encoding
 from made_up import MadeUp
 
-from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks.models import touch_frame
 from objectfolder.benchmarks.models.inputs import encoder_inputs
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import job
-from objectfolder.benchmarks.tasks.job import Job, single_sensor
+from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognize import RecognizeConfig
 from objectfolder.touch.ball import BallModel
+from objectfolder.touch.inverse import PhotometricInverse
 from objectfolder.touch.profiles import load_profile
 
 SIZES = InputSizes(12, (16, 10), (8, 6))
@@ -63,7 +62,7 @@ def test_each_spectrogram_is_computed_once(tmp_path, monkeypatch):
         assert sounds.asked == asked
 
 
-def test_touches_in_their_own_frame_are_inputs_of_a_net_that_asks_for_them(tmp_path, monkeypatch):
+def test_touches_in_their_own_frame_are_inputs_of_a_net_that_asks_for_them(tmp_path):
     """Each is computed once; training mirrors some; images are untouched where they are asked for."""
     profile = replace(load_profile("digit"), height=24, width=18)
     ball = BallModel(profile, 0.004)
@@ -71,31 +70,16 @@ def test_touches_in_their_own_frame_are_inputs_of_a_net_that_asks_for_them(tmp_p
     presses = np.array([[10, 8, 0.001], [14, 11, 0.0006], [12, 5, 0.0014]])
     touches = np.concatenate([ball.optics.render(ball.displacement(pose)).numpy() for pose in presses])
     table = MadeUp(("ball",), {"touch": touches})
-    monkeypatch.setattr(job, "single_sensor", lambda observations: (profile, still))
-    said, rows = [], np.array([2, 0, 1])
+    rows, inverse = np.array([2, 0, 1]), PhotometricInverse.fitted(profile, still, (12, 9))
     encode = encoding("tiny", InputSizes(12, (16, 10), (12, 9)), shift=1)
-    own = Job(
-        table, None, RecognizeConfig(touch_frame="own"), encode, 0, progress=tmp_path, report=said.append
-    )
-    inverse = touch_frame.PhotometricInverse.fitted(profile, still, (12, 9))
+    own = Job(table, None, RecognizeConfig(), encode, 0, tmp_path, inverse=inverse)
     shapes = touch_frame.levelled(inverse.displacement(touches))
-    expected = touch_frame.shape_inputs(touch_frame.upright(shapes, 24 / 18))[rows]
+    expected = touch_frame.gel_inputs(touch_frame.upright(shapes, 24 / 18))[rows]
     found = own.inputs("touch", rows)
     torch.testing.assert_close(found, expected, atol=2e-2, rtol=2e-3)  # kept with 16 bits
     assert torch.equal(own.inputs("touch", rows), found)
     assert table.counts("touch").tolist() == [1, 1, 1]
-    assert said == [
-        f"shapes of touches: slopes of digit's gel are {100 * inverse.error:.0f} % wrong under balls"
-    ]
     drawn = [own.inputs("touch", rows, np.random.default_rng(seed)) for seed in range(4)]
     assert any(not torch.equal(one, drawn[0]) for one in drawn)
-    images = replace(own, params=RecognizeConfig()).inputs("touch", rows)
+    images = replace(own, inverse=None).inputs("touch", rows)
     assert torch.equal(images, encoder_inputs("touch", touches[rows], encode.sizes))
-
-
-def test_touches_of_different_sensors_have_no_common_frame():
-    table = MadeUp(
-        ("ball", "cup"), {"touch": np.zeros((2, 4, 3, 3), np.uint8)}, sensor=["digit", "tacto_digit"]
-    )
-    with pytest.raises(ObjectFolderError, match="cup: touched by sensor 'tacto_digit', ball by 'digit'"):
-        single_sensor(table)
