@@ -90,12 +90,13 @@ def _calibration(
     """Press balls on a sensor; return the terms (N, terms) and slopes (N, 2), mm per pixel, of all pixels."""
     rng = numpy_generator(0, "inverse", purpose)
     deepest = 0.9 * profile.max_indentation
+    least = np.array([0, 0, 0.1 * deepest])
+    most = np.array([profile.height, profile.width, deepest])
     changes, displacements = [], []
-    for radius in np.exp(rng.uniform(*np.log(RADII), BALLS)):
+    smallest, largest = np.log(RADII)
+    for radius in np.exp(rng.uniform(smallest, largest, BALLS)):
         ball = BallModel(profile, float(radius))
-        least, most = np.array([[0, 0, 0.1 * deepest], [profile.height, profile.width, deepest]])
-        pose = rng.uniform(least, most)
-        moved = ball.displacement(pose)
+        moved = ball.displacement(rng.uniform(least, most))
         changes.append(_averaged(ball.optics.change(moved), size))
         displacements.append(1e3 * _averaged(moved, size))
     slopes = torch.stack(torch.gradient(torch.cat(displacements), dim=(2, 1)), -1)
