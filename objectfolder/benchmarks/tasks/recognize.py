@@ -10,12 +10,8 @@ from annotated_types import Interval
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.settings import Count, section
 from objectfolder.benchmarks.datasets.splits import Split
-<<<<<<< HEAD
 from objectfolder.benchmarks.models.settings import TouchFrameConfig, TrainingConfig
-=======
-from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.published import MATERIALS, RECOGNITION
->>>>>>> help-e
 from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, describe_rows, format_interval
 from objectfolder.benchmarks.tasks.task import Objects, Task, Variant
 from objectfolder.workspace.layout import MODALITIES
