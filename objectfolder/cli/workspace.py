@@ -62,7 +62,7 @@ def build(
         typer.Option(
             "--dry-run",
             help="Show which stages would run or be restored, and why; change nothing. Of the other options, "
-            "it heeds --wait alone; it refuses --force and --pull.",
+            "only --wait has an effect; --force and --pull are refused.",
         ),
     ] = False,
 ) -> None:
