@@ -103,7 +103,7 @@ THREADS = Annotated[
     typer.Option(
         **bounded(1),
         help="Threads, at least 1, shared by splits or objects that run in parallel; default: all cores. "
-        "Results are reproducible for the same number of threads; finished ones are kept if it changes.",
+        "Results are reproducible for the same number of threads; if it changes, finished runs are kept.",
     ),
 ]
 DEVICE = Annotated[
