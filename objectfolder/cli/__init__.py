@@ -2,13 +2,12 @@
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
 from rich.text import Text
-from typer.core import TyperGroup
 
 from objectfolder.base.disk import is_shortage
 from objectfolder.base.errors import ObjectFolderError
@@ -36,6 +35,7 @@ from objectfolder.cli import (
     view,
     workspace,
 )
+from objectfolder.cli.console import Commands, PlainGroup
 from objectfolder.cli.files import FORMS
 
 __all__ = ["app", "main"]
@@ -47,7 +47,7 @@ def _show_version(asked: bool) -> None:
         raise typer.Exit
 
 
-class _Commands(TyperGroup):
+class _Commands(PlainGroup):
     """Commands whose usage errors show control characters of what was given."""
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
@@ -69,16 +69,15 @@ def _visible_errors() -> Iterator[None]:
         raise
 
 
-app = typer.Typer(
+app = Commands(
     cls=_Commands,
-    no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
     help="Build and query **Object Files**, implicit representations of how objects look, sound and feel.\n\n"
-    "In a workspace (a folder with dvc.yaml; `objectfolder init` makes one): `objectfolder add MESH ...`, "
-    "then `objectfolder build`.\n\n"
-    "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`; "
+    "To build, in a workspace (made by `objectfolder init`): `objectfolder add MESH ...`, then "
+    "`objectfolder build`.\n\n"
+    "To query, anywhere: `objectfolder view FILE`, "
+    "`objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`.\n\n"
     f"FILE is a {FORMS}.",
 )
 
@@ -92,20 +91,45 @@ def _options(
     """Show the version, if asked."""
 
 
-for command in (
-    *(creation.init, workspace.build, upkeep.status, upkeep.verify, upkeep.prune, creation.upgrade),
-    *(objects.add, objects.fetch, workspace.preset, workspace.inspect, objectfile.info, view.view),
-    *(report.report, release.release, video.video, simulate.simulate, reconstruct.reconstruct, doctor.doctor),
-):
-    app.command()(command)
-app.command("import")(released.import_released)
-app.add_typer(objectfile.query_app, name="query")
-app.add_typer(sample.sample_app, name="sample")
-app.add_typer(sensor.sensor_app, name="sensor")
-app.add_typer(bench.bench_app, name="bench")
-app.add_typer(export.export_app, name="export")
-app.add_typer(fit.fit_app, name="fit")
-app.add_typer(listening.listening_app, name="listening")
+#: Commands and groups by their panel in help, and name.
+PANELS: dict[str, dict[str, Callable[..., None] | Commands]] = {
+    "Build": {
+        "init": creation.init,
+        "add": objects.add,
+        "fetch": objects.fetch,
+        "preset": workspace.preset,
+        "build": workspace.build,
+        "status": upkeep.status,
+        "inspect": workspace.inspect,
+        "fit": fit.fit_app,
+        "verify": upkeep.verify,
+        "prune": upkeep.prune,
+        "upgrade": creation.upgrade,
+        "doctor": doctor.doctor,
+    },
+    "Query": {
+        "info": objectfile.info,
+        "view": view.view,
+        "query": objectfile.query_app,
+        "sample": sample.sample_app,
+        "video": video.video,
+        "sensor": sensor.sensor_app,
+        "import": released.import_released,
+    },
+    "Simulate": {"simulate": simulate.simulate, "export": export.export_app},
+    "Publish": {"report": report.report, "release": release.release},
+    "Benchmarks": {
+        "bench": bench.bench_app,
+        "reconstruct": reconstruct.reconstruct,
+        "listening": listening.listening_app,
+    },
+}
+for panel, named in PANELS.items():
+    for name, one in named.items():
+        if isinstance(one, Commands):
+            app.add_typer(one, name=name, rich_help_panel=panel)
+        else:
+            app.command(name, rich_help_panel=panel)(one)
 
 
 def main() -> None:

@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperGroup
 from typer.main import get_group
 
-from objectfolder.cli.console import print_line, print_wide, track_progress
-from objectfolder.cli.files import FORMS, object_files
+from objectfolder.cli.console import Commands, PlainGroup, print_line, print_wide, track_progress
+from objectfolder.cli.files import FORMS, bounded, object_files
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.reporting.tables import Table
     from objectfolder.benchmarks.tasks.task import Task, Variant
 
 
-class _Tasks(TyperGroup):
+class _Tasks(PlainGroup):
     """Commands of tasks, whose declarations are read when they are asked for: other commands need none."""
 
     _commands: Any
@@ -29,7 +28,7 @@ class _Tasks(TyperGroup):
     def commands(self) -> Any:
         """Commands by name."""
         if not self._commands:
-            app = typer.Typer(rich_markup_mode="markdown")
+            app = Commands("")
             add_commands(app)
             self._commands = get_group(app).commands
         return self._commands
@@ -39,20 +38,18 @@ class _Tasks(TyperGroup):
         self._commands = given
 
 
-bench_app = typer.Typer(
+bench_app = Commands(
     cls=_Tasks,
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Run the paper's benchmark tasks on Object Files; some are a robot's.\n\n"
-    "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
-    "grasps in OUT/grasps, close views in OUT/close_ups; later tasks reuse them. Interrupted "
-    "commands resume when repeated, and more --seeds train only the missing ones.",
+    help="Run the paper's benchmark tasks on Object Files, without a build.\n\n"
+    "Each task first samples random views, impacts and touches of each object into OUT/observations, grasps "
+    "into OUT/grasps and close views into OUT/close_ups; later tasks reuse them. To resume an interrupted "
+    "task, repeat the command. With more --seeds, only the missing runs are trained.",
 )
 
 FILES = Annotated[
     list[Path] | None,
     typer.Argument(
-        metavar="[FILE]...",
+        metavar="FILE",
         help=f"Object Files, each a {FORMS}; default: build.",
         callback=object_files,
     ),
@@ -61,32 +58,37 @@ PRESET = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="quick, laptop, standard, faithful or faithful-small: samples and training (params/NAME.yaml). "
-        "Default: the settings in params.yaml. With it and files, no workspace is needed.",
+        help="Numbers of samples and training settings: quick, laptop, standard, faithful, faithful-small or "
+        "your own (params/NAME.yaml); default: those in params.yaml. With a preset and files, no workspace "
+        "is needed.",
     ),
 ]
 OUT = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
-        help="Folder of results; default: benchmarks/PRESET, or benchmarks/own without --preset.",
+        help="Folder for results; default: benchmarks/PRESET, or benchmarks/own without --preset.",
     ),
 ]
 SPLIT = Annotated[
     list[str] | None,
     typer.Option(
         "--split",
-        help="seen: test on new observations of the training objects; unseen: test on new objects. Repeat "
-        "for both; default: all splits of the task that can be made of these objects.",
+        metavar="seen|unseen",
+        help="seen: test on new observations of the training objects; unseen: test on new objects. "
+        "Repeatable; default: every split of the task for which there are enough objects.",
     ),
 ]
-SEEDS = Annotated[int | None, typer.Option(min=1, help="Training runs to average; default: the preset's.")]
+SEEDS = Annotated[
+    int | None,
+    typer.Option(**bounded(1), help="Training runs to average, at least 1; default: as in the preset."),
+]
 ENCODER = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.py:NAME",
-        help="Encoder of views, spectrograms and touches: resnet18, resnet18_half, resnet18_quarter, or one "
-        "registered by FILE.py (docs/benchmarks.md).",
+        help="Encoder for views, spectrograms and touches: resnet18, resnet18_half, resnet18_quarter, or one "
+        "that FILE.py registers (docs/benchmarks.md).",
     ),
 ]
 WEIGHTS = Annotated[
@@ -99,25 +101,28 @@ WEIGHTS = Annotated[
 THREADS = Annotated[
     int | None,
     typer.Option(
-        min=1,
-        help="Default: all cores, shared by the splits or objects that run in parallel. Results are "
-        "reproducible for a given number; what was finished with another is kept.",
+        **bounded(1),
+        help="Threads, at least 1, shared by splits or objects that run in parallel; default: all cores. "
+        "Results are reproducible for the same number of threads; if it changes, finished runs are kept.",
     ),
 ]
 DEVICE = Annotated[
-    str | None, typer.Option(help="Device to train on, such as cpu or cuda; default: a GPU if there is one.")
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Device to train on, such as cpu or cuda; default: a GPU if there is one."
+    ),
 ]
 JOBS = Annotated[
     int | None,
     typer.Option(
-        min=1,
-        help="Objects in parallel, which share the threads; default: one, or of a task without use for "
-        "several threads the number of cores.",
+        **bounded(1),
+        help="Objects to run in parallel, at least 1; they share the threads. Default: 1, or the number of "
+        "cores for tasks that use one thread.",
     ),
 ]
 
 
-def add_commands(app: typer.Typer) -> None:
+def add_commands(app: Commands) -> None:
     """Add the command of each task, also by its former names."""
     from objectfolder.benchmarks.tasks.task import find_task
     from objectfolder.workspace.stages import BENCHMARKS
@@ -163,7 +168,8 @@ def options(task: "Task") -> Iterator[tuple[str, Any]]:
 def _variant_parameter(variant: "Variant") -> Parameter:
     default = variant.values[0]
     kind: Any = bool if isinstance(default, bool) else Literal[variant.values]
-    hint = Annotated[kind, typer.Option(f"--{variant.option}", help=variant.help)]
+    shown = "|".join(map(str, variant.values))  # not of a flag
+    hint = Annotated[kind, typer.Option(f"--{variant.option}", metavar=shown, help=variant.help)]
     return Parameter(variant.option, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 

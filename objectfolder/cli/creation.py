@@ -16,13 +16,13 @@ MAX_NAMES = 5  # names in a line
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make, or an empty one.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="New or empty folder.")],
 ) -> None:
     """Make a workspace for a dataset of your own: a Git and DVC repository without objects.
 
-    It holds the graph of stages (dvc.yaml), a thin script per stage, parameters and presets, a README with
-    the dataset's card and an example of continuous integration. The code is the installed package, whose
-    digests the workspace records. Next: `objectfolder add`, `objectfolder build` there.
+    It holds the graph of stages (dvc.yaml), a short script per stage, parameters and presets, a README as the
+    dataset's card, and an example of continuous integration. The code itself is the installed package; the
+    workspace records its digests. Next, in that folder: `objectfolder add`, `objectfolder build`.
     """
     if find_spec("dvc") is None:
         raise ObjectFolderError(f"DVC is not installed; a workspace needs: {install_command('build')}")
@@ -47,12 +47,12 @@ def init(
 
 
 def upgrade() -> None:
-    """Move a workspace of `objectfolder init` to the installed version, and show what a build would run.
+    """Move a workspace to the installed version of objectfolder, and show what a build would run.
 
-    First install the version, such as by `git pull` in a clone of objectfolder and
-    `pip install --upgrade 'CLONE[build]'`. Scripts, graph and presets that you have not edited are replaced;
-    of those that you have, a new text is written to NAME.new. Own settings are kept, new ones added.
-    `git diff` shows all changes; `git checkout .` reverts them.
+    First install that version: for example, `git pull` in a clone of objectfolder, then
+    `pip install --upgrade 'CLONE[build]'`. Scripts, graph and presets that you have not edited are replaced.
+    For those that you have edited, the new text is written to NAME.new. Your settings are kept, new ones are
+    added. `git diff` shows all changes; `git checkout .` reverts them.
     """
     from objectfolder.cli.statusview import print_outlook
     from objectfolder.engine.status import status

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
 
 from packaging.requirements import Requirement
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from objectfolder.base.installation import install_command, installed_version
@@ -50,21 +50,22 @@ class Part:
 
 
 def doctor() -> None:
-    """Show what is installed, what is missing, what each part brings and costs, and how to get it.
+    """Show which optional parts are installed, what each is for and costs, and how to get it.
 
-    Queries need only Embree. `objectfolder build` needs the extra **build**. The other parts add a command or
+    Queries need only Embree; `objectfolder build` needs the extra **build**. The other parts add a command or
     a setting, or make something faster.
 
-    Installed packages do not affect results, with two exceptions: PARDISO, CHOLMOD and SuperLU give
-    vibration modes that agree to rounding, and the nets of the paper and of benchmarks are trained on a GPU
-    if there is one.
+    Results do not depend on what is installed, with two exceptions: vibration modes by PARDISO, CHOLMOD and
+    SuperLU differ by rounding, and the paper's nets and those of benchmarks are trained on a GPU if there is
+    one.
 
     **LLVM** is for `render_views.renderer: mitsuba-llvm` in params.yaml. Debian's package is libllvm19. If an
-    older one is found first, set `DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`.
+    older version is found first, set `DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`.
     """
     python = sys.version.partition(" ")[0]
     console.print(f"objectfolder {installed_version()} in {INSTALLED}, Python {python}", soft_wrap=True)
-    table = Table("part", "found", "brings", "if missing", box=None)
+    titles = ("part", "found", "brings", "if missing")
+    table = Table(*(Column(title, overflow="fold") for title in titles), box=None)
     for part in examine():
         found = Text(part.found or "missing", style="green" if part.usable else "yellow")
         table.add_row(part.name, found, part.brings, "" if part.usable else part.get)

@@ -9,8 +9,8 @@ import typer
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.installation import install_command
-from objectfolder.cli.console import console, print_line, track_progress
-from objectfolder.cli.files import FilesArgument, folder_to_write
+from objectfolder.cli.console import Commands, console, print_line, track_progress
+from objectfolder.cli.files import FilesArgument, bounded, folder_to_write
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.export import Report
@@ -18,12 +18,11 @@ if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.splits import Split
     from objectfolder.objectfile.file import ObjectFile
 
-export_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Write observations as a `webdataset` or for Hugging Face `datasets`, views for `nerfstudio`, "
-    "contacts for `lerobot`, and objects for physics engines: MuJoCo (`mjcf`), PyBullet and others (`urdf`), "
-    "OpenUSD (`usd`), and for game engines and browsers (`glb`).",
+export_app = Commands(
+    help="Export objects to physics and game engines, or observations to training libraries.\n\n"
+    "Objects: MuJoCo (`mjcf`), PyBullet and others (`urdf`), OpenUSD (`usd`), game engines and browsers "
+    "(`glb`). Observations: WebDataset (`webdataset`), Hugging Face Datasets (`datasets`). Views: "
+    "`nerfstudio`. Contacts: `lerobot`.",
 )
 
 SIMULATION = ("mujoco", "coacd", "manifold3d")  #: libraries of rigid bodies
@@ -32,12 +31,15 @@ OutArgument = Annotated[
     Path, typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write)
 ]
 FoldersArgument = Annotated[
-    list[Path], typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below.")
+    list[Path], typer.Argument(metavar="FOLDER", help="Folders that contain observations, at any depth.")
 ]
-HullsOption = Annotated[int, typer.Option(min=1, help="Maximum number of convex hulls per object.")]
+HullsOption = Annotated[int, typer.Option(**bounded(1), help="Most convex hulls per object, at least 1.")]
 SplitOption = Annotated[
     str,
-    typer.Option(help="seen: all objects in all parts; unseen: test objects absent from the other parts."),
+    typer.Option(
+        metavar="seen|unseen",
+        help="seen: every object is in training and test data; unseen: test objects are in no other part.",
+    ),
 ]
 
 
@@ -46,12 +48,12 @@ def webdataset(
     out: OutArgument,
     folders: FoldersArgument,
     split: SplitOption = "seen",
-    shard: Annotated[int, typer.Option(min=1, help="Samples per tar file.")] = 1000,
+    shard: Annotated[int, typer.Option(**bounded(1), help="Samples per tar file, at least 1.")] = 1000,
 ) -> None:
-    """Write tar files for the WebDataset library: train-000000.tar ... val- ... test-...
+    """Write observations as tar files for the WebDataset library: train-000000.tar ..., val-..., test-...
 
-    A sample has vision.png, audio.wav (float, absolute scale), touch.png and json: label, key, material,
-    scale and the queries. index.json names the labels. Then, in Python:
+    A sample has vision.png, audio.wav (float, absolute scale), touch.png, and json with label, key, material,
+    scale and queries. index.json names the labels. Then, in Python:
 
     `webdataset.WebDataset("OUT/train-{000000..000003}.tar").decode("rgb")`
     """
@@ -65,9 +67,9 @@ def webdataset(
 
 @export_app.command()
 def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "seen") -> None:
-    """Write a folder for the Datasets library of Hugging Face: Parquet files and a card, README.md.
+    """Write observations for Hugging Face Datasets: Parquet files and a card, README.md.
 
-    Then, in Python, without a network: `datasets.load_dataset("OUT")`
+    Then, in Python, offline: `datasets.load_dataset("OUT")`
     """
     from objectfolder.benchmarks.datasets.export import write_datasets
 
@@ -79,9 +81,9 @@ def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "s
 
 @export_app.command()
 def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write a folder OUT/KEY per object for MuJoCo: a body with a free joint, hulls, texture, mass, inertia.
+    """Write objects for MuJoCo, each to OUT/KEY: a body with a free joint, hulls, texture, mass and inertia.
 
-    Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Half a minute per object.
+    Takes half a minute per object. Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`
     """
     _require("rl", *SIMULATION)
     from objectfolder.sim.export import write_mjcf
@@ -91,10 +93,10 @@ def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 
 @export_app.command()
 def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write a folder OUT/KEY per object for PyBullet and other URDF readers: a link as in `mjcf`.
+    """Write objects for PyBullet and other URDF readers, each to OUT/KEY: a link with what `mjcf` writes.
 
-    Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Half a minute per
-    object.
+    Takes half a minute per object. Then, in Python:
+    `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`
     """
     _require("rl", *SIMULATION)
     from objectfolder.sim.export import write_urdf
@@ -104,10 +106,10 @@ def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 
 @export_app.command()
 def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write OUT/KEY/KEY.glb per object: glTF with its look, mass, hulls and vibration modes.
+    """Write objects as glTF, each to OUT/KEY/KEY.glb, with appearance, mass, hulls and vibration modes.
 
-    Any glTF reader draws it. Rigid body and sound are the draft extensions KHR_physics_rigid_bodies and
-    KHR_audio_rigid_bodies (docs/robots.md). Half a minute per object.
+    Takes half a minute per object. Any glTF reader shows the appearance. Rigid body and sound use the draft
+    extensions KHR_physics_rigid_bodies and KHR_audio_rigid_bodies (docs/robots.md).
     """
     _require("rl", *SIMULATION)
     from objectfolder.sim.gltf import write_glb
@@ -117,9 +119,9 @@ def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
 
 @export_app.command()
 def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write OUT/KEY/KEY.usda per object: OpenUSD with its look, mass, inertia, friction and hulls.
+    """Write objects as OpenUSD, each to OUT/KEY/KEY.usda, with appearance, mass, inertia, friction and hulls.
 
-    Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Half a minute per object.
+    Takes half a minute per object. Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`
     """
     _require("usd", "pxr")
     _require("rl", *SIMULATION)
@@ -132,16 +134,19 @@ def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
 def nerfstudio(
     out: OutArgument,
     files: FilesArgument,
-    views: Annotated[int, typer.Option("-n", "--views", min=1, help="Images per object.")] = 100,
-    resolution: Annotated[int, typer.Option(min=1, help="Pixels along a side.")] = 256,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same views.")] = 0,
+    views: Annotated[
+        int, typer.Option("-n", "--views", **bounded(1), help="Images per object, at least 1.")
+    ] = 100,
+    resolution: Annotated[int, typer.Option(**bounded(1), help="Side of the square images, pixels.")] = 256,
+    seed: Annotated[int, typer.Option(**bounded(0), help="Random seed, 0 or more.")] = 0,
     fixed_light: Annotated[
-        bool, typer.Option("--fixed-light", help="One light for all views, for nets that know no light.")
+        bool,
+        typer.Option("--fixed-light", help="Use one light for all views, for nets that do not model light."),
     ] = False,
 ) -> None:
-    """Write OUT/KEY/transforms.json and images/ per object: answered views with cameras and lights.
+    """Write views for Nerfstudio, with cameras and lights: OUT/KEY/transforms.json and images/ per object.
 
-    Then: `ns-train nerfacto --data OUT/KEY`. The images have an alpha channel.
+    The images have an alpha channel. Then: `ns-train nerfacto --data OUT/KEY`
     """
     from objectfolder.benchmarks.datasets.nerfstudio import write_nerfstudio
 
@@ -163,12 +168,16 @@ def nerfstudio(
 def lerobot(
     out: OutArgument,
     files: FilesArgument,
-    episodes: Annotated[int, typer.Option("-n", "--episodes", min=1, help="Contacts per object.")] = 10,
-    seconds: Annotated[float, typer.Option(help="Length of an episode.")] = 1.0,
-    fps: Annotated[int, typer.Option(min=1, help="Frames per second; divides the sample rate.")] = 25,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same contacts.")] = 0,
+    episodes: Annotated[
+        int, typer.Option("-n", "--episodes", **bounded(1), help="Contacts per object, at least 1.")
+    ] = 10,
+    seconds: Annotated[float, typer.Option(metavar="SECONDS", help="Length of an episode.")] = 1.0,
+    fps: Annotated[
+        int, typer.Option(**bounded(1), help="Frames per second; must divide the sample rate.")
+    ] = 25,
+    seed: Annotated[int, typer.Option(**bounded(0), help="Random seed, 0 or more.")] = 0,
 ) -> None:
-    """Write one dataset of LeRobot (format v3.0): windows of sound and tactile images of presses.
+    """Write a LeRobot dataset (format v3.0) of contacts: windows of sound and tactile images of presses.
 
     Then, in Python: `LeRobotDataset("objectfolder/touch", root="OUT")`.
     """

@@ -6,13 +6,11 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from objectfolder.cli.console import print_line, print_wide
+from objectfolder.cli.console import Commands, print_line, print_wide
 from objectfolder.cli.files import OWN, object_key
 
-fit_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Fit an object to reality: `sound`, to recordings of taps.",
+fit_app = Commands(
+    help="Fit an object to a real one: its `sound` to recordings of taps.",
 )
 #: Score of the next best stiffness, relative to the best, from which on the fit may be wrong.
 RIVAL_LIMIT = 0.6
@@ -29,21 +27,21 @@ def sound(
         str, typer.Argument(metavar="OBJECT", help=f"Built object: its {OWN}.", callback=object_key)
     ],
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC, OGG or M4A files of taps.")
+        list[Path], typer.Argument(metavar="RECORDING", help="Recordings of taps: WAV, FLAC, OGG or M4A.")
     ],
-    law: Annotated[str, typer.Option(help="Damping model: loss_factor or rayleigh.")] = "loss_factor",
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the fit; change nothing.")] = False,
+    law: Annotated[str, typer.Option(metavar="loss_factor|rayleigh", help="Damping model.")] = "loss_factor",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the fit without writing it.")] = False,
 ) -> None:
-    """Fit stiffness and damping of an object to recordings of taps, and write them to params.yaml.
+    """Fit an object's stiffness and damping to recordings of taps, and write them to params.yaml.
 
-    Hang the object on a thread or lay it on foam, so that it rings freely, and tap it in several places with
-    something hard and small; one or more taps in each file, at least a second apart, without clipping. Then:
+    Hang the object on a thread or lay it on foam so that it rings freely. Tap it in several places with
+    something small and hard. Each recording may hold several taps, at least a second apart; avoid clipping.
+    Then:
 
     `objectfolder fit sound mug tap1.wav tap2.wav`
 
     The modes heard are matched to those of the object's last build; modes below 200 Hz are not used. Size,
-    density and Poisson's ratio stay as they are. The next build rescales the modes; it does not solve them
-    again.
+    density and Poisson's ratio are kept. The next build rescales the modes without solving them again.
     """
     import numpy as np
 

@@ -10,8 +10,8 @@ from rich.table import Table
 
 from objectfolder.base.arrays import read_rows
 from objectfolder.base.errors import ObjectFolderError, plural
-from objectfolder.cli.console import console, print_line
-from objectfolder.cli.files import FORMS, empty_folder, object_file
+from objectfolder.cli.console import Commands, console, print_line
+from objectfolder.cli.files import FORMS, bounded, empty_folder, object_file
 from objectfolder.stored.header import PARTS, RADIATION
 from objectfolder.stored.kinds import known_kinds
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.vision.lighting import PointLight
 
-query_app = typer.Typer(no_args_is_help=True, help="Query an Object File: `vision`, `audio` or `touch`.")
+query_app = Commands(help="Query an Object File for `vision`, `audio` or `touch`.")
 
 #: Units of a sound without a listener, by response.
 SOUND_UNITS = {"displacement": "m kg^1/2", "velocity": "m kg^1/2/s", "acceleration": "m kg^1/2/s^2"}
@@ -48,16 +48,16 @@ FileArgument = Annotated[
 ]
 ImagesArgument = Annotated[
     Path,
-    typer.Argument(metavar="OUT", help="New or empty folder for 1.png, 2.png ...", callback=empty_folder),
+    typer.Argument(metavar="OUT", help="New or empty folder for 1.png, 2.png, ...", callback=empty_folder),
 ]
 SoundsArgument = Annotated[
     Path,
-    typer.Argument(metavar="OUT", help="New or empty folder for 1.wav, 2.wav ...", callback=empty_folder),
+    typer.Argument(metavar="OUT", help="New or empty folder for 1.wav, 2.wav, ...", callback=empty_folder),
 ]
 
 
 def info(file: FileArgument) -> None:
-    """Show the contents of an Object File."""
+    """Show what an Object File contains."""
     from objectfolder.objectfile.file import ObjectFile
 
     obj = ObjectFile.load(file)
@@ -84,24 +84,28 @@ def vision(
         Path,
         typer.Argument(
             metavar="QUERIES.npy",
-            help="(N, 6): camera xyz, light xyz; with --lights or --environment (N, 3): camera xyz.",
+            help="(N, 6): camera xyz and light xyz; (N, 3), camera xyz, with --lights or --environment.",
         ),
     ],
     out: ImagesArgument,
-    resolution: Annotated[int, typer.Option(min=1, help="Side of the square images, pixels.")] = 256,
+    resolution: Annotated[int, typer.Option(**bounded(1), help="Side of the square images, pixels.")] = 256,
     buffers: Annotated[
-        bool, typer.Option("--buffers", help="Also write 1.npz ...: linear rgba, depth (metres), normals.")
+        bool, typer.Option("--buffers", help="Also write 1.npz, ...: linear rgba, depth (metres), normals.")
     ] = False,
-    supersample: Annotated[bool, typer.Option(help="Antialias edges; faster without.")] = True,
+    supersample: Annotated[bool, typer.Option(help="Antialias edges; without, it is faster.")] = True,
     lights: Annotated[
         str | None,
-        typer.Option(help="Lights of all views: studio, or a .npy file (L, 6): position xyz, linear RGB."),
+        typer.Option(
+            metavar="studio|FILE.npy",
+            help="Lights for all views: studio, or a file (L, 6) with position xyz and linear RGB.",
+        ),
     ] = None,
     environment: Annotated[
-        Path | None, typer.Option(help="Equirectangular HDR or EXR picture of the surroundings' light.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Environment light: an equirectangular HDR or EXR image."),
     ] = None,
 ) -> None:
-    """Render views. Positions are in the unit frame, in which the object's longest side is 1."""
+    """Render views. Positions are in the unit frame, where the object's longest side is 1."""
     from objectfolder.base.arrays import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.vision.cameras import Intrinsics
@@ -139,45 +143,63 @@ def _lamps(lights: str | None) -> "str | list[PointLight] | None":
 def audio(
     file: FileArgument,
     vertices: Annotated[
-        Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3) points in metres, or (N, 6) with impulses.")
+        Path,
+        typer.Argument(
+            metavar="VERTICES.npy", help="(N, 6): points (metres), impulses (N s); (N, 3) with --forces."
+        ),
     ],
     out: SoundsArgument,
     forces: Annotated[
-        Path | None, typer.Option(help="(N, 3) impulses in N s; default: columns 4 to 6 of VERTICES.")
+        Path | None,
+        typer.Option(
+            metavar="FORCES.npy", help="(N, 3): impulses, N s; default: columns 4 to 6 of VERTICES."
+        ),
     ] = None,
-    sample_rate: Annotated[int, typer.Option(min=1, max=_MAX_RATE, help="Hz.")] = 16000,
-    duration: Annotated[float, typer.Option(help="Seconds.")] = 2.0,
-    response: Annotated[str, typer.Option(help="displacement, velocity or acceleration.")] = "displacement",
+    sample_rate: Annotated[int, typer.Option(**bounded(1, _MAX_RATE), help="Samples per second.")] = 16000,
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of each sound.")] = 2.0,
+    response: Annotated[
+        str, typer.Option(metavar="KIND", help="Of the modes: displacement, velocity or acceleration.")
+    ] = "displacement",
     contact_time: Annotated[
         float | None,
-        typer.Option(help="Duration of the strike, seconds; 0: an impulse; default: the striker's."),
+        typer.Option(
+            metavar="SECONDS", help="Duration of the contact; 0: an ideal impulse; default: the striker's."
+        ),
     ] = None,
     material: Annotated[
-        str | None, typer.Option(help="Material of the struck object; default: the object's own.")
+        str | None,
+        typer.Option(metavar="NAME", help="Material of the struck object; default: the object's own."),
     ] = None,
     scale: Annotated[
         float | None,
         typer.Option(
-            help="Longest side of the struck object in metres, to which VERTICES refer; default: its own."
+            metavar="METRES",
+            help="Longest side of the struck object, to which VERTICES refer; default: its own.",
         ),
     ] = None,
     striker: Annotated[
         str | None,
         typer.Option(
-            help="Striker, which determines the contact time: steel (default), wood, rubber or finger."
+            metavar="NAME|FILE",
+            help="Striker, for the contact time: steel (default), wood, rubber, finger or a .yaml file.",
         ),
     ] = None,
     listener: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="X Y Z in metres: write the sound pressure there, in pascals."),
+        typer.Option(
+            metavar="X Y Z",
+            help="Listener position, metres, object frame: write the sound pressure there, in pascals.",
+        ),
     ] = None,
-    normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
+    normalize: Annotated[
+        bool, typer.Option(help="Scale all sounds by one factor, to a peak of 0.9.")
+    ] = False,
 ) -> None:
-    """Synthesize impact sounds as float WAV files, of strikes that `objectfolder sample audio` writes.
+    """Synthesize impact sounds as float WAV files. `objectfolder sample audio` writes random strikes.
 
     `objectfolder query audio mug VERTICES.npy OUT/ --sample-rate 48000 --listener 0.5 0 0.3 --normalize`
 
-    Amplitudes are absolute: most are too faint or too loud for a player without `--normalize`.
+    Amplitudes are absolute: to listen, add `--normalize`, without which most sounds are too faint or clip.
     """
     from objectfolder.base.arrays import wav_bytes
     from objectfolder.base.io import write_bytes
@@ -225,35 +247,47 @@ def audio(
 @query_app.command()
 def touch(
     file: FileArgument,
-    vertices: Annotated[Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3) contact points, metres.")],
+    vertices: Annotated[Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3): contact points, metres.")],
     out: ImagesArgument,
     gelinfo: Annotated[
         Path | None,
-        typer.Option(help="(N, 3): tilt theta and its azimuth phi (radians), press depth (metres)."),
+        typer.Option(
+            metavar="GELINFO.npy",
+            help="(N, 3): tilt theta and its azimuth phi (radians), press depth (metres).",
+        ),
     ] = None,
-    depth: Annotated[float, typer.Option(help="Press depth in metres, without --gelinfo.")] = 0.001,
+    depth: Annotated[
+        float, typer.Option(metavar="METRES", help="Press depth, if --gelinfo is not given.")
+    ] = 0.001,
     sensor: Annotated[
-        str | None, typer.Option(help="Another sensor: a name (`sensor list`) or a .yaml file.")
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Sensor: a name (`objectfolder sensor list`) or a .yaml file; default: the object's.",
+        ),
     ] = None,
     outputs: Annotated[
-        str, typer.Option(metavar="NAME,...", help=f"Outputs: {', '.join(TOUCH_OUTPUTS)}.")
+        str, typer.Option(metavar="NAME,...", help=f"What to write: {', '.join(TOUCH_OUTPUTS)}.")
     ] = "image",
     shear: Annotated[
         tuple[float, float] | None,
-        typer.Option(help="RIGHT UP in metres: motion of the object in the image after the press."),
+        typer.Option(metavar="RIGHT UP", help="Move the object in the image after the press, metres."),
     ] = None,
-    twist: Annotated[float, typer.Option(help="Turn of the object after the press, radians.")] = 0.0,
+    twist: Annotated[float, typer.Option(metavar="RADIANS", help="Rotate the object after the press.")] = 0.0,
     friction: Annotated[
-        float | None, typer.Option(help="Coefficient of friction; default: the material's.")
+        float | None,
+        typer.Option(metavar="NUMBER", help="Coefficient of friction; default: the material's."),
     ] = None,
-    markers: Annotated[bool, typer.Option("--markers", help="Draw the gel's dots into the images.")] = False,
+    markers: Annotated[
+        bool, typer.Option("--markers", help="Draw the gel's markers into the images.")
+    ] = False,
 ) -> None:
-    """Press a tactile sensor on the object, and move the object sideways if asked.
+    """Press a tactile sensor on the object; optionally shear or twist the contact.
 
-    Writes 1.png ... (image), 1_mask.png ... (mask: the contact area of gel and object), 1.npz ... (height and
-    displacement in metres, pressure in Pa, normals of the gel), and contacts.csv with the force, area,
-    penetration and obstruction of each contact. With --shear, --twist or --markers also the gel's motion
-    sideways (metres), traction (Pa), marker_flow and the markers at rest (pixels), shear force and torque.
+    Writes 1.png, ... (image), 1_mask.png, ... (mask: where gel and object touch), 1.npz, ... (height and
+    displacement in metres, pressure in Pa, normals of the gel), and contacts.csv with force, area,
+    penetration and obstruction of each contact. With --shear, --twist or --markers, also the gel's sideways
+    motion (metres), traction (Pa), marker_flow and the markers at rest (pixels), shear force and torque.
     docs/touch.md defines them.
     """
     from objectfolder.base.arrays import write_png

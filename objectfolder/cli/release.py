@@ -15,11 +15,11 @@ from objectfolder.cli.files import OWN, folder_to_write, object_keys
 
 
 def release(
-    out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to create.")],
+    out: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to create.")],
     objects: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[OBJECT]...",
+            metavar="OBJECT",
             help=f"Built objects, each by its {OWN}; default: all.",
             callback=object_keys,
         ),
@@ -28,38 +28,42 @@ def release(
         list[str] | None,
         typer.Option(
             metavar="[OBJECT=]LICENCE",
-            help="Licence of an object, or of all whose mesh has no SOURCE.txt, such as CC0-1.0. Repeatable.",
+            help="Licence, such as CC0-1.0, of an object or of all without a SOURCE.txt. Repeatable.",
         ),
     ] = None,
     category: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[OBJECT=]CATEGORY",
-            help="Category of an object, or of all others. Procedural ones have one. Repeatable.",
+            help="Category of an object, or of all without one. Procedural objects have one. Repeatable.",
         ),
     ] = None,
     catalogue: Annotated[
         Path | None,
         typer.Option(
-            help="Catalogue that objects were fetched from, for their categories: catalogs/real.yaml."
+            metavar="FILE", help="Catalogue with categories of fetched objects, such as catalogs/real.yaml."
         ),
     ] = None,
-    name: Annotated[str, typer.Option(help="Name of the dataset.")] = "Object Files",
-    creator: Annotated[str, typer.Option(help="Who publishes it.")] = "unnamed",
-    version: Annotated[str, typer.Option(help="Version of the dataset.")] = "1.0.0",
-    date: Annotated[str | None, typer.Option(help="Date of publication, YYYY-MM-DD; default: today.")] = None,
-    url: Annotated[str, typer.Option(help="Where it will be published.")] = "https://example.org",
+    name: Annotated[str, typer.Option(metavar="TEXT", help="Name of the dataset.")] = "Object Files",
+    creator: Annotated[str, typer.Option(metavar="TEXT", help="Who publishes it.")] = "unnamed",
+    version: Annotated[str, typer.Option(metavar="N.N.N", help="Version of the dataset.")] = "1.0.0",
+    date: Annotated[
+        str | None, typer.Option(metavar="YYYY-MM-DD", help="Date of publication; default: today.")
+    ] = None,
+    url: Annotated[
+        str, typer.Option(metavar="URL", help="Where it will be published.")
+    ] = "https://example.org",
     draft: Annotated[
-        bool, typer.Option("--draft", help="Allow placeholders, and licences that are not of SPDX.")
+        bool, typer.Option("--draft", help="Allow placeholders, and licences that are not SPDX expressions.")
     ] = False,
-    site: Annotated[bool, typer.Option("--site/--no-site", help="Add the report on its objects.")] = True,
+    site: Annotated[bool, typer.Option("--site/--no-site", help="Include the report on its objects.")] = True,
 ) -> None:
-    """Pack built objects into a folder that can be published and loaded by others; docs/dataset.md.
+    """Pack built objects into a folder to publish.
 
     It holds the Object Files, an index, a dataset card, a datasheet, Croissant metadata, licences, checksums
-    and the report. In Python, `objectfolder.Dataset("DIR")` reads it.
+    and the report (docs/dataset.md). In Python, `objectfolder.Dataset("FOLDER")` reads it.
 
-    Example: objectfolder release kitchen --name Kitchen --creator "A. Smith" --url ADDRESS --licence CC0-1.0
+    `objectfolder release kitchen --name Kitchen --creator "A. Smith" --url URL --licence CC0-1.0`
     """
     from objectfolder.hub.fetch.catalogue import read_catalogue
     from objectfolder.hub.release.entries import (

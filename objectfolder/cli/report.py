@@ -14,27 +14,29 @@ def report(
     files: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[FILE]...",
+            metavar="FILE",
             help=f"Object Files, each a {FORMS}; default: all objects of the workspace.",
             callback=object_files,
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder of the site; with --single-file the page. Default: site, report.html."),
+        typer.Option(
+            metavar="FOLDER|FILE",
+            help="Folder to write, default site; with --single-file, page, default report.html.",
+        ),
     ] = None,
     single_file: Annotated[
-        bool, typer.Option("--single-file", help="Write one page that holds everything, to be mailed.")
+        bool, typer.Option("--single-file", help="Write everything into one page, to mail.")
     ] = False,
     open_page: OpenOption = True,
 ) -> None:
-    """Report on objects in a browser: truth beside answer, scores, checks, and the live viewer.
+    """Report on objects in a browser: ground truth beside predictions, scores, checks and the viewer.
 
-    Writes a static site that works from disk and offline; docs/viewer.md.
+    Writes a static site that opens from disk, offline (docs/viewer.md). If an object cannot be reported, the
+    others are, and the exit code is 1.
 
-    Exits with 1 if an object cannot be reported; the others have their pages.
-
-    Examples: objectfolder report, objectfolder report mug.safetensors --single-file --out mug.html
+    Examples: `objectfolder report`, `objectfolder report mug.safetensors --single-file --out mug.html`
     """
     from objectfolder.report.site import write_site
     from objectfolder.workspace import params

@@ -9,20 +9,21 @@ import typer
 from objectfolder.base.arrays import write_npy
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import check_output
-from objectfolder.cli.console import print_line
+from objectfolder.cli.console import Commands, print_line
+from objectfolder.cli.files import bounded
 from objectfolder.cli.objectfile import FileArgument
 
-sample_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Write random, valid query files: `vision`, `audio` or `touch`; `query` answers them.",
+sample_app = Commands(
+    help="Write files of random queries for `vision`, `audio` or `touch`, which `query` answers.",
 )
 
 _TAP = 0.01, 0.05  # impulses of taps with a small hammer or a finger, N s
 
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT.npy", help="File to write.")]
-CountOption = Annotated[int, typer.Option("-n", "--count", min=1, help="Queries, one per row.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="The same seed gives the same file.")]
+CountOption = Annotated[
+    int, typer.Option("-n", "--count", **bounded(1), help="Number of queries, at least 1.")
+]
+SeedOption = Annotated[int, typer.Option(**bounded(0), help="Random seed, 0 or more.")]
 
 
 @sample_app.command()
@@ -30,19 +31,19 @@ def vision(
     out: OutArgument,
     count: CountOption = 20,
     seed: SeedOption = 0,
-    radius: Annotated[float, typer.Option(help="Radius of the sphere of cameras.")] = 2.5,
-    light_radius: Annotated[float, typer.Option(help="Radius of the sphere of lights.")] = 1.0,
+    radius: Annotated[float, typer.Option(metavar="RADIUS", help="Distance of the cameras.")] = 2.5,
+    light_radius: Annotated[float, typer.Option(metavar="RADIUS", help="Distance of the lights.")] = 1.0,
     cameras_only: Annotated[
         bool,
         typer.Option(
             "--cameras-only",
-            help="Leave out the lights: (N, 3), as `query vision` expects beside --lights or --environment.",
+            help="Leave out the lights: (N, 3), for `query vision` with --lights or --environment.",
         ),
     ] = False,
 ) -> None:
-    """Write views, (N, 6): camera xyz, light xyz, each uniform on a sphere around the object.
+    """Write views, (N, 6): camera xyz and light xyz, each uniform on a sphere around the object.
 
-    Unit frame: the object's longest side is 1. No object is needed, since all are viewed alike. Then:
+    Positions are in the unit frame, where every object's longest side is 1, so no object is needed. Then:
 
     `objectfolder query vision FILE OUT.npy IMAGES/`
     """
@@ -60,24 +61,28 @@ def audio(
     seed: SeedOption = 0,
     force: Annotated[
         float | None,
-        typer.Option(help="Magnitude of every impulse, N s; default: of taps, 0.01 to 0.05, uniform."),
+        typer.Option(
+            metavar="NUMBER", help="Magnitude of every impulse, N s; default: random, 0.01 to 0.05."
+        ),
     ] = None,
     directions: Annotated[
         str,
         typer.Option(
-            help="normal: along the inward surface normal, like a hammer; random: any inward direction."
+            metavar="normal|random",
+            help="normal: along the inward surface normal, like a hammer; random: any inward direction.",
         ),
     ] = "normal",
     forces: Annotated[
         Path | None,
         typer.Option(
-            metavar="FORCES.npy", help="Write impulses (N, 3) to this file, only points to OUT.npy."
+            metavar="FORCES.npy",
+            help="Write the impulses, (N, 3), to this file, and only the points to OUT.npy.",
         ),
     ] = None,
 ) -> None:
     """Write strikes, (N, 6): points on the surface (metres), uniform by area, and impulses (N s).
 
-    Then, with `--forces FORCES.npy` for two files of (N, 3), as in the published dataset:
+    Then (with `--forces FORCES.npy` if there are two files, as in the published dataset):
 
     `objectfolder query audio FILE OUT.npy SOUNDS/ --sample-rate 48000 --listener 0.5 0 0.3 --normalize`
     """
@@ -101,13 +106,17 @@ def touch(
         Path | None,
         typer.Option(
             metavar="GELINFO.npy",
-            help="Also write (N, 3): tilt theta up to 15 degrees, its direction phi (both in radians), depth "
-            "in the sensor's range (metres).",
+            help="Also write (N, 3): tilt theta up to 15 degrees and its direction phi, both in radians, and "
+            "press depth within the sensor's range, metres.",
         ),
     ] = None,
     sensor: Annotated[
         str | None,
-        typer.Option(help="Sensor of the depths: a name (`sensor list`) or .yaml file; default: the stored."),
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Sensor whose range of depths is used: a name (`objectfolder sensor list`) or a .yaml file; "
+            "default: the object's.",
+        ),
     ] = None,
 ) -> None:
     """Write contacts, (N, 3): points on the surface (metres), uniform by area.

@@ -9,13 +9,11 @@ from rich.table import Table
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.io import check_output
-from objectfolder.cli.console import console, print_line
-from objectfolder.cli.files import empty_folder
+from objectfolder.cli.console import Commands, console, print_line
+from objectfolder.cli.files import bounded, empty_folder
 
-sensor_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Tactile sensors: `list` profiles, `fit` a profile to pictures, `export` its colours.",
+sensor_app = Commands(
+    help="Tactile sensors: `list` profiles, `fit` a profile to photographs, `export` its colours.",
 )
 
 
@@ -39,50 +37,59 @@ def fit_sensor_profile(
     images: Annotated[
         list[Path],
         typer.Argument(
-            metavar="IMAGE...",
-            help="Pictures of a ball pressed on the sensor in different places, or one calibration pack of "
-            "Taxim (dataPack.npz).",
+            metavar="IMAGE",
+            help="Photographs of a ball pressed on the sensor in different places, or one Taxim calibration "
+            "pack (dataPack.npz).",
         ),
     ],
-    radius: Annotated[float, typer.Option(help="Radius of the ball, metres.")],
-    out: Annotated[Path, typer.Option(help="Profile to write, .yaml; two more files are written beside it.")],
-    sensor: Annotated[str, typer.Option(help="Initial profile: a name or a .yaml file.")] = "digit",
+    radius: Annotated[float, typer.Option(metavar="METRES", help="Radius of the ball.")],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="Profile to write, .yaml; two more files are written beside it."),
+    ],
+    sensor: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Initial profile: a name or a .yaml file.")
+    ] = "digit",
     untouched: Annotated[
-        Path | None, typer.Option(help="Picture of the untouched sensor; without it, give 3 images or more.")
+        Path | None,
+        typer.Option(
+            metavar="IMAGE", help="Photograph of the untouched sensor; without it, give at least 3 images."
+        ),
     ] = None,
     circle: Annotated[
         list[str] | None,
         typer.Option(
             metavar="ROW,COLUMN,RADIUS",
-            help="Circle of an imprint, pixels of the profile's images; one per image. Default: detected.",
+            help="Circle of an imprint, in pixels of the profile's images; one per image; default: detected.",
         ),
     ] = None,
     lights: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Number of lights to fit, with position and colour, and the coating; 6 suits most."
+            **bounded(1),
+            help="Fit this many lights, with position and colour, and the coating; 6 suits most sensors.",
         ),
     ] = None,
     residual: Annotated[
-        bool, typer.Option("--residual", help="Also fit a polynomial to the remaining error.")
+        bool, typer.Option("--residual", help="With --lights, also fit a polynomial to the remaining error.")
     ] = False,
 ) -> None:
-    """Fit a sensor's lights and background to pictures of a ball pressed on it.
+    """Fit a sensor's lights and background to photographs of a ball pressed on it.
 
-    Press a steel ball (radius 2 to 10 mm) about 1 mm deep in three or more places away from the border.
-    Take a picture of each press and one of the untouched sensor. The camera must be upright, without
-    automatic exposure or white balance; size, field of view, gel and positions of the lights must be
-    those of the profile `--sensor`. Then:
+    Press a steel ball (radius 2 to 10 mm) about 1 mm deep in three or more places away from the border. Take
+    a photograph of each press and one of the untouched sensor. Keep the camera upright; turn off automatic
+    exposure and white balance. Size, field of view, gel and positions of the lights must match the profile
+    `--sensor`. Then:
 
     `objectfolder sensor fit a.png b.png c.png --untouched rest.png --radius 0.004 --out mine.yaml`
 
-    Writes mine.yaml, mine_background.png and mine_report.json. Lights of the same colour are fitted together.
-    With `--lights`, only geometry and gel are taken from the profile:
+    This writes mine.yaml, mine_background.png and mine_report.json. Lights of the same colour are fitted
+    together. With `--lights`, only geometry and gel are taken from the profile:
 
     `objectfolder sensor fit dataPack.npz --radius 0.002 --lights 6 --residual --sensor my.yaml --out n.yaml`
 
-    In Python, load it with `load_profile("mine.yaml")`. For a build, copy it to objectfolder/touch/profiles/,
-    or to sensors/ of a workspace that `objectfolder init` made.
+    In Python, load it with `load_profile("mine.yaml")`. For a build, copy it to sensors/ of your workspace,
+    or in a clone to objectfolder/touch/profiles/.
     """
     from objectfolder.touch.calibration import fit_sensor, fit_sensor_lights, save_fit
     from objectfolder.touch.photographs import read_pack, read_photograph
@@ -129,26 +136,31 @@ def fit_sensor_profile(
 
 @sensor_app.command("export")
 def export_sensor(
-    sensor: Annotated[str, typer.Argument(help="Profile: a name (`sensor list`) or a .yaml file.")],
+    sensor: Annotated[
+        str,
+        typer.Argument(
+            metavar="SENSOR", help="Profile: a name (`objectfolder sensor list`) or a .yaml file."
+        ),
+    ],
     taxim: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="New or empty folder for polycalib.npz, bg.jpg and real_bg.npy."),
+        typer.Option(metavar="FOLDER", help="New or empty folder for polycalib.npz, bg.jpg and real_bg.npy."),
     ] = None,
     isaac_lab: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The same, with the slopes that Isaac Lab looks up.")
+        Path | None, typer.Option(metavar="FOLDER", help="The same, with the slopes that Isaac Lab looks up.")
     ] = None,
 ) -> None:
-    """Write a sensor's colours as the simulator Taxim or NVIDIA's Isaac Lab reads them.
+    """Write a sensor's colours for the simulator Taxim or NVIDIA's Isaac Lab.
 
     `objectfolder sensor export digit_real --isaac-lab digit_real/`
 
-    Prints what Isaac Lab's GelSightRenderCfg needs beside the files.
+    Prints what else Isaac Lab's GelSightRenderCfg needs.
     """
     from objectfolder.touch.profiles import load_profile
     from objectfolder.touch.taxim import BINS, export_taxim
 
     if (taxim is None) == (isaac_lab is None):
-        raise ObjectFolderError("give one folder: --taxim DIR or --isaac-lab DIR")
+        raise ObjectFolderError("give one folder: --taxim FOLDER or --isaac-lab FOLDER")
     given = taxim or isaac_lab
     assert given is not None
     folder, profile = empty_folder(given), load_profile(sensor)

@@ -1,4 +1,4 @@
-"""Command that films a MuJoCo scene with its sound: simulate."""
+"""Command that renders a MuJoCo scene with its sound: simulate."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,29 +14,35 @@ def simulate(
     files: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[FILE...]",
-            help=f"Object Files of its bodies, which bear the objects' keys, each a {FORMS}; default: the "
-            "samples among them.",
+            metavar="FILE",
+            help=f"Object Files whose keys are names of bodies, each a {FORMS}; default: the samples among "
+            "the bodies.",
             callback=object_files,
         ),
     ] = None,
-    seconds: Annotated[float, typer.Option(help="Length of the clip.")] = 5.0,
-    out: Annotated[Path, typer.Option(help="Video to write, .mp4.")] = Path("clip.mp4"),
+    seconds: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the video.")] = 5.0,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Video to write, .mp4.")] = Path("clip.mp4"),
     listener: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="Place of the ear, metres, world frame.", show_default="the camera's"),
+        typer.Option(
+            metavar="X Y Z",
+            help="Listener position, metres, world frame.",
+            show_default="the camera's",
+        ),
     ] = None,
-    size: Annotated[tuple[int, int], typer.Option(help="Width and height, pixels; even.")] = (480, 360),
-    rate: Annotated[int, typer.Option(help="Pictures per second.")] = 25,
-    seed: Annotated[int, typer.Option(help="Seed of the noise of contacts.")] = 0,
+    size: Annotated[
+        tuple[int, int], typer.Option(metavar="WIDTH HEIGHT", help="Size in pixels, even numbers.")
+    ] = (480, 360),
+    rate: Annotated[int, typer.Option(metavar="N", help="Frames per second.")] = 25,
+    seed: Annotated[int, typer.Option(metavar="N", help="Random seed for contact noise.")] = 0,
 ) -> None:
-    """Film a MuJoCo scene whose objects sound: those of Object Files, exported by `objectfolder export mjcf`.
+    """Render a MuJoCo scene to video with the contact sounds of its Object Files.
 
-    Without files, bodies named mug, die or bell are the samples. The first keyframe is the start, if there is
-    one, and the first camera the view. Needs the program ffmpeg. The loudest sample of the track is 1; its
-    pressure is printed. See docs/senses.md.
+    `objectfolder simulate scene.xml --seconds 3 --out clip.mp4`
 
-    Example: objectfolder simulate scene.xml --seconds 3 --out clip.mp4
+    The scene contains objects that `objectfolder export mjcf` wrote. Without files, bodies named mug, die or
+    bell are the samples. The simulation starts from the first keyframe, if any; the first camera is the view.
+    The sound is scaled to a peak of 1; the peak's pressure is printed. Needs ffmpeg. See docs/senses.md.
     """
     import mujoco
 

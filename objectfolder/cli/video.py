@@ -6,23 +6,27 @@ from typing import Annotated
 import typer
 
 from objectfolder.cli.encoding import encoder, write_video
-from objectfolder.cli.files import FilesArgument
+from objectfolder.cli.files import FilesArgument, bounded
 
 
 def video(
     files: FilesArgument,
-    out: Annotated[Path, typer.Option(help="Video to write, .mp4.")] = Path("objects.mp4"),
-    seconds: Annotated[float, typer.Option(help="Seconds of each object's turn.")] = 8.0,
-    size: Annotated[int, typer.Option(min=16, help="Width and height, pixels; even.")] = 384,
-    rate: Annotated[int, typer.Option(min=1, max=1000, help="Pictures per second.")] = 25,
-    contacts: Annotated[int, typer.Option(min=1, help="Strikes and touches of each object.")] = 4,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of their places.")] = 0,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Video to write, .mp4.")] = Path("objects.mp4"),
+    seconds: Annotated[float, typer.Option(metavar="SECONDS", help="Duration of each object's turn.")] = 8.0,
+    size: Annotated[
+        int, typer.Option(**bounded(16), help="Width and height in pixels, even, at least 16.")
+    ] = 384,
+    rate: Annotated[int, typer.Option(**bounded(1, 1000), help="Frames per second, 1 to 1000.")] = 25,
+    contacts: Annotated[
+        int, typer.Option(**bounded(1), help="Strikes and touches per object, at least 1.")
+    ] = 4,
+    seed: Annotated[int, typer.Option(**bounded(0), help="Random seed for their positions, 0 or more.")] = 0,
 ) -> None:
-    """Film objects on a turntable, struck and touched, with sound.
+    """Render a video of objects on a turntable, struck and touched, with sound.
 
-    Needs the program ffmpeg (Debian: apt-get install ffmpeg). A picture takes some 0.3 seconds.
+    `objectfolder video mug die bell --out samples.mp4`
 
-    Example: objectfolder video mug die bell --out samples.mp4
+    Needs ffmpeg (Debian: apt-get install ffmpeg). A frame takes about 0.3 s.
     """
     import numpy as np
 

@@ -15,16 +15,19 @@ def view(
     files: FilesArgument,
     out: Annotated[
         Path | None,
-        typer.Option(help="Page to write, such as mug.html, to keep or to mail. Default: a temporary file."),
+        typer.Option(
+            metavar="FILE",
+            help="Page to write, such as mug.html, to keep or mail; default: a temporary file.",
+        ),
     ] = None,
     open_page: OpenOption = True,
 ) -> None:
     """See, strike and touch objects in a browser.
 
-    Writes one page that holds the files and the program that answers from them. It needs no server and no
-    network; docs/viewer.md.
+    Writes one page with the files and the program that queries them. It needs no server and no network
+    (docs/viewer.md).
 
-    Examples: objectfolder view mug, objectfolder view mug.safetensors
+    Examples: `objectfolder view mug`, `objectfolder view mug.safetensors`
     """
     from objectfolder.base.io import write_text
     from objectfolder.objectfile.file import ObjectFile

@@ -1,3 +1,4 @@
+import io
 import platform
 import subprocess
 import sys
@@ -6,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 import objectfolder
@@ -62,6 +64,18 @@ def test_a_bare_machine_gets_what_to_install_for_each_part(machine):
     assert "libllvm19" in parts["LLVM 19"].get
     assert parts["extra build"].get == install_command("build")
     assert "not for this Python" in parts["extra cycles"].get
+
+
+def test_remedies_are_folded_in_a_narrow_terminal(machine, monkeypatch):
+    machine()
+    terminal = Console(file=io.StringIO(), width=80, force_terminal=True, color_system=None)
+    monkeypatch.setattr(doctor, "console", terminal)
+    doctor.doctor()
+    text = terminal.file.getvalue()
+    assert "…" not in text
+    header, *rows = [line for line in text.splitlines() if line.startswith(" ")]
+    folded = "".join(row[header.index("if missing") :].strip() for row in rows).replace(" ", "")
+    assert "apt-getinstalllibllvm19,andDRJIT_LIBLLVM_PATH(see--help)" in folded
 
 
 @pytest.mark.parametrize(

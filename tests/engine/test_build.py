@@ -162,6 +162,11 @@ def test_unknown_target_suggests_close_ones_or_lists_the_objects(workspace, targ
     refused(f"unknown target '{target}'.*{said}", build, [target], root=workspace.root)
 
 
+def test_unknown_target_of_a_workspace_without_objects(make_workspace):
+    root = make_workspace("stages: {}\n").root
+    refused("there are no objects yet; run `objectfolder add`", build, ["mug"], root=root)
+
+
 def test_two_jobs_overlap(workspace):
     for key in ("bell", "mug"):
         workspace.control(f"prepare@{key}", "1.5")

@@ -110,4 +110,6 @@ def _suggest(target: str, addresses: dict[str, Stage], root: Path) -> str:
         return f"did you mean {', '.join(close)}?"
     split = (address.partition("@") for address in addresses)
     keys = ", ".join(sorted({key for stage, _, key in split if key and stage not in TASKS}))
-    return f"the objects are {shortened(keys, 300) or 'none yet'}; `dvc stage list` lists the stages"
+    if not keys:
+        return "there are no objects yet; run `objectfolder add`"
+    return f"the objects are {shortened(keys, 300)}; `dvc stage list` lists the stages"
