@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.text import Text
-from typer.core import TyperGroup
 
 from objectfolder.base.disk import is_shortage
 from objectfolder.base.errors import ObjectFolderError
@@ -36,6 +35,7 @@ from objectfolder.cli import (
     view,
     workspace,
 )
+from objectfolder.cli.console import App, Group
 from objectfolder.cli.files import FORMS
 
 __all__ = ["app", "main"]
@@ -47,7 +47,11 @@ def _show_version(asked: bool) -> None:
         raise typer.Exit
 
 
-class _Commands(TyperGroup):
+#: Names of options by those of earlier versions, which still work.
+FORMER = {"seconds": "duration", "rate": "fps", "size": "resolution"}
+
+
+class _Commands(Group):
     """Commands whose usage errors show control characters of what was given."""
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
@@ -69,12 +73,13 @@ def _visible_errors() -> Iterator[None]:
         raise
 
 
-app = typer.Typer(
+app = App(
     cls=_Commands,
-    no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "token_normalize_func": lambda name: FORMER.get(name, name),
+    },
     help="Build and query **Object Files**, implicit representations of how objects look, sound and feel.\n\n"
     "In a workspace (a folder with dvc.yaml; `objectfolder init` makes one): `objectfolder add MESH ...`, "
     "then `objectfolder build`.\n\n"
@@ -92,20 +97,31 @@ def _options(
     """Show the version, if asked."""
 
 
-for command in (
-    *(creation.init, workspace.build, upkeep.status, upkeep.verify, upkeep.prune, creation.upgrade),
-    *(objects.add, objects.fetch, workspace.preset, workspace.inspect, objectfile.info, view.view),
-    *(report.report, release.release, video.video, simulate.simulate, reconstruct.reconstruct, doctor.doctor),
-):
-    app.command()(command)
-app.command("import")(released.import_released)
-app.add_typer(objectfile.query_app, name="query")
-app.add_typer(sample.sample_app, name="sample")
-app.add_typer(sensor.sensor_app, name="sensor")
-app.add_typer(bench.bench_app, name="bench")
-app.add_typer(export.export_app, name="export")
-app.add_typer(fit.fit_app, name="fit")
-app.add_typer(listening.listening_app, name="listening")
+#: Commands and groups of them, by what they are for.
+PANELS: dict[str, dict[str, Any]] = {
+    "Build": {
+        **{"init": creation.init, "add": objects.add, "fetch": objects.fetch, "preset": workspace.preset},
+        **{"build": workspace.build, "status": upkeep.status, "inspect": workspace.inspect},
+        **{"verify": upkeep.verify, "prune": upkeep.prune, "upgrade": creation.upgrade},
+        **{"import": released.import_released, "doctor": doctor.doctor},
+    },
+    "Query": {
+        **{"info": objectfile.info, "view": view.view, "video": video.video},
+        **{"sample": sample.sample_app, "query": objectfile.query_app},
+    },
+    "Publish": {"report": report.report, "release": release.release},
+    "Simulate": {"simulate": simulate.simulate, "export": export.export_app},
+    "Measure": {
+        **{"reconstruct": reconstruct.reconstruct, "bench": bench.bench_app, "fit": fit.fit_app},
+        **{"sensor": sensor.sensor_app, "listening": listening.listening_app},
+    },
+}
+for panel, commands in PANELS.items():
+    for name, command in commands.items():
+        if isinstance(command, App):
+            app.add_typer(command, name=name, rich_help_panel=panel)
+        else:
+            app.command(name, rich_help_panel=panel)(command)
 
 
 def main() -> None:

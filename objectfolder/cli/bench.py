@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperGroup
 from typer.main import get_group
 
-from objectfolder.cli.console import print_line, print_wide, track_progress
+from objectfolder.cli.console import App, Group, print_line, print_wide, track_progress
 from objectfolder.cli.files import FORMS, object_files
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from objectfolder.benchmarks.tasks.task import Task, Variant
 
 
-class _Tasks(TyperGroup):
+class _Tasks(Group):
     """Commands of tasks, whose declarations are read when they are asked for: other commands need none."""
 
     _commands: Any
@@ -29,7 +28,7 @@ class _Tasks(TyperGroup):
     def commands(self) -> Any:
         """Commands by name."""
         if not self._commands:
-            app = typer.Typer(rich_markup_mode="markdown")
+            app = App()
             add_commands(app)
             self._commands = get_group(app).commands
         return self._commands
@@ -39,11 +38,9 @@ class _Tasks(TyperGroup):
         self._commands = given
 
 
-bench_app = typer.Typer(
+bench_app = App(
     cls=_Tasks,
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Run the paper's benchmark tasks on Object Files; some are a robot's.\n\n"
+    help="Run the paper's benchmark tasks and robot tasks on Object Files.\n\n"
     "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
     "grasps in OUT/grasps, close views in OUT/close_ups; later tasks reuse them. Interrupted "
     "commands resume when repeated, and more --seeds train only the missing ones.",
@@ -76,8 +73,9 @@ SPLIT = Annotated[
     list[str] | None,
     typer.Option(
         "--split",
+        metavar="seen|unseen",
         help="seen: test on new observations of the training objects; unseen: test on new objects. Repeat "
-        "for both; default: all splits of the task that can be made of these objects.",
+        "for both; default: all splits of the task that these objects allow.",
     ),
 ]
 SEEDS = Annotated[int | None, typer.Option(min=1, help="Training runs to average; default: the preset's.")]
@@ -100,19 +98,20 @@ THREADS = Annotated[
     int | None,
     typer.Option(
         min=1,
-        help="Default: all cores, shared by the splits or objects that run in parallel. Results are "
-        "reproducible for a given number; what was finished with another is kept.",
+        help="CPU threads; default: all cores, shared by the splits or objects that run in parallel. "
+        "Results are reproducible for a given number; finished ones are kept when it changes.",
     ),
 ]
 DEVICE = Annotated[
-    str | None, typer.Option(help="Device to train on, such as cpu or cuda; default: a GPU if there is one.")
+    str | None,
+    typer.Option(metavar="DEVICE", help="Device to train on: cpu, cuda ...; default: a GPU if there is one."),
 ]
 JOBS = Annotated[
     int | None,
     typer.Option(
         min=1,
-        help="Objects in parallel, which share the threads; default: one, or of a task without use for "
-        "several threads the number of cores.",
+        help="Objects in parallel, which share the threads; default: one, or the number of cores for tasks "
+        "that use one thread.",
     ),
 ]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
 
 from packaging.requirements import Requirement
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from objectfolder.base.installation import install_command, installed_version
@@ -50,10 +50,10 @@ class Part:
 
 
 def doctor() -> None:
-    """Show what is installed, what is missing, what each part brings and costs, and how to get it.
+    """Show what is installed, and what is missing: what it adds, its size, and how to install it.
 
-    Queries need only Embree. `objectfolder build` needs the extra **build**. The other parts add a command or
-    a setting, or make something faster.
+    Queries need only Embree. `objectfolder build` needs the extra **build**. The other parts add commands or
+    settings, or save time.
 
     Installed packages do not affect results, with two exceptions: PARDISO, CHOLMOD and SuperLU give
     vibration modes that agree to rounding, and the nets of the paper and of benchmarks are trained on a GPU
@@ -64,7 +64,9 @@ def doctor() -> None:
     """
     python = sys.version.partition(" ")[0]
     console.print(f"objectfolder {installed_version()} in {INSTALLED}, Python {python}", soft_wrap=True)
-    table = Table("part", "found", "brings", "if missing", box=None)
+    table = Table(
+        *(Column(name, overflow="fold") for name in ("part", "found", "brings", "if missing")), box=None
+    )
     for part in examine():
         found = Text(part.found or "missing", style="green" if part.usable else "yellow")
         table.add_row(part.name, found, part.brings, "" if part.usable else part.get)

@@ -9,7 +9,7 @@ import typer
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.installation import install_command
-from objectfolder.cli.console import console, print_line, track_progress
+from objectfolder.cli.console import App, print_line, show_status, track_progress
 from objectfolder.cli.files import FilesArgument, folder_to_write
 
 if TYPE_CHECKING:
@@ -18,18 +18,17 @@ if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.splits import Split
     from objectfolder.objectfile.file import ObjectFile
 
-export_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Write observations as a `webdataset` or for Hugging Face `datasets`, views for `nerfstudio`, "
-    "contacts for `lerobot`, and objects for physics engines: MuJoCo (`mjcf`), PyBullet and others (`urdf`), "
-    "OpenUSD (`usd`), and for game engines and browsers (`glb`).",
+export_app = App(
+    help="Export objects to physics engines (`mjcf`, `urdf`, `usd`) and game engines (`glb`), and training "
+    "data to `webdataset`, Hugging Face `datasets`, `nerfstudio` and `lerobot`.",
 )
 
 SIMULATION = ("mujoco", "coacd", "manifold3d")  #: libraries of rigid bodies
 
+# Checked before the files: in earlier versions it came before them.
 OutArgument = Annotated[
-    Path, typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write)
+    Path,
+    typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write, is_eager=True),
 ]
 FoldersArgument = Annotated[
     list[Path], typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below.")
@@ -37,14 +36,17 @@ FoldersArgument = Annotated[
 HullsOption = Annotated[int, typer.Option(min=1, help="Maximum number of convex hulls per object.")]
 SplitOption = Annotated[
     str,
-    typer.Option(help="seen: all objects in all parts; unseen: test objects absent from the other parts."),
+    typer.Option(
+        metavar="seen|unseen",
+        help="seen: all objects in all parts; unseen: test objects only in the test part.",
+    ),
 ]
 
 
 @export_app.command()
 def webdataset(
-    out: OutArgument,
     folders: FoldersArgument,
+    out: OutArgument,
     split: SplitOption = "seen",
     shard: Annotated[int, typer.Option(min=1, help="Samples per tar file.")] = 1000,
 ) -> None:
@@ -64,7 +66,7 @@ def webdataset(
 
 
 @export_app.command()
-def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "seen") -> None:
+def datasets(folders: FoldersArgument, out: OutArgument, split: SplitOption = "seen") -> None:
     """Write a folder for the Datasets library of Hugging Face: Parquet files and a card, README.md.
 
     Then, in Python, without a network: `datasets.load_dataset("OUT")`
@@ -78,8 +80,8 @@ def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "s
 
 
 @export_app.command()
-def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write a folder OUT/KEY per object for MuJoCo: a body with a free joint, hulls, texture, mass, inertia.
+def mjcf(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
+    """Write a folder OUT/KEY per object for MuJoCo: a body with free joint, hulls, texture, mass and inertia.
 
     Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Half a minute per object.
     """
@@ -90,7 +92,7 @@ def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 
 
 @export_app.command()
-def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
+def urdf(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
     """Write a folder OUT/KEY per object for PyBullet and other URDF readers: a link as in `mjcf`.
 
     Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Half a minute per
@@ -103,7 +105,7 @@ def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 
 
 @export_app.command()
-def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
+def glb(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
     """Write OUT/KEY/KEY.glb per object: glTF with its look, mass, hulls and vibration modes.
 
     Any glTF reader draws it. Rigid body and sound are the draft extensions KHR_physics_rigid_bodies and
@@ -116,7 +118,7 @@ def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
 
 
 @export_app.command()
-def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
+def usd(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
     """Write OUT/KEY/KEY.usda per object: OpenUSD with its look, mass, inertia, friction and hulls.
 
     Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Half a minute per object.
@@ -130,16 +132,16 @@ def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
 
 @export_app.command()
 def nerfstudio(
-    out: OutArgument,
     files: FilesArgument,
+    out: OutArgument,
     views: Annotated[int, typer.Option("-n", "--views", min=1, help="Images per object.")] = 100,
-    resolution: Annotated[int, typer.Option(min=1, help="Pixels along a side.")] = 256,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same views.")] = 0,
+    resolution: Annotated[int, typer.Option(min=1, help="Side of the square images, pixels.")] = 256,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     fixed_light: Annotated[
-        bool, typer.Option("--fixed-light", help="One light for all views, for nets that know no light.")
+        bool, typer.Option("--fixed-light", help="One light for all views, for nets without relighting.")
     ] = False,
 ) -> None:
-    """Write OUT/KEY/transforms.json and images/ per object: answered views with cameras and lights.
+    """Write OUT/KEY/transforms.json and images/ per object: rendered views with cameras and lights.
 
     Then: `ns-train nerfacto --data OUT/KEY`. The images have an alpha channel.
     """
@@ -150,10 +152,10 @@ def nerfstudio(
         if file.header["vision"]["kind"] == "surface":
             file.require("geometry")
     for file in objects:
-        with console.status("") as status:
+        with show_status("") as show:
 
             def report(done: int, total: int, key: str = file.key) -> None:
-                status.update(f"{key}: {done} of {total} views")
+                show(f"{key}: {done} of {total} views")
 
             path = write_nerfstudio(file, out, views, resolution, seed, fixed_light, report)
         print_line(str(path))
@@ -161,14 +163,14 @@ def nerfstudio(
 
 @export_app.command()
 def lerobot(
-    out: OutArgument,
     files: FilesArgument,
+    out: OutArgument,
     episodes: Annotated[int, typer.Option("-n", "--episodes", min=1, help="Contacts per object.")] = 10,
-    seconds: Annotated[float, typer.Option(help="Length of an episode.")] = 1.0,
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of an episode.")] = 1.0,
     fps: Annotated[int, typer.Option(min=1, help="Frames per second; divides the sample rate.")] = 25,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same contacts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
 ) -> None:
-    """Write one dataset of LeRobot (format v3.0): windows of sound and tactile images of presses.
+    """Write a LeRobot dataset (format v3.0): tactile images of presses, and their sounds.
 
     Then, in Python: `LeRobotDataset("objectfolder/touch", root="OUT")`.
     """
@@ -179,15 +181,15 @@ def lerobot(
     objects = [ObjectFile.load(file) for file in files]
     for found in objects:
         found.require("geometry", "audio", "touch")
-    with console.status("") as status:
+    with show_status("") as show:
         write_lerobot(
             objects,
             out,
             episodes,
-            seconds,
+            duration,
             fps,
             seed=seed,
-            report=lambda done, total: status.update(f"{done} of {total} episodes"),
+            report=lambda done, total: show(f"{done} of {total} episodes"),
         )
     print_line(f"{plural(len(objects), 'object')} in {out}/: {plural(episodes, 'episode')} of each")
 
@@ -239,8 +241,8 @@ def _export(
     _require("hub", library)
     observations = Observations(find_folders(folders))
     chosen = named_split(split, observations.keys, observations.count)
-    with console.status("") as status:
-        write(observations, chosen, lambda done, total: status.update(f"{done} of {total} samples"))
+    with show_status("") as show:
+        write(observations, chosen, lambda done, total: show(f"{done} of {total} samples"))
     print_line(
         f"{plural(len(observations.keys), 'object')} in {out}/: {len(chosen.train)} samples to train, "
         f"{len(chosen.val)} to validate, {len(chosen.test)} to test"

@@ -21,7 +21,8 @@ PAGES = (".html", ".htm")  #: suffixes
 Targets = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[TARGET]...", help="`modal@mug`, a stage (`train_audio`) or an object (`mug`); default: all."
+        metavar="[TARGET]...",
+        help="Stage of an object (`modal@mug`), stage (`train_audio`) or object (`mug`); default: all.",
     ),
 ]
 

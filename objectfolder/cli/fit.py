@@ -6,13 +6,11 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from objectfolder.cli.console import print_line, print_wide
+from objectfolder.cli.console import App, print_line, print_wide
 from objectfolder.cli.files import OWN, object_key
 
-fit_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Fit an object to reality: `sound`, to recordings of taps.",
+fit_app = App(
+    help="Fit an object to measurements: `sound`, to recordings of taps.",
 )
 #: Score of the next best stiffness, relative to the best, from which on the fit may be wrong.
 RIVAL_LIMIT = 0.6
@@ -31,13 +29,13 @@ def sound(
     recordings: Annotated[
         list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC, OGG or M4A files of taps.")
     ],
-    law: Annotated[str, typer.Option(help="Damping model: loss_factor or rayleigh.")] = "loss_factor",
+    law: Annotated[str, typer.Option(metavar="loss_factor|rayleigh", help="Damping model.")] = "loss_factor",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the fit; change nothing.")] = False,
 ) -> None:
     """Fit stiffness and damping of an object to recordings of taps, and write them to params.yaml.
 
-    Hang the object on a thread or lay it on foam, so that it rings freely, and tap it in several places with
-    something hard and small; one or more taps in each file, at least a second apart, without clipping. Then:
+    Hang the object on a thread or lay it on foam, so that it rings freely, and tap it at several points with
+    something hard and small: one or more taps per file, at least a second apart, without clipping. Then:
 
     `objectfolder fit sound mug tap1.wav tap2.wav`
 
@@ -85,7 +83,7 @@ def sound(
     print_wide(table)
     left = ", ".join(f"{heard.frequency[row]:.0f}" for row in fit.left_out)
     lines = [
-        *(f"{path}: no strike, left out" for path, count in zip(recordings, fit.taps) if not count),
+        *(f"{path}: no tap found, left out" for path, count in zip(recordings, fit.taps) if not count),
         f"stiffness: {match.stiffness:.4f} times that of {report['material']} as built; frequencies then "
         f"differ by {fit.frequency_error:.2%} (root mean square)",
         f"not matched, Hz: {left or 'none'}",

@@ -8,13 +8,11 @@ from rich.table import Table
 from rich.text import Text
 
 from objectfolder.base.errors import plural
-from objectfolder.cli.console import console, print_line
+from objectfolder.cli.console import App, console, print_line
 from objectfolder.cli.files import page_to_write
 
-listening_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Ask people which sounds are more real: `make` a page, `score` the answers.",
+listening_app = App(
+    help="Ask listeners which of two sounds is more real: `make` a page, `score` the answers.",
 )
 
 
@@ -22,15 +20,15 @@ listening_app = typer.Typer(
 def make(
     ours: Annotated[Path, typer.Argument(metavar="OURS", help="Folder of sounds named MATERIAL_anything.")],
     other: Annotated[Path, typer.Argument(metavar="OTHER", help="Folder of sounds of the same names.")],
-    out: Annotated[Path, typer.Option(help="Page to write.")] = Path("listening.html"),
+    out: Annotated[Path, typer.Option(metavar="FILE.html", help="Page to write.")] = Path("listening.html"),
     pairs: Annotated[int, typer.Option(min=1, help="Pairs that each listener hears.")] = 16,
-    seed: Annotated[int, typer.Option(min=0, help="Of the draw of pairs and of their orders.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed for choosing and ordering pairs.")] = 0,
 ) -> None:
     """Write a page that plays pairs of sounds, such as ours and recordings, and asks which is more real.
 
-    It works from disk and keeps the answers in the browser until they are saved as CSV. Of each sound, the
-    first 10 s of the loudest channel are played. Levels are matched, orders are random and balanced. By
-    default as in the paper, which had 10 listeners.
+    The page needs no server, and keeps the answers in the browser until they are saved as CSV. It plays the
+    first 10 s of the loudest channel of each sound. Levels are matched; orders are random and balanced. The
+    defaults are those of the paper, which had 10 listeners.
     """
     from objectfolder.base.io import write_text
     from objectfolder.benchmarks.listening import study_page
@@ -44,7 +42,8 @@ def make(
 def score(
     results: Annotated[list[Path], typer.Argument(metavar="CSV...", help="Answers that the page saved.")],
     study: Annotated[
-        Path | None, typer.Option(help="Page of the study; answers that are not of its pairs are refused.")
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Page of the study: refuse answers to other pairs."),
     ] = None,
 ) -> None:
     """Show how often OURS was preferred, by material, with Wilson's 95 % intervals."""

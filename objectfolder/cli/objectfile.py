@@ -10,7 +10,7 @@ from rich.table import Table
 
 from objectfolder.base.arrays import read_rows
 from objectfolder.base.errors import ObjectFolderError, plural
-from objectfolder.cli.console import console, print_line
+from objectfolder.cli.console import App, console, print_line
 from objectfolder.cli.files import FORMS, empty_folder, object_file
 from objectfolder.stored.header import PARTS, RADIATION
 from objectfolder.stored.kinds import known_kinds
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.vision.lighting import PointLight
 
-query_app = typer.Typer(no_args_is_help=True, help="Query an Object File: `vision`, `audio` or `touch`.")
+query_app = App(help="Query an Object File: `vision`, `audio` or `touch`.")
 
 #: Units of a sound without a listener, by response.
 SOUND_UNITS = {"displacement": "m kg^1/2", "velocity": "m kg^1/2/s", "acceleration": "m kg^1/2/s^2"}
@@ -70,7 +70,7 @@ def info(file: FileArgument) -> None:
             rows["mass"] = f"{given:.3g} kg (given; solid volume x density would be {rows['mass']})"
     rows |= {part: _summary_of(obj, part) for part in PARTS}
     heard = RADIATION in obj.header
-    rows[RADIATION] = obj.header[RADIATION]["kind"] if heard else "none: no listener hears it"
+    rows[RADIATION] = obj.header[RADIATION]["kind"] if heard else "none: no sound at a listener"
     rows["format"] = obj.header["format"]
     for name, value in rows.items():
         table.add_row(name, value)
@@ -92,16 +92,21 @@ def vision(
     buffers: Annotated[
         bool, typer.Option("--buffers", help="Also write 1.npz ...: linear rgba, depth (metres), normals.")
     ] = False,
-    supersample: Annotated[bool, typer.Option(help="Antialias edges; faster without.")] = True,
+    supersample: Annotated[
+        bool, typer.Option(help="Antialias edges; without it, rendering is faster.")
+    ] = True,
     lights: Annotated[
         str | None,
-        typer.Option(help="Lights of all views: studio, or a .npy file (L, 6): position xyz, linear RGB."),
+        typer.Option(
+            metavar="studio|FILE.npy",
+            help="Lights of all views: studio, or an array (L, 6) of positions xyz and linear RGB.",
+        ),
     ] = None,
     environment: Annotated[
-        Path | None, typer.Option(help="Equirectangular HDR or EXR picture of the surroundings' light.")
+        Path | None, typer.Option(help="Equirectangular HDR or EXR image to light all views with.")
     ] = None,
 ) -> None:
-    """Render views. Positions are in the unit frame, in which the object's longest side is 1."""
+    """Render views of an object. Positions are in the unit frame: the longest side is 1."""
     from objectfolder.base.arrays import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.vision.cameras import Intrinsics
@@ -139,37 +144,59 @@ def _lamps(lights: str | None) -> "str | list[PointLight] | None":
 def audio(
     file: FileArgument,
     vertices: Annotated[
-        Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3) points in metres, or (N, 6) with impulses.")
+        Path,
+        typer.Argument(
+            metavar="VERTICES.npy", help="(N, 3) points in metres, or (N, 6) with impulses in N s."
+        ),
     ],
     out: SoundsArgument,
     forces: Annotated[
-        Path | None, typer.Option(help="(N, 3) impulses in N s; default: columns 4 to 6 of VERTICES.")
+        Path | None,
+        typer.Option(
+            metavar="FORCES.npy", help="(N, 3) impulses in N s; default: columns 4 to 6 of VERTICES."
+        ),
     ] = None,
-    sample_rate: Annotated[int, typer.Option(min=1, max=_MAX_RATE, help="Hz.")] = 16000,
-    duration: Annotated[float, typer.Option(help="Seconds.")] = 2.0,
-    response: Annotated[str, typer.Option(help="displacement, velocity or acceleration.")] = "displacement",
+    sample_rate: Annotated[
+        int, typer.Option(min=1, max=_MAX_RATE, metavar="HZ", help="Samples per second.")
+    ] = 16000,
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of each sound.")] = 2.0,
+    response: Annotated[
+        str,
+        typer.Option(
+            metavar="displacement|velocity|acceleration", help="What to synthesize without a listener."
+        ),
+    ] = "displacement",
     contact_time: Annotated[
         float | None,
-        typer.Option(help="Duration of the strike, seconds; 0: an impulse; default: the striker's."),
+        typer.Option(
+            metavar="SECONDS", help="Duration of the strike; 0: an impulse; default: the striker's."
+        ),
     ] = None,
     material: Annotated[
-        str | None, typer.Option(help="Material of the struck object; default: the object's own.")
+        str | None,
+        typer.Option(
+            metavar="MATERIAL", help="Another material: a name, or a YAML file; default: the object's own."
+        ),
     ] = None,
     scale: Annotated[
         float | None,
         typer.Option(
-            help="Longest side of the struck object in metres, to which VERTICES refer; default: its own."
+            metavar="METRES",
+            help="Another longest side, which VERTICES are given for; default: the object's own.",
         ),
     ] = None,
     striker: Annotated[
         str | None,
         typer.Option(
-            help="Striker, which determines the contact time: steel (default), wood, rubber or finger."
+            metavar="STRIKER",
+            help="steel (default), wood, rubber, finger or a YAML file: determines the contact time.",
         ),
     ] = None,
     listener: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="X Y Z in metres: write the sound pressure there, in pascals."),
+        typer.Option(
+            metavar="X Y Z", help="Listener position in metres: write the sound pressure there, in Pa."
+        ),
     ] = None,
     normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
 ) -> None:
@@ -229,26 +256,32 @@ def touch(
     out: ImagesArgument,
     gelinfo: Annotated[
         Path | None,
-        typer.Option(help="(N, 3): tilt theta and its azimuth phi (radians), press depth (metres)."),
+        typer.Option(
+            metavar="GELINFO.npy",
+            help="(N, 3): tilt theta and its azimuth phi (radians), press depth (metres).",
+        ),
     ] = None,
-    depth: Annotated[float, typer.Option(help="Press depth in metres, without --gelinfo.")] = 0.001,
+    depth: Annotated[float, typer.Option(metavar="METRES", help="Press depth, without --gelinfo.")] = 0.001,
     sensor: Annotated[
-        str | None, typer.Option(help="Another sensor: a name (`sensor list`) or a .yaml file.")
+        str | None,
+        typer.Option(metavar="SENSOR", help="Another sensor: a name (`sensor list`) or a .yaml file."),
     ] = None,
     outputs: Annotated[
-        str, typer.Option(metavar="NAME,...", help=f"Outputs: {', '.join(TOUCH_OUTPUTS)}.")
+        str, typer.Option(metavar="NAME,...", help=f"What to write: {', '.join(TOUCH_OUTPUTS)}.")
     ] = "image",
     shear: Annotated[
         tuple[float, float] | None,
-        typer.Option(help="RIGHT UP in metres: motion of the object in the image after the press."),
+        typer.Option(metavar="RIGHT UP", help="Motion of the object in the image after the press, metres."),
     ] = None,
-    twist: Annotated[float, typer.Option(help="Turn of the object after the press, radians.")] = 0.0,
+    twist: Annotated[
+        float, typer.Option(metavar="RADIANS", help="Turn of the object after the press.")
+    ] = 0.0,
     friction: Annotated[
         float | None, typer.Option(help="Coefficient of friction; default: the material's.")
     ] = None,
     markers: Annotated[bool, typer.Option("--markers", help="Draw the gel's dots into the images.")] = False,
 ) -> None:
-    """Press a tactile sensor on the object, and move the object sideways if asked.
+    """Press a tactile sensor on an object, and optionally shear the contact.
 
     Writes 1.png ... (image), 1_mask.png ... (mask: the contact area of gel and object), 1.npz ... (height and
     displacement in metres, pressure in Pa, normals of the gel), and contacts.csv with the force, area,
@@ -267,9 +300,9 @@ def touch(
         raise ObjectFolderError(f"--outputs {unknown[0]!r} is not one of {', '.join(TOUCH_OUTPUTS)}")
     moved = shear is not None or twist != 0 or markers
     if not moved and (of_motion := [name for name in names if name in SHEAR_ARRAYS]):
-        raise ObjectFolderError(f"--outputs {of_motion[0]}: give --shear, --twist or --markers, too")
+        raise ObjectFolderError(f"--outputs {of_motion[0]} needs --shear, --twist or --markers")
     if friction is not None and shear is None and twist == 0:
-        raise ObjectFolderError("--friction matters to a motion sideways: give --shear or --twist, too")
+        raise ObjectFolderError("--friction has an effect only with --shear or --twist")
     points = read_rows(vertices, 3)
     tilt, azimuth, depths = read_rows(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
     obj = ObjectFile.load(file)
@@ -338,7 +371,7 @@ def _contact_summary(rows: np.ndarray) -> str:
     text = "" if np.isnan(force).any() else f"; force {force.min():.3g} to {force.max():.3g} N"
     text += f", area {area.min():.3g} to {area.max():.3g} mm2"
     obstructed = int((columns["obstructed"] > 0).sum())
-    return text + (f"; {obstructed} obstructed: a real sensor could not get there" if obstructed else "")
+    return text + (f"; {obstructed} obstructed: a real sensor could not reach them" if obstructed else "")
 
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:
@@ -368,7 +401,7 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     elif error is not None:
         certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")
     if described.get("frequency_uncertainty_unknown"):
-        certain = ", their error not known: walls are too thin for the grid"
+        certain = ", of unknown error: walls are too thin for the grid"
     if described.get("uncertain"):
         certain += "; the sound is marked uncertain"
     span = f"{frequencies.min():.0f} to {frequencies.max():.0f} Hz"

@@ -10,6 +10,7 @@ import typer
 from rich.text import Text
 
 from objectfolder.base.errors import ObjectFolderError, plural
+from objectfolder.base.materials import material_names
 from objectfolder.base.terminal import Terminal
 from objectfolder.cli.console import console, print_line, track_progress
 
@@ -45,33 +46,41 @@ def add(
             help="Mesh (.obj, .glb, .gltf, .ply, .stl, .off), folder of meshes, or catalogue (.yaml).",
         ),
     ],
-    name: Annotated[str | None, typer.Option(help="Object key, such as `blue_mug`.")] = None,
-    material: Annotated[str | None, typer.Option(help="ceramic, glass, wood, ..., or a YAML file.")] = None,
+    name: Annotated[str | None, typer.Option(metavar="NAME", help="Object key, such as `blue_mug`.")] = None,
+    material: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MATERIAL", help=f"{', '.join(material_names())}, or a YAML file (docs/conventions.md)."
+        ),
+    ] = None,
     scale: Annotated[
         float | None,
         typer.Option(
             metavar="METRES", parser=_metres, help="Longest side in metres; default: the size of the mesh."
         ),
     ] = None,
-    up: Annotated[str | None, typer.Option(help="Up axis, y or z; default: y for glTF, else z.")] = None,
-    unit: Annotated[str, typer.Option(help="Unit of the mesh coordinates: m, cm or mm.")] = "m",
+    up: Annotated[
+        str | None, typer.Option(metavar="y|z", help="Up axis; default: y for glTF, else z.")
+    ] = None,
+    unit: Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of the mesh coordinates.")] = "m",
     wall: Annotated[
         float | None,
         typer.Option(
             metavar="METRES",
             parser=_metres,
-            help="Thickness for open sheets in metres; default: 2 % of the size.",
+            help="Thickness of open sheets in metres; default: 2 % of the size.",
         ),
     ] = None,
     bridge: Annotated[
-        str, typer.Option(help="Fill gaps under half an FEM cell: all, fem (for sound only) or off.")
+        str,
+        typer.Option(metavar="all|fem|off", help="Fill gaps under half an FEM cell; fem: for sound only."),
     ] = "all",
     mass: Annotated[
         float | None,
         typer.Option(
             metavar="KG",
             parser=_kilograms,
-            help="Mass of the real object, which no sound depends on; default: solid volume times density.",
+            help="Mass of the real object, for simulations; default: solid volume times density.",
         ),
     ] = None,
     dry_run: Annotated[
@@ -265,7 +274,7 @@ def _add_examined(finding: "Examination", options: dict[str, Any]) -> dict[str, 
 
 def fetch(
     objects: Annotated[
-        list[str] | None, typer.Argument(metavar="OBJECT", help="Object keys or published names.")
+        list[str] | None, typer.Argument(metavar="[OBJECT]...", help="Object keys or published names.")
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Fetch every object.")] = False,
     listing: Annotated[bool, typer.Option("--list", help="List the catalogue and exit.")] = False,
@@ -279,7 +288,7 @@ def fetch(
     url: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="SOURCE=TEMPLATE", help="Alternative URL of a source; {model} stands for the model id."
+            metavar="SOURCE=TEMPLATE", help="Another URL for a source; {model} stands for the model id."
         ),
     ] = None,
     accept_changed: Annotated[
@@ -306,7 +315,7 @@ def fetch(
     keys = list(published.objects) if everything else select_objects(published, objects or ())
     if not keys:
         report.print_overview(published, present, console)
-        raise ObjectFolderError("no objects given; name objects (--list shows them) or use --all")
+        raise ObjectFolderError("no objects given: name some (--list shows them), or use --all")
     report.print_licences(published, [key for key in keys if key not in present], console)
     if directory is not None:
         check_directory(directory)

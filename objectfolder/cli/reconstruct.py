@@ -15,13 +15,15 @@ def reconstruct(
     out: Annotated[
         Path, typer.Argument(metavar="OUT", help="Mesh to write: .obj, .ply (z up) or .glb (y up).")
     ],
-    model: Annotated[Path, typer.Option(help="IMAGE2MESH, a .safetensors file of the benchmark.")],
+    model: Annotated[
+        Path, typer.Option(metavar="FILE.safetensors", help="Model that `bench reconstruct` trained.")
+    ],
     mask: Annotated[Path | None, typer.Option(help="Image of the same size, white on the object.")] = None,
     background: Annotated[
         str | None, typer.Option(metavar="R,G,B", help="Colour of a plain background, 0 to 255 each.")
     ] = None,
     tolerance: Annotated[
-        int, typer.Option(min=0, max=255, help="Smallest difference from the background, levels.")
+        int, typer.Option(min=0, max=255, help="Smallest difference from the background, 0 to 255.")
     ] = 30,
     encoder: Annotated[
         str | None,
@@ -31,7 +33,7 @@ def reconstruct(
     """Reconstruct an object's shape from one image (unit frame: the longest side is 1).
 
     The background is removed with the image's transparency if it has any, else with `--mask`, else with
-    `--background`. The model only knows objects like those it was trained on.
+    `--background`. The model only handles objects like those it was trained on.
     """
     from objectfolder.benchmarks.models.encoders import registered
     from objectfolder.benchmarks.models.framing import frame_cutout

@@ -13,39 +13,44 @@ from objectfolder.cli.console import print_line
 
 def import_released(
     file: Annotated[Path, typer.Argument(metavar="FILE.pth", help="A released ObjectFile.pth.")],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The Object File to write: NAME.safetensors.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Object File to write: NAME.safetensors.")],
     key: Annotated[
-        str | None, typer.Option(help="Object key; default: from the name of the file's folder.")
+        str | None,
+        typer.Option(metavar="NAME", help="Object key; default: from the name of the file's folder."),
     ] = None,
-    material: Annotated[str, typer.Option(help="Material of the object.")] = "unknown",
+    material: Annotated[str, typer.Option(metavar="MATERIAL", help="Material of the object.")] = "unknown",
     scale: Annotated[
         float | None,
         typer.Option(
-            help="Longest side in metres; default: of the mesh or the bounds, or as stored in a 2.0 file."
+            metavar="METRES",
+            help="Longest side; default: of the mesh or the bounds, or as stored in a 2.0 file.",
         ),
     ] = None,
     bounds: Annotated[
         tuple[float, float, float, float, float, float] | None,
         typer.Option(
             metavar="XMIN YMIN ZMIN XMAX YMAX ZMAX",
-            help="Bounds of the object in the file's coordinates; touch of a 1.0 file needs them, or --mesh.",
+            help="Bounds of the object in the file's coordinates. Touch of a 1.0 file needs them or --mesh.",
         ),
     ] = None,
     mesh: Annotated[
         Path | None,
         typer.Option(
-            help="Mesh of the object in the file's coordinates: provides bounds, and a surface to snap to."
+            help="Mesh of the object in the file's coordinates: provides bounds, and the surface of contacts."
         ),
     ] = None,
     sensor: Annotated[
-        str, typer.Option(help="Sensor that renders the depth maps of a 2.0 file (`sensor list`).")
+        str,
+        typer.Option(
+            metavar="SENSOR", help="Sensor that renders the depth maps of a 2.0 file (`sensor list`)."
+        ),
     ] = "gelsight_r15",
     gel: Annotated[
         Path | None, typer.Option(help="The released code's calibs/depth_bg.npy; default: estimated.")
     ] = None,
     crop: Annotated[
         float | None,
-        typer.Option(help="Render only [-CROP, CROP]^3 of the unit frame: 0.6 takes two fifths of the time."),
+        typer.Option(help="Render only [-CROP, CROP]^3 of the unit frame; 0.6 takes two fifths of the time."),
     ] = None,
 ) -> None:
     """Convert a released ObjectFolder 1.0 or 2.0 file without executing pickled code.
@@ -59,7 +64,9 @@ def import_released(
     from objectfolder.workspace.layout import MODALITIES
 
     if out.suffix != ".safetensors":
-        raise ObjectFolderError(f"{out}: an Object File is written, expected a name such as bowl.safetensors")
+        raise ObjectFolderError(
+            f"{out}: expected the name of an Object File to write, such as bowl.safetensors"
+        )
     check_output(out)
     box = None if bounds is None else np.reshape(bounds, (2, 3))
     options = ImportOptions(key, material, scale, box, mesh, sensor, gel, crop)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from objectfolder.base.errors import ObjectFolderError, plural
-from objectfolder.cli.console import console, print_line, show_page
+from objectfolder.cli.console import print_line, show_page, show_status
 from objectfolder.cli.files import FORMS, OpenOption, object_files, page_to_write, site_to_write
 
 
@@ -21,20 +21,21 @@ def report(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder of the site; with --single-file the page. Default: site, report.html."),
+        typer.Option(
+            help="Folder to write (default: site); with --single-file, page (default: report.html)."
+        ),
     ] = None,
     single_file: Annotated[
-        bool, typer.Option("--single-file", help="Write one page that holds everything, to be mailed.")
+        bool, typer.Option("--single-file", help="Write one page that contains everything.")
     ] = False,
     open_page: OpenOption = True,
 ) -> None:
-    """Report on objects in a browser: truth beside answer, scores, checks, and the live viewer.
+    """Write a website about objects: ground truth beside prediction, scores, checks and a viewer.
 
-    Writes a static site that works from disk and offline; docs/viewer.md.
+    The site is static, and needs no server or network (docs/viewer.md). The exit code is 1 if there is an
+    object that cannot be reported; the others have their pages.
 
-    Exits with 1 if an object cannot be reported; the others have their pages.
-
-    Examples: objectfolder report, objectfolder report mug.safetensors --single-file --out mug.html
+    Examples: `objectfolder report`, `objectfolder report mug.safetensors --single-file --out mug.html`
     """
     from objectfolder.report.site import write_site
     from objectfolder.workspace import params
@@ -57,8 +58,8 @@ def report(
         failed.append(key)
         print_line(f"{key} cannot be reported: {error}")
 
-    with console.status("reading objects") as status:
-        page = write_site(paths, out, missing, single_file, lambda key: status.update(f"{key} is done"), note)
+    with show_status("reading objects") as show:
+        page = write_site(paths, out, missing, single_file, lambda key: show(f"{key} is done"), note)
     count = plural(len(paths), "object") + (f", {len(failed)} failed" if failed else "")
     print_line(f"{page}: {count}")
     if open_page:

@@ -9,12 +9,10 @@ import typer
 from objectfolder.base.arrays import write_npy
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import check_output
-from objectfolder.cli.console import print_line
+from objectfolder.cli.console import App, print_line
 from objectfolder.cli.objectfile import FileArgument
 
-sample_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
+sample_app = App(
     help="Write random, valid query files: `vision`, `audio` or `touch`; `query` answers them.",
 )
 
@@ -22,7 +20,7 @@ _TAP = 0.01, 0.05  # impulses of taps with a small hammer or a finger, N s
 
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT.npy", help="File to write.")]
 CountOption = Annotated[int, typer.Option("-n", "--count", min=1, help="Queries, one per row.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="The same seed gives the same file.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Random seed.")]
 
 
 @sample_app.command()
@@ -36,13 +34,13 @@ def vision(
         bool,
         typer.Option(
             "--cameras-only",
-            help="Leave out the lights: (N, 3), as `query vision` expects beside --lights or --environment.",
+            help="Leave out the lights: (N, 3), as `query vision` expects with --lights or --environment.",
         ),
     ] = False,
 ) -> None:
     """Write views, (N, 6): camera xyz, light xyz, each uniform on a sphere around the object.
 
-    Unit frame: the object's longest side is 1. No object is needed, since all are viewed alike. Then:
+    Positions are in the unit frame, the same for all objects. Then:
 
     `objectfolder query vision FILE OUT.npy IMAGES/`
     """
@@ -60,18 +58,19 @@ def audio(
     seed: SeedOption = 0,
     force: Annotated[
         float | None,
-        typer.Option(help="Magnitude of every impulse, N s; default: of taps, 0.01 to 0.05, uniform."),
+        typer.Option(help="Magnitude of every impulse, N s; default: taps, uniform in 0.01 to 0.05."),
     ] = None,
     directions: Annotated[
         str,
         typer.Option(
-            help="normal: along the inward surface normal, like a hammer; random: any inward direction."
+            metavar="normal|random",
+            help="normal: along the inward surface normal, like a hammer; random: any inward direction.",
         ),
     ] = "normal",
     forces: Annotated[
         Path | None,
         typer.Option(
-            metavar="FORCES.npy", help="Write impulses (N, 3) to this file, only points to OUT.npy."
+            metavar="FORCES.npy", help="Write impulses (N, 3) to this file, and only points to OUT.npy."
         ),
     ] = None,
 ) -> None:
@@ -107,7 +106,10 @@ def touch(
     ] = None,
     sensor: Annotated[
         str | None,
-        typer.Option(help="Sensor of the depths: a name (`sensor list`) or .yaml file; default: the stored."),
+        typer.Option(
+            metavar="SENSOR",
+            help="Sensor of the depths: a name (`sensor list`) or .yaml file; default: the Object File's.",
+        ),
     ] = None,
 ) -> None:
     """Write contacts, (N, 3): points on the surface (metres), uniform by area.
@@ -122,7 +124,7 @@ def touch(
 
     _check_names(out, gelinfo)
     if sensor is not None and gelinfo is None:
-        raise ObjectFolderError("--sensor chooses the depths of --gelinfo, which is not given")
+        raise ObjectFolderError("--sensor has an effect only with --gelinfo, whose depths it determines")
     obj = ObjectFile.load(file)
     arrays = {out: obj.sample_surface(count, seed)}
     if gelinfo is not None:

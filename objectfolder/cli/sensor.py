@@ -9,13 +9,11 @@ from rich.table import Table
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.io import check_output
-from objectfolder.cli.console import console, print_line
+from objectfolder.cli.console import App, console, print_line
 from objectfolder.cli.files import empty_folder
 
-sensor_app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    help="Tactile sensors: `list` profiles, `fit` a profile to pictures, `export` its colours.",
+sensor_app = App(
+    help="Tactile sensors: `list` profiles, `fit` a profile to photographs, `export` its colours.",
 )
 
 
@@ -40,15 +38,21 @@ def fit_sensor_profile(
         list[Path],
         typer.Argument(
             metavar="IMAGE...",
-            help="Pictures of a ball pressed on the sensor in different places, or one calibration pack of "
-            "Taxim (dataPack.npz).",
+            help="Photographs of a ball pressed on the sensor at different positions, or one calibration "
+            "pack of Taxim (dataPack.npz).",
         ),
     ],
-    radius: Annotated[float, typer.Option(help="Radius of the ball, metres.")],
-    out: Annotated[Path, typer.Option(help="Profile to write, .yaml; two more files are written beside it.")],
-    sensor: Annotated[str, typer.Option(help="Initial profile: a name or a .yaml file.")] = "digit",
+    radius: Annotated[float, typer.Option(metavar="METRES", help="Radius of the ball.")],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE.yaml", help="Profile to write; two more files are written beside it."),
+    ],
+    sensor: Annotated[
+        str, typer.Option(metavar="SENSOR", help="Initial profile: a name or a .yaml file.")
+    ] = "digit",
     untouched: Annotated[
-        Path | None, typer.Option(help="Picture of the untouched sensor; without it, give 3 images or more.")
+        Path | None,
+        typer.Option(help="Photograph of the untouched sensor; without it, give 3 images or more."),
     ] = None,
     circle: Annotated[
         list[str] | None,
@@ -60,19 +64,20 @@ def fit_sensor_profile(
     lights: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Number of lights to fit, with position and colour, and the coating; 6 suits most."
+            min=1,
+            help="Fit the coating and this many lights, with position and colour; 6 suits most sensors.",
         ),
     ] = None,
     residual: Annotated[
         bool, typer.Option("--residual", help="Also fit a polynomial to the remaining error.")
     ] = False,
 ) -> None:
-    """Fit a sensor's lights and background to pictures of a ball pressed on it.
+    """Fit a sensor's lights and background to photographs of a ball pressed on it.
 
-    Press a steel ball (radius 2 to 10 mm) about 1 mm deep in three or more places away from the border.
-    Take a picture of each press and one of the untouched sensor. The camera must be upright, without
-    automatic exposure or white balance; size, field of view, gel and positions of the lights must be
-    those of the profile `--sensor`. Then:
+    Press a steel ball (radius 2 to 10 mm) about 1 mm deep at three or more positions away from the border.
+    Photograph each press, and the untouched sensor. The camera must be upright, without automatic exposure
+    or white balance; size, field of view, gel and positions of the lights must be those of the profile
+    `--sensor`. Then:
 
     `objectfolder sensor fit a.png b.png c.png --untouched rest.png --radius 0.004 --out mine.yaml`
 
@@ -104,7 +109,9 @@ def fit_sensor_profile(
         pictures = np.stack([read_photograph(path, profile) for path in images])
     if lights is None:
         if residual:
-            raise ObjectFolderError("--residual is what fitted lights leave over: give --lights, such as 6")
+            raise ObjectFolderError(
+                "--residual corrects the error of fitted lights: give --lights, such as 6"
+            )
         fit = fit_sensor(pictures, radius, profile, rest, circles, names)
         table = Table(
             title=f"{out.stem}: lights of {profile.name}, fitted to {plural(len(pictures), 'image')}"
@@ -117,7 +124,7 @@ def fit_sensor_profile(
         console.print(table)
     else:
         if rest is None:
-            raise ObjectFolderError("--lights needs a picture of the untouched sensor: give --untouched")
+            raise ObjectFolderError("--lights needs a photograph of the untouched sensor: give --untouched")
         fit = fit_sensor_lights(pictures, radius, profile, rest, circles, names, lights, residual)
     source = f"{profile.source.strip()} Lights and background: fitted to {plural(len(pictures), 'image')}."
     written = save_fit(fit, out, out.stem, source)
@@ -129,20 +136,22 @@ def fit_sensor_profile(
 
 @sensor_app.command("export")
 def export_sensor(
-    sensor: Annotated[str, typer.Argument(help="Profile: a name (`sensor list`) or a .yaml file.")],
+    sensor: Annotated[
+        str, typer.Argument(metavar="SENSOR", help="Profile: a name (`sensor list`) or a .yaml file.")
+    ],
     taxim: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="New or empty folder for polycalib.npz, bg.jpg and real_bg.npy."),
     ] = None,
     isaac_lab: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The same, with the slopes that Isaac Lab looks up.")
+        Path | None, typer.Option(metavar="DIR", help="The same, in the form that Isaac Lab reads.")
     ] = None,
 ) -> None:
     """Write a sensor's colours as the simulator Taxim or NVIDIA's Isaac Lab reads them.
 
     `objectfolder sensor export digit_real --isaac-lab digit_real/`
 
-    Prints what Isaac Lab's GelSightRenderCfg needs beside the files.
+    Also prints the settings of Isaac Lab's GelSightRenderCfg.
     """
     from objectfolder.touch.profiles import load_profile
     from objectfolder.touch.taxim import BINS, export_taxim

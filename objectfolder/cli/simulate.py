@@ -1,4 +1,4 @@
-"""Command that films a MuJoCo scene with its sound: simulate."""
+"""Command that renders a MuJoCo scene with its sound: simulate."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,28 +15,31 @@ def simulate(
         list[Path] | None,
         typer.Argument(
             metavar="[FILE...]",
-            help=f"Object Files of its bodies, which bear the objects' keys, each a {FORMS}; default: the "
-            "samples among them.",
+            help=f"Object Files of the bodies that their keys name, each a {FORMS}; default: samples.",
             callback=object_files,
         ),
     ] = None,
-    seconds: Annotated[float, typer.Option(help="Length of the clip.")] = 5.0,
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the video.")] = 5.0,
     out: Annotated[Path, typer.Option(help="Video to write, .mp4.")] = Path("clip.mp4"),
     listener: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="Place of the ear, metres, world frame.", show_default="the camera's"),
+        typer.Option(
+            metavar="X Y Z", help="Listener position, metres, world frame.", show_default="the camera's"
+        ),
     ] = None,
-    size: Annotated[tuple[int, int], typer.Option(help="Width and height, pixels; even.")] = (480, 360),
-    rate: Annotated[int, typer.Option(help="Pictures per second.")] = 25,
-    seed: Annotated[int, typer.Option(help="Seed of the noise of contacts.")] = 0,
+    resolution: Annotated[
+        tuple[int, int], typer.Option(metavar="WIDTH HEIGHT", help="Pixels, even numbers.")
+    ] = (480, 360),
+    fps: Annotated[int, typer.Option(help="Frames per second.")] = 25,
+    seed: Annotated[int, typer.Option(help="Random seed of the contact noise.")] = 0,
 ) -> None:
-    """Film a MuJoCo scene whose objects sound: those of Object Files, exported by `objectfolder export mjcf`.
+    """Render a MuJoCo scene to video with the contact sounds of its Object Files.
 
-    Without files, bodies named mug, die or bell are the samples. The first keyframe is the start, if there is
-    one, and the first camera the view. Needs the program ffmpeg. The loudest sample of the track is 1; its
-    pressure is printed. See docs/senses.md.
+    `objectfolder export mjcf` writes bodies for a scene. The simulation starts at the first keyframe, if any,
+    and is seen by the first camera. Sound is scaled to a peak of 1; the pressure of the peak is
+    printed. Needs the program ffmpeg; see docs/senses.md.
 
-    Example: objectfolder simulate scene.xml --seconds 3 --out clip.mp4
+    Example: `objectfolder simulate scene.xml --duration 3 --out clip.mp4`
     """
     import mujoco
 
@@ -48,7 +51,7 @@ def simulate(
     from objectfolder.sim.clip import simulate as run
     from objectfolder.sim.hearing import Hearing
 
-    program = encoder("simulate", out, *size)
+    program = encoder("simulate", out, *resolution)
     try:
         model = mujoco.MjModel.from_xml_path(str(scene))
     except ValueError as error:
@@ -72,10 +75,10 @@ def simulate(
     view = default_view(model, data, objects)
     hearing = Hearing(model, objects, view.eye if listener is None else listener, seed=seed)
     hearing.reset(data)
-    take = run(model, data, hearing, seconds, rate)
+    take = run(model, data, hearing, duration, fps)
     loudest = float(abs(take.sound).max())
     console.print(f"loudest: {loudest:.3g} Pa", highlight=False)
-    width, height = size
+    width, height = resolution
     pictures = SceneCamera(model, objects, view, height, width).pictures(take)
     track = take.sound / loudest if loudest else take.sound
-    write_video(program, out, pictures, len(take.states), rate, size, track, round(hearing.sample_rate))
+    write_video(program, out, pictures, len(take.states), fps, resolution, track, round(hearing.sample_rate))

@@ -10,6 +10,7 @@ from rich.text import Text
 from objectfolder.base.errors import plural
 from objectfolder.cli.console import print_wide
 from objectfolder.engine.status import Outlook, StageStatus, State
+from objectfolder.engine.summary import NO_OBJECTS
 from objectfolder.workspace.stages import TASKS
 
 MARKS = {
@@ -62,7 +63,7 @@ def print_table(found: Sequence[StageStatus], console: Console) -> None:
     keys = {one.key for one in found if one.key and one.stage not in TASKS}  # theirs are splits
     fresh = len(keys - set(lines))
     if not keys:
-        complete = "no objects yet: `objectfolder add MESH --name NAME --material MATERIAL`"
+        complete = NO_OBJECTS
     else:
         complete = f"{fresh} of {plural(len(keys), 'object')} complete" if fresh else "no object is complete"
     console.print(f"{_states(found)}; {complete}", highlight=False, soft_wrap=True)

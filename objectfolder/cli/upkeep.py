@@ -17,7 +17,7 @@ from objectfolder.cli.files import Targets
 def status(
     targets: Targets = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print JSON: a list, of a running build an object.")
+        bool, typer.Option("--json", help="Print JSON: a list of stages; while a build runs, its progress.")
     ] = False,
     check: Annotated[
         bool, typer.Option("--check", help="Exit with code 1 unless all stages are fresh.")
@@ -25,12 +25,11 @@ def status(
 ) -> None:
     """Show which stages are fresh, stale, missing, failed or never built.
 
-    Without targets: the objects that are not fresh, with a mark per stage. With targets: each stage of the
-    targets, and why it is not fresh: the changed dependency, parameter (old -> new) or module, the missing
-    output, or the failure of the last build and its log. Both show the stages that `objectfolder build` with
-    the same targets would bring up to date.
+    Without targets: the objects that are not fresh, with a mark per stage. With targets: each stage, and why
+    it is not fresh: the changed dependency, parameter (old -> new) or module, the missing output, or the
+    failure of the last build and its log. `objectfolder build` with the same targets brings them up to date.
 
-    While a build runs, in any terminal or on a cluster: what it runs, what is done, has failed and is left.
+    While a build runs, in any terminal or on a cluster: its running, finished, failed and remaining stages.
     """
     from objectfolder.engine.journal import read_journal
     from objectfolder.engine.progress import print_build, print_death
@@ -76,11 +75,11 @@ def verify(
         ),
     ] = None,
 ) -> None:
-    """Verify the hashes of all artifacts and cached files against dvc.lock, and check that artifacts load.
+    """Verify the hashes of all artifacts and cached files, and check that artifacts load.
 
-    DVC trusts file sizes and times; this command also finds silent corruption, in the workspace and in the
-    cache. Each artifact is also loaded as the stages and queries load it. Without targets, the whole cache is
-    read, including files of earlier states. The exit code is 1 if anything is bad.
+    Hashes are those of dvc.lock. DVC trusts file sizes and times; this command also finds silent corruption,
+    in the workspace and in the cache. Without targets, the whole cache is read, including files of earlier
+    states. The exit code is 1 if anything is bad.
 
     --repair restores a bad file from the intact copy in the cache or the workspace, and rebuilds it if there
     is none. Sources that differ from their .dvc file are kept, because you may have edited them.
@@ -115,8 +114,8 @@ def prune(
     saved runs, unless dvc.lock, a .dvc file or a saved run of another object refers to them. Sources in
     data/objects and files that the pipeline did not write are kept.
 
-    Like `dvc gc --workspace`, it considers only this workspace: other branches or commits with these objects
-    must build or `dvc pull` them again.
+    Like `dvc gc --workspace`, it considers only this workspace: on other branches or commits with these
+    objects, build or `dvc pull` them again.
     """
     from objectfolder.engine.prune import prune as run_prune
     from objectfolder.engine.prune import survey

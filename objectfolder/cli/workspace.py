@@ -14,6 +14,14 @@ from objectfolder.cli.console import console, print_line
 from objectfolder.cli.files import Targets
 
 MAX_SCORES = 40  # objects whose scores a build prints
+#: Presets, and what an object then costs (docs/pipeline.md, docs/faithful.md).
+COSTS = {
+    "quick": "about two minutes of CPU time per object",
+    "laptop": "the same; only its benchmarks differ",
+    "standard": "tens of minutes per object on one core",
+    "faithful": "months of CPU time per object, less on a GPU",
+    "faithful-small": "5 to 10 CPU hours per object",
+}
 
 
 class Engine(StrEnum):
@@ -38,7 +46,9 @@ def build(
     ] = True,
     timeout: Annotated[
         float | None,
-        typer.Option(min=0, help="Time limit of each stage in seconds; 0: none. Default: hours, by stage."),
+        typer.Option(
+            min=0, metavar="SECONDS", help="Time limit of each stage; 0: none. Default: hours, by stage."
+        ),
     ] = None,
     engine: Annotated[
         Engine, typer.Option(help="Run stages on this machine or on a Ray cluster.")
@@ -55,14 +65,14 @@ def build(
     ] = False,
     wait: Annotated[
         bool,
-        typer.Option("--wait", help="Wait for another process that uses the workspace, instead of failing."),
+        typer.Option("--wait", help="Wait while another process uses the workspace, instead of failing."),
     ] = False,
     dry_run: Annotated[
         bool,
         typer.Option(
             "--dry-run",
             help="Show which stages would run or be restored, and why; change nothing. Of the other options, "
-            "it heeds --wait alone; it refuses --force and --pull.",
+            "only --wait has an effect; --force and --pull are refused.",
         ),
     ] = False,
 ) -> None:
@@ -70,11 +80,13 @@ def build(
 
     Examples: `objectfolder build -j 2`, `objectfolder build mug`, `objectfolder build modal@mug`,
     `objectfolder build --engine ray` (requirements of a cluster: docs/pipeline.md).
+
     The stage `observe` runs only for tasks that `benchmarks` in params.yaml lists, or if a target names it.
     Stage logs are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
     from objectfolder.base.io import check_output
     from objectfolder.engine.progress import Progress, print_summary
+    from objectfolder.engine.summary import NO_OBJECTS
     from objectfolder.engine.unchanged import recall
 
     if address is not None and engine is Engine.LOCAL:
@@ -108,6 +120,8 @@ def build(
                 make_workers=ray_workers(address or "auto") if engine is Engine.RAY else local_workers,
             )
     print_summary(summary)
+    if not targets and not any(result.key for result in summary.stages.values()):
+        console.print(NO_OBJECTS, soft_wrap=True, highlight=False)
     evaluated = sorted(a.partition("@")[2] for a in summary.stages if a.startswith("evaluate@"))
     if summary.ok and 0 < len(evaluated) <= MAX_SCORES:
         _print_metrics(evaluated)
@@ -130,14 +144,17 @@ def _check_params() -> None:
 
 def preset(
     name: Annotated[
-        str, typer.Argument(help="quick, laptop, standard, faithful or faithful-small (params/NAME.yaml).")
+        str,
+        typer.Argument(
+            metavar="NAME", help="; ".join(f"{name}: {cost}" for name, cost in COSTS.items()) + "."
+        ),
     ],
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the changes; change nothing.")] = False,
 ) -> None:
     """Set params.yaml to a preset: number of views, FEM resolution, training length and more.
 
-    The preset quick is the defaults; params/NAME.yaml, also one of your own, holds what differs from them.
-    Objects, seed and selected benchmarks stay. Each setting that changes is printed.
+    quick is the defaults; params/NAME.yaml holds what differs from them, and may be your own. Objects, seed
+    and selected benchmarks are kept. Each setting that changes is printed.
     """
     from objectfolder.workspace.presets import apply_preset
 
@@ -147,6 +164,8 @@ def preset(
     count = plural(len(changed), "setting") if changed else "nothing"
     done = f"would change {count}" if dry_run else f"changed {count}; next: objectfolder build"
     console.print(f"preset {name}: {done}")
+    if name in COSTS:
+        console.print(f"a build then takes {COSTS[name]}", highlight=False, soft_wrap=True)
 
 
 def inspect(
@@ -155,7 +174,7 @@ def inspect(
     ],
     vtu: Annotated[bool, typer.Option(help="Also export the solid for ParaView (voxelize only).")] = False,
 ) -> None:
-    """Summarize the artifacts of a stage in a table, and save a picture next to them."""
+    """Summarize what a stage wrote in a table, and save a picture beside it."""
     from objectfolder.report.inspect_stage import STAGES, inspect_stage
     from objectfolder.report.inspection import print_inspection
     from objectfolder.workspace.params import PARAMS_FILE, outside_workspace
@@ -190,7 +209,9 @@ def _print_metrics(keys: list[str]) -> None:
     console.print(table)
     for key in keys:
         b = Build(key)
-        if warning := uncertainty_warning(read_json(b.modal), key):
+        if warning := uncertainty_warning(report := read_json(b.modal), key):
+            if not report.get("uncertain"):  # else it says so itself
+                warning += "; thicken them, or raise modal.fine.max_degrees_of_freedom in params.yaml"
             console.print(f"warning: {warning}", style="yellow", soft_wrap=True, highlight=False)
         sheets = (b.views_sheet, b.touch_sheet, b.vision_sheet, b.sound_sheet)
         print_line(f"{b.object_file}  pictures: {' '.join(map(str, sheets))}")

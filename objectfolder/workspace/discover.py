@@ -368,8 +368,7 @@ def examine(
     if holes := normalized.surface.holes:
         notes.append(f"{plural(holes, 'hole')} capped: the piece is solid; give --wall for a shell")
     if crossing := report["self_intersections"]:
-        verb = "pierces" if crossing == 1 else "pierce"
-        notes.append(f"{plural(crossing, 'edge')} of its surface {verb} another face of it")
+        notes.append(f"the surface intersects itself ({plural(crossing, 'edge')})")
     if report["deviation_max_m"] > MOVED * size:
         notes.append(f"closing it moved its surface by up to {report['deviation_max_m'] * 1000:.2g} mm")
     welded = [rung["components_after"] for rung in report["rungs"] if rung["name"] == "clean"]

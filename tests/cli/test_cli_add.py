@@ -745,7 +745,7 @@ def test_notes_count_one_in_the_singular(workspace, tmp_path, monkeypatch):
     sheet.export(tmp_path / "sheet.ply")
     result = run(tmp_path / "sheet.ply", "--name", "sheet", "--material", "wood", "--dry-run")
     assert "sheet: 1 open sheet got a wall of 2% of the size" in result.output
-    assert "1 edge of its surface pierces another face of it" in result.output
+    assert "the surface intersects itself (1 edge)" in result.output
 
 
 @pytest.mark.parametrize("option", ["--scale", "--wall"])
