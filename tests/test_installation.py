@@ -140,9 +140,9 @@ query vision mug v.npy views --resolution 8
 query audio mug a.npy sounds --duration 0.1
 query touch mug t.npy touches
 report mug --no-open
-video mug --seconds 0.04 --size 16 --contacts 1
+video mug --duration 0.04 --resolution 16 --contacts 1
 reconstruct photo.png mesh.glb --model model.safetensors --background 255,255,255
-export nerfstudio nerf mug -n 1 --resolution 8
+export nerfstudio mug nerf -n 1 --resolution 8
 bench --help
 preset laptop
 sensor list
@@ -155,9 +155,9 @@ NEEDY = {
     "fit sound mug sounds/1.wav": "build",
     "init new": "build",
     "inspect modal@mug": "build",
-    "export mjcf bodies mug": "rl",
+    "export mjcf mug bodies": "rl",
     "simulate scene.xml": "rl",
-    "export lerobot episodes mug": "hub",
+    "export lerobot mug episodes": "hub",
 }
 
 

@@ -225,7 +225,7 @@ def add(given):
 
 def release(given):
     io.write_bytes(Build("die").object_file, sample_path("die").read_bytes())
-    command("release", "out", "die", "--licence", "CC0-1.0", "--draft")(given)
+    command("release", "die", "out", "--licence", "CC0-1.0", "--draft")(given)
 
 
 def video(given):

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any
 
@@ -35,7 +35,7 @@ from objectfolder.cli import (
     view,
     workspace,
 )
-from objectfolder.cli.console import Commands, PlainGroup
+from objectfolder.cli.console import App, Group
 from objectfolder.cli.files import FORMS
 
 __all__ = ["app", "main"]
@@ -47,7 +47,11 @@ def _show_version(asked: bool) -> None:
         raise typer.Exit
 
 
-class _Commands(PlainGroup):
+#: Names of options by those of earlier versions, which still work.
+FORMER = {"seconds": "duration", "rate": "fps", "size": "resolution"}
+
+
+class _Commands(Group):
     """Commands whose usage errors show control characters of what was given."""
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
@@ -69,15 +73,17 @@ def _visible_errors() -> Iterator[None]:
         raise
 
 
-app = Commands(
+app = App(
     cls=_Commands,
-    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "token_normalize_func": lambda name: FORMER.get(name, name),
+    },
     help="Build and query **Object Files**, implicit representations of how objects look, sound and feel.\n\n"
-    "To build, in a workspace (made by `objectfolder init`): `objectfolder add MESH ...`, then "
-    "`objectfolder build`.\n\n"
-    "To query, anywhere: `objectfolder view FILE`, "
-    "`objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`.\n\n"
+    "In a workspace (a folder with dvc.yaml; `objectfolder init` makes one): `objectfolder add MESH ...`, "
+    "then `objectfolder build`.\n\n"
+    "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`; "
     f"FILE is a {FORMS}.",
 )
 
@@ -91,45 +97,31 @@ def _options(
     """Show the version, if asked."""
 
 
-#: Commands and groups by their panel in help, and name.
-PANELS: dict[str, dict[str, Callable[..., None] | Commands]] = {
+#: Commands and groups of them, by what they are for.
+PANELS: dict[str, dict[str, Any]] = {
     "Build": {
-        "init": creation.init,
-        "add": objects.add,
-        "fetch": objects.fetch,
-        "preset": workspace.preset,
-        "build": workspace.build,
-        "status": upkeep.status,
-        "inspect": workspace.inspect,
-        "fit": fit.fit_app,
-        "verify": upkeep.verify,
-        "prune": upkeep.prune,
-        "upgrade": creation.upgrade,
-        "doctor": doctor.doctor,
+        **{"init": creation.init, "add": objects.add, "fetch": objects.fetch, "preset": workspace.preset},
+        **{"build": workspace.build, "status": upkeep.status, "inspect": workspace.inspect},
+        **{"verify": upkeep.verify, "prune": upkeep.prune, "upgrade": creation.upgrade},
+        **{"import": released.import_released, "doctor": doctor.doctor},
     },
     "Query": {
-        "info": objectfile.info,
-        "view": view.view,
-        "query": objectfile.query_app,
-        "sample": sample.sample_app,
-        "video": video.video,
-        "sensor": sensor.sensor_app,
-        "import": released.import_released,
+        **{"info": objectfile.info, "view": view.view, "video": video.video},
+        **{"sample": sample.sample_app, "query": objectfile.query_app},
     },
-    "Simulate": {"simulate": simulate.simulate, "export": export.export_app},
     "Publish": {"report": report.report, "release": release.release},
-    "Benchmarks": {
-        "bench": bench.bench_app,
-        "reconstruct": reconstruct.reconstruct,
-        "listening": listening.listening_app,
+    "Simulate": {"simulate": simulate.simulate, "export": export.export_app},
+    "Measure": {
+        **{"reconstruct": reconstruct.reconstruct, "bench": bench.bench_app, "fit": fit.fit_app},
+        **{"sensor": sensor.sensor_app, "listening": listening.listening_app},
     },
 }
-for panel, named in PANELS.items():
-    for name, one in named.items():
-        if isinstance(one, Commands):
-            app.add_typer(one, name=name, rich_help_panel=panel)
+for panel, commands in PANELS.items():
+    for name, command in commands.items():
+        if isinstance(command, App):
+            app.add_typer(command, name=name, rich_help_panel=panel)
         else:
-            app.command(name, rich_help_panel=panel)(one)
+            app.command(name, rich_help_panel=panel)(command)
 
 
 def main() -> None:

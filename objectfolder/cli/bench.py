@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.main import get_group
 
-from objectfolder.cli.console import Commands, PlainGroup, print_line, print_wide, track_progress
-from objectfolder.cli.files import FORMS, bounded, object_files
+from objectfolder.cli.console import App, Group, print_line, print_wide, track_progress
+from objectfolder.cli.files import FORMS, object_files
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.reporting.tables import Table
     from objectfolder.benchmarks.tasks.task import Task, Variant
 
 
-class _Tasks(PlainGroup):
+class _Tasks(Group):
     """Commands of tasks, whose declarations are read when they are asked for: other commands need none."""
 
     _commands: Any
@@ -28,7 +28,7 @@ class _Tasks(PlainGroup):
     def commands(self) -> Any:
         """Commands by name."""
         if not self._commands:
-            app = Commands("")
+            app = App()
             add_commands(app)
             self._commands = get_group(app).commands
         return self._commands
@@ -38,18 +38,18 @@ class _Tasks(PlainGroup):
         self._commands = given
 
 
-bench_app = Commands(
+bench_app = App(
     cls=_Tasks,
-    help="Run the paper's benchmark tasks on Object Files, without a build.\n\n"
-    "Each task first samples random views, impacts and touches of each object into OUT/observations, grasps "
-    "into OUT/grasps and close views into OUT/close_ups; later tasks reuse them. To resume an interrupted "
-    "task, repeat the command. With more --seeds, only the missing runs are trained.",
+    help="Run the paper's benchmark tasks and robot tasks on Object Files.\n\n"
+    "Random views, impacts and touches of each Object File are sampled first and kept in OUT/observations, "
+    "grasps in OUT/grasps, close views in OUT/close_ups; later tasks reuse them. Interrupted "
+    "commands resume when repeated, and more --seeds train only the missing ones.",
 )
 
 FILES = Annotated[
     list[Path] | None,
     typer.Argument(
-        metavar="FILE",
+        metavar="[FILE]...",
         help=f"Object Files, each a {FORMS}; default: build.",
         callback=object_files,
     ),
@@ -58,16 +58,15 @@ PRESET = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Numbers of samples and training settings: quick, laptop, standard, faithful, faithful-small or "
-        "your own (params/NAME.yaml); default: those in params.yaml. With a preset and files, no workspace "
-        "is needed.",
+        help="quick, laptop, standard, faithful or faithful-small: samples and training (params/NAME.yaml). "
+        "Default: the settings in params.yaml. With it and files, no workspace is needed.",
     ),
 ]
 OUT = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
-        help="Folder for results; default: benchmarks/PRESET, or benchmarks/own without --preset.",
+        help="Folder of results; default: benchmarks/PRESET, or benchmarks/own without --preset.",
     ),
 ]
 SPLIT = Annotated[
@@ -75,20 +74,17 @@ SPLIT = Annotated[
     typer.Option(
         "--split",
         metavar="seen|unseen",
-        help="seen: test on new observations of the training objects; unseen: test on new objects. "
-        "Repeatable; default: every split of the task for which there are enough objects.",
+        help="seen: test on new observations of the training objects; unseen: test on new objects. Repeat "
+        "for both; default: all splits of the task that these objects allow.",
     ),
 ]
-SEEDS = Annotated[
-    int | None,
-    typer.Option(**bounded(1), help="Training runs to average, at least 1; default: as in the preset."),
-]
+SEEDS = Annotated[int | None, typer.Option(min=1, help="Training runs to average; default: the preset's.")]
 ENCODER = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.py:NAME",
-        help="Encoder for views, spectrograms and touches: resnet18, resnet18_half, resnet18_quarter, or one "
-        "that FILE.py registers (docs/benchmarks.md).",
+        help="Encoder of views, spectrograms and touches: resnet18, resnet18_half, resnet18_quarter, or one "
+        "registered by FILE.py (docs/benchmarks.md).",
     ),
 ]
 WEIGHTS = Annotated[
@@ -101,28 +97,26 @@ WEIGHTS = Annotated[
 THREADS = Annotated[
     int | None,
     typer.Option(
-        **bounded(1),
-        help="Threads, at least 1, shared by splits or objects that run in parallel; default: all cores. "
-        "Results are reproducible for the same number of threads; if it changes, finished runs are kept.",
+        min=1,
+        help="CPU threads; default: all cores, shared by the splits or objects that run in parallel. "
+        "Results are reproducible for a given number; finished ones are kept when it changes.",
     ),
 ]
 DEVICE = Annotated[
     str | None,
-    typer.Option(
-        metavar="NAME", help="Device to train on, such as cpu or cuda; default: a GPU if there is one."
-    ),
+    typer.Option(metavar="DEVICE", help="Device to train on: cpu, cuda ...; default: a GPU if there is one."),
 ]
 JOBS = Annotated[
     int | None,
     typer.Option(
-        **bounded(1),
-        help="Objects to run in parallel, at least 1; they share the threads. Default: 1, or the number of "
-        "cores for tasks that use one thread.",
+        min=1,
+        help="Objects in parallel, which share the threads; default: one, or the number of cores for tasks "
+        "that use one thread.",
     ),
 ]
 
 
-def add_commands(app: Commands) -> None:
+def add_commands(app: typer.Typer) -> None:
     """Add the command of each task, also by its former names."""
     from objectfolder.benchmarks.tasks.task import find_task
     from objectfolder.workspace.stages import BENCHMARKS
@@ -168,8 +162,7 @@ def options(task: "Task") -> Iterator[tuple[str, Any]]:
 def _variant_parameter(variant: "Variant") -> Parameter:
     default = variant.values[0]
     kind: Any = bool if isinstance(default, bool) else Literal[variant.values]
-    shown = "|".join(map(str, variant.values))  # not of a flag
-    hint = Annotated[kind, typer.Option(f"--{variant.option}", metavar=shown, help=variant.help)]
+    hint = Annotated[kind, typer.Option(f"--{variant.option}", help=variant.help)]
     return Parameter(variant.option, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 

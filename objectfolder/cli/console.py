@@ -1,7 +1,9 @@
 """Console output of all commands, and their help."""
 
+import time
 import webbrowser
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,45 +18,88 @@ from objectfolder.base.terminal import Terminal
 from objectfolder.base.text import visible
 
 console = Terminal()
-NO_OBJECTS = "no objects yet: `objectfolder add MESH --name NAME --material MATERIAL`"
+MINUTE = 60.0  # seconds between lines of progress without a terminal
+#: Words of help for what is to be typed, by type.
+WORDS = {"bool": "", "int": "N", "float": "NUMBER", "path": "FILE", "str": "TEXT"}
 
 
-class _PlainHelp:
-    """Help without the types of flags and arguments."""
+class Command(TyperCommand):
+    """Command whose help shows what is to be typed instead of types."""
 
     def get_params(self, ctx: Any) -> Any:
-        params = super().get_params(ctx)  # type: ignore[misc]
-        for param in params:
-            if getattr(param, "is_flag", False):
-                param.metavar = ""
-            elif param.param_type_name == "argument":
-                param.display_type_rich = lambda ctx: None  # its name says enough
-        return params
+        """Return arguments and options."""
+        return list(map(_worded, super().get_params(ctx)))
 
 
-class _PlainCommand(_PlainHelp, TyperCommand):
-    pass
+class Group(TyperGroup):
+    """Group of commands, the same."""
+
+    def get_params(self, ctx: Any) -> Any:
+        """Return options."""
+        return list(map(_worded, super().get_params(ctx)))
 
 
-class PlainGroup(_PlainHelp, TyperGroup):
-    """Group of commands."""
+class App(typer.Typer):
+    """Group of commands; what it is started without is asked for by its help."""
+
+    def __init__(self, **options: Any):
+        shared: dict[str, Any] = {"cls": Group, "no_args_is_help": True, "rich_markup_mode": "markdown"}
+        super().__init__(**shared | options)
+
+    def command(self, name: str | None = None, **options: Any) -> Any:
+        """Add a command."""
+        return super().command(name, **{"cls": Command} | options)
 
 
-class Commands(typer.Typer):
-    """Group of commands that are declared by functions; ``-h`` is that of the outermost group."""
-
-    def __init__(self, help: str, cls: type[TyperGroup] = PlainGroup, **options: Any) -> None:
-        super().__init__(help=help, cls=cls, no_args_is_help=True, rich_markup_mode="markdown", **options)
-
-    def command(self, name: str | None = None, **options: Any) -> Any:  # type: ignore[override]
-        """Declare a command."""
-        return super().command(name, cls=_PlainCommand, **options)
+def _worded(parameter: Any) -> Any:
+    """Show a parameter by its metavar, or the word of its type; typer has no setting for this."""
+    form = parameter.metavar
+    if parameter.param_type_name == "argument":
+        usage = form if parameter.required or form[0] == "[" else f"[{form}]"
+        parameter.get_usage_pieces = lambda ctx: [usage]
+        form = ""
+    elif form is None:
+        form = parameter.display_type(None).strip("<>").removesuffix(" range")
+    parameter.display_type_rich = lambda ctx: WORDS.get(form, form)
+    parameter._get_number_range_help_str = lambda: None
+    return parameter
 
 
 def track_progress(items: Iterable[Any], description: str, total: int) -> Iterable[Any]:
-    """Iterate with a progress bar, shown only on a terminal."""
+    """Iterate with a progress bar on a terminal, else a line each minute."""
     screen = Terminal(stderr=True)
-    return track(items, description, total, console=screen, transient=True, disable=not screen.is_terminal)
+    if screen.is_terminal:
+        return track(items, description, total, console=screen, transient=True)
+    return _count(items, description, total, _each_minute(screen))
+
+
+def _count(items: Iterable[Any], description: str, total: int, show: Callable[[str], None]) -> Iterator[Any]:
+    for done, item in enumerate(items, 1):
+        yield item
+        show(f"{description}: {done} of {total}")
+
+
+@contextmanager
+def show_status(text: str) -> Iterator[Callable[[str], None]]:
+    """Return what shows a text in place of the last on a terminal, else at most one each minute."""
+    screen = Terminal(stderr=True)
+    if screen.is_terminal:
+        with screen.status(text) as status:
+            yield status.update
+    else:
+        yield _each_minute(screen)
+
+
+def _each_minute(screen: Console) -> Callable[[str], None]:
+    said = time.monotonic()
+
+    def show(text: str) -> None:
+        nonlocal said
+        if time.monotonic() - said >= MINUTE:
+            screen.print(text, highlight=False, soft_wrap=True)
+            said = time.monotonic()
+
+    return show
 
 
 def print_line(text: str) -> None:

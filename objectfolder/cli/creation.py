@@ -16,13 +16,15 @@ MAX_NAMES = 5  # names in a line
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="New or empty folder.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder to create; it may exist and be empty.")
+    ],
 ) -> None:
-    """Make a workspace for a dataset of your own: a Git and DVC repository without objects.
+    """Create a workspace for your own dataset: a Git and DVC repository without objects.
 
-    It holds the graph of stages (dvc.yaml), a short script per stage, parameters and presets, a README as the
-    dataset's card, and an example of continuous integration. The code itself is the installed package; the
-    workspace records its digests. Next, in that folder: `objectfolder add`, `objectfolder build`.
+    It holds the graph of stages (dvc.yaml), a script per stage, parameters and presets, a README with the
+    dataset's card and an example of continuous integration. The code is that of the installed package, whose
+    digests the workspace records. Next, in the workspace: `objectfolder add`, `objectfolder build`.
     """
     if find_spec("dvc") is None:
         raise ObjectFolderError(f"DVC is not installed; a workspace needs: {install_command('build')}")
@@ -33,8 +35,7 @@ def init(
     outer = next((above for above in folder.resolve().parents if (above / ".git").exists()), None)
     if outer:
         console.print(
-            f"note: {folder} is a Git repository of its own inside {outer}, which should ignore it: add it "
-            f"to {outer / '.gitignore'}",
+            f"note: {folder} is a Git repository inside that of {outer}: add it to {outer / '.gitignore'}",
             soft_wrap=True,
             highlight=False,
         )
@@ -47,12 +48,12 @@ def init(
 
 
 def upgrade() -> None:
-    """Move a workspace to the installed version of objectfolder, and show what a build would run.
+    """Upgrade a workspace of `objectfolder init` to the installed version, and show what a build would run.
 
-    First install that version: for example, `git pull` in a clone of objectfolder, then
-    `pip install --upgrade 'CLONE[build]'`. Scripts, graph and presets that you have not edited are replaced.
-    For those that you have edited, the new text is written to NAME.new. Your settings are kept, new ones are
-    added. `git diff` shows all changes; `git checkout .` reverts them.
+    First install the version, for example by `git pull` in a clone of objectfolder and
+    `pip install --upgrade 'CLONE[build]'`. Scripts, graph and presets that you have not edited are replaced;
+    for edited ones, the new text is written to NAME.new. Your settings are kept, and new ones added.
+    `git diff` shows all changes; `git checkout .` reverts them.
     """
     from objectfolder.cli.statusview import print_outlook
     from objectfolder.engine.status import status
@@ -66,7 +67,7 @@ def upgrade() -> None:
         f"edited here: merge the new text, NAME{NEW}, by hand": done.conflicts,
         "added to params.yaml": done.params,
     }
-    console.print(f"this workspace is of objectfolder {installed_version()} now", highlight=False)
+    console.print(f"this workspace is now of objectfolder {installed_version()}", highlight=False)
     for title, names in lines.items():
         if names:
             more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""

@@ -50,22 +50,23 @@ class Part:
 
 
 def doctor() -> None:
-    """Show which optional parts are installed, what each is for and costs, and how to get it.
+    """Show what is installed, and what is missing: what it adds, its size, and how to install it.
 
-    Queries need only Embree; `objectfolder build` needs the extra **build**. The other parts add a command or
-    a setting, or make something faster.
+    Queries need only Embree. `objectfolder build` needs the extra **build**. The other parts add commands or
+    settings, or save time.
 
-    Results do not depend on what is installed, with two exceptions: vibration modes by PARDISO, CHOLMOD and
-    SuperLU differ by rounding, and the paper's nets and those of benchmarks are trained on a GPU if there is
-    one.
+    Installed packages do not affect results, with two exceptions: PARDISO, CHOLMOD and SuperLU give
+    vibration modes that agree to rounding, and the nets of the paper and of benchmarks are trained on a GPU
+    if there is one.
 
     **LLVM** is for `render_views.renderer: mitsuba-llvm` in params.yaml. Debian's package is libllvm19. If an
-    older version is found first, set `DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`.
+    older one is found first, set `DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`.
     """
     python = sys.version.partition(" ")[0]
     console.print(f"objectfolder {installed_version()} in {INSTALLED}, Python {python}", soft_wrap=True)
-    titles = ("part", "found", "brings", "if missing")
-    table = Table(*(Column(title, overflow="fold") for title in titles), box=None)
+    table = Table(
+        *(Column(name, overflow="fold") for name in ("part", "found", "brings", "if missing")), box=None
+    )
     for part in examine():
         found = Text(part.found or "missing", style="green" if part.usable else "yellow")
         table.add_row(part.name, found, part.brings, "" if part.usable else part.get)

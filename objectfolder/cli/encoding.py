@@ -23,7 +23,9 @@ def encoder(command: str, out: Path, *sides: int) -> str:
         raise ObjectFolderError(f"{out}: expected a name that ends in .mp4")
     for side in sides:
         if side < 2 or side % 2:
-            raise ObjectFolderError(f"size is {side}, expected an even number: the codec halves the colours")
+            raise ObjectFolderError(
+                f"resolution is {side}, expected an even number, which the video codec needs"
+            )
     program = find_ffmpeg(command)
     check_output(out)
     return program
@@ -42,7 +44,7 @@ def write_video(
     """Encode pictures and sound, and say so.
 
     ``program``: see `encoder`; ``pictures`` (H, W, 3); ``count``: how many pictures there are; ``rate``:
-    pictures per second; ``size`` (int, int): width and height, pixels; ``sound`` (samples,): in [-1, 1];
+    frames per second; ``size`` (int, int): width and height, pixels; ``sound`` (samples,): in [-1, 1];
     ``sample_rate``: Hz.
     """
     import soundfile
@@ -57,7 +59,7 @@ def write_video(
         with subprocess.Popen([*command, str(path)], stdin=subprocess.PIPE, stderr=log) as running:
             assert running.stdin is not None
             try:
-                for picture in track_progress(pictures, "pictures", count):
+                for picture in track_progress(pictures, "frames", count):
                     running.stdin.write(picture.tobytes())
             except BrokenPipeError:
                 pass  # it says why

@@ -9,8 +9,8 @@ import typer
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.installation import install_command
-from objectfolder.cli.console import Commands, console, print_line, track_progress
-from objectfolder.cli.files import FilesArgument, bounded, folder_to_write
+from objectfolder.cli.console import App, print_line, show_status, track_progress
+from objectfolder.cli.files import FilesArgument, folder_to_write
 
 if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.export import Report
@@ -18,42 +18,42 @@ if TYPE_CHECKING:
     from objectfolder.benchmarks.datasets.splits import Split
     from objectfolder.objectfile.file import ObjectFile
 
-export_app = Commands(
-    help="Export objects to physics and game engines, or observations to training libraries.\n\n"
-    "Objects: MuJoCo (`mjcf`), PyBullet and others (`urdf`), OpenUSD (`usd`), game engines and browsers "
-    "(`glb`). Observations: WebDataset (`webdataset`), Hugging Face Datasets (`datasets`). Views: "
-    "`nerfstudio`. Contacts: `lerobot`.",
+export_app = App(
+    help="Export objects to physics engines (`mjcf`, `urdf`, `usd`) and game engines (`glb`), and training "
+    "data to `webdataset`, Hugging Face `datasets`, `nerfstudio` and `lerobot`.",
 )
 
 SIMULATION = ("mujoco", "coacd", "manifold3d")  #: libraries of rigid bodies
 
+# Checked before the files: in earlier versions it came before them.
 OutArgument = Annotated[
-    Path, typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write)
+    Path,
+    typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write, is_eager=True),
 ]
 FoldersArgument = Annotated[
-    list[Path], typer.Argument(metavar="FOLDER", help="Folders that contain observations, at any depth.")
+    list[Path], typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below.")
 ]
-HullsOption = Annotated[int, typer.Option(**bounded(1), help="Most convex hulls per object, at least 1.")]
+HullsOption = Annotated[int, typer.Option(min=1, help="Maximum number of convex hulls per object.")]
 SplitOption = Annotated[
     str,
     typer.Option(
         metavar="seen|unseen",
-        help="seen: every object is in training and test data; unseen: test objects are in no other part.",
+        help="seen: all objects in all parts; unseen: test objects only in the test part.",
     ),
 ]
 
 
 @export_app.command()
 def webdataset(
-    out: OutArgument,
     folders: FoldersArgument,
+    out: OutArgument,
     split: SplitOption = "seen",
-    shard: Annotated[int, typer.Option(**bounded(1), help="Samples per tar file, at least 1.")] = 1000,
+    shard: Annotated[int, typer.Option(min=1, help="Samples per tar file.")] = 1000,
 ) -> None:
-    """Write observations as tar files for the WebDataset library: train-000000.tar ..., val-..., test-...
+    """Write tar files for the WebDataset library: train-000000.tar ... val- ... test-...
 
-    A sample has vision.png, audio.wav (float, absolute scale), touch.png, and json with label, key, material,
-    scale and queries. index.json names the labels. Then, in Python:
+    A sample has vision.png, audio.wav (float, absolute scale), touch.png and json: label, key, material,
+    scale and the queries. index.json names the labels. Then, in Python:
 
     `webdataset.WebDataset("OUT/train-{000000..000003}.tar").decode("rgb")`
     """
@@ -66,10 +66,10 @@ def webdataset(
 
 
 @export_app.command()
-def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "seen") -> None:
-    """Write observations for Hugging Face Datasets: Parquet files and a card, README.md.
+def datasets(folders: FoldersArgument, out: OutArgument, split: SplitOption = "seen") -> None:
+    """Write a folder for the Datasets library of Hugging Face: Parquet files and a card, README.md.
 
-    Then, in Python, offline: `datasets.load_dataset("OUT")`
+    Then, in Python, without a network: `datasets.load_dataset("OUT")`
     """
     from objectfolder.benchmarks.datasets.export import write_datasets
 
@@ -80,10 +80,10 @@ def datasets(out: OutArgument, folders: FoldersArgument, split: SplitOption = "s
 
 
 @export_app.command()
-def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write objects for MuJoCo, each to OUT/KEY: a body with a free joint, hulls, texture, mass and inertia.
+def mjcf(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
+    """Write a folder OUT/KEY per object for MuJoCo: a body with free joint, hulls, texture, mass and inertia.
 
-    Takes half a minute per object. Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`
+    Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Half a minute per object.
     """
     _require("rl", *SIMULATION)
     from objectfolder.sim.export import write_mjcf
@@ -92,11 +92,11 @@ def mjcf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 
 
 @export_app.command()
-def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write objects for PyBullet and other URDF readers, each to OUT/KEY: a link with what `mjcf` writes.
+def urdf(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
+    """Write a folder OUT/KEY per object for PyBullet and other URDF readers: a link as in `mjcf`.
 
-    Takes half a minute per object. Then, in Python:
-    `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`
+    Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Half a minute per
+    object.
     """
     _require("rl", *SIMULATION)
     from objectfolder.sim.export import write_urdf
@@ -105,11 +105,11 @@ def urdf(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> Non
 
 
 @export_app.command()
-def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write objects as glTF, each to OUT/KEY/KEY.glb, with appearance, mass, hulls and vibration modes.
+def glb(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
+    """Write OUT/KEY/KEY.glb per object: glTF with its look, mass, hulls and vibration modes.
 
-    Takes half a minute per object. Any glTF reader shows the appearance. Rigid body and sound use the draft
-    extensions KHR_physics_rigid_bodies and KHR_audio_rigid_bodies (docs/robots.md).
+    Any glTF reader draws it. Rigid body and sound are the draft extensions KHR_physics_rigid_bodies and
+    KHR_audio_rigid_bodies (docs/robots.md). Half a minute per object.
     """
     _require("rl", *SIMULATION)
     from objectfolder.sim.gltf import write_glb
@@ -118,10 +118,10 @@ def glb(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
 
 
 @export_app.command()
-def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None:
-    """Write objects as OpenUSD, each to OUT/KEY/KEY.usda, with appearance, mass, inertia, friction and hulls.
+def usd(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
+    """Write OUT/KEY/KEY.usda per object: OpenUSD with its look, mass, inertia, friction and hulls.
 
-    Takes half a minute per object. Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`
+    Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Half a minute per object.
     """
     _require("usd", "pxr")
     _require("rl", *SIMULATION)
@@ -132,21 +132,18 @@ def usd(out: OutArgument, files: FilesArgument, hulls: HullsOption = 16) -> None
 
 @export_app.command()
 def nerfstudio(
-    out: OutArgument,
     files: FilesArgument,
-    views: Annotated[
-        int, typer.Option("-n", "--views", **bounded(1), help="Images per object, at least 1.")
-    ] = 100,
-    resolution: Annotated[int, typer.Option(**bounded(1), help="Side of the square images, pixels.")] = 256,
-    seed: Annotated[int, typer.Option(**bounded(0), help="Random seed, 0 or more.")] = 0,
+    out: OutArgument,
+    views: Annotated[int, typer.Option("-n", "--views", min=1, help="Images per object.")] = 100,
+    resolution: Annotated[int, typer.Option(min=1, help="Side of the square images, pixels.")] = 256,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     fixed_light: Annotated[
-        bool,
-        typer.Option("--fixed-light", help="Use one light for all views, for nets that do not model light."),
+        bool, typer.Option("--fixed-light", help="One light for all views, for nets without relighting.")
     ] = False,
 ) -> None:
-    """Write views for Nerfstudio, with cameras and lights: OUT/KEY/transforms.json and images/ per object.
+    """Write OUT/KEY/transforms.json and images/ per object: rendered views with cameras and lights.
 
-    The images have an alpha channel. Then: `ns-train nerfacto --data OUT/KEY`
+    Then: `ns-train nerfacto --data OUT/KEY`. The images have an alpha channel.
     """
     from objectfolder.benchmarks.datasets.nerfstudio import write_nerfstudio
 
@@ -155,10 +152,10 @@ def nerfstudio(
         if file.header["vision"]["kind"] == "surface":
             file.require("geometry")
     for file in objects:
-        with console.status("") as status:
+        with show_status("") as show:
 
             def report(done: int, total: int, key: str = file.key) -> None:
-                status.update(f"{key}: {done} of {total} views")
+                show(f"{key}: {done} of {total} views")
 
             path = write_nerfstudio(file, out, views, resolution, seed, fixed_light, report)
         print_line(str(path))
@@ -166,18 +163,14 @@ def nerfstudio(
 
 @export_app.command()
 def lerobot(
-    out: OutArgument,
     files: FilesArgument,
-    episodes: Annotated[
-        int, typer.Option("-n", "--episodes", **bounded(1), help="Contacts per object, at least 1.")
-    ] = 10,
-    seconds: Annotated[float, typer.Option(metavar="SECONDS", help="Length of an episode.")] = 1.0,
-    fps: Annotated[
-        int, typer.Option(**bounded(1), help="Frames per second; must divide the sample rate.")
-    ] = 25,
-    seed: Annotated[int, typer.Option(**bounded(0), help="Random seed, 0 or more.")] = 0,
+    out: OutArgument,
+    episodes: Annotated[int, typer.Option("-n", "--episodes", min=1, help="Contacts per object.")] = 10,
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of an episode.")] = 1.0,
+    fps: Annotated[int, typer.Option(min=1, help="Frames per second; divides the sample rate.")] = 25,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
 ) -> None:
-    """Write a LeRobot dataset (format v3.0) of contacts: windows of sound and tactile images of presses.
+    """Write a LeRobot dataset (format v3.0): tactile images of presses, and their sounds.
 
     Then, in Python: `LeRobotDataset("objectfolder/touch", root="OUT")`.
     """
@@ -188,15 +181,15 @@ def lerobot(
     objects = [ObjectFile.load(file) for file in files]
     for found in objects:
         found.require("geometry", "audio", "touch")
-    with console.status("") as status:
+    with show_status("") as show:
         write_lerobot(
             objects,
             out,
             episodes,
-            seconds,
+            duration,
             fps,
             seed=seed,
-            report=lambda done, total: status.update(f"{done} of {total} episodes"),
+            report=lambda done, total: show(f"{done} of {total} episodes"),
         )
     print_line(f"{plural(len(objects), 'object')} in {out}/: {plural(episodes, 'episode')} of each")
 
@@ -248,8 +241,8 @@ def _export(
     _require("hub", library)
     observations = Observations(find_folders(folders))
     chosen = named_split(split, observations.keys, observations.count)
-    with console.status("") as status:
-        write(observations, chosen, lambda done, total: status.update(f"{done} of {total} samples"))
+    with show_status("") as show:
+        write(observations, chosen, lambda done, total: show(f"{done} of {total} samples"))
     print_line(
         f"{plural(len(observations.keys), 'object')} in {out}/: {len(chosen.train)} samples to train, "
         f"{len(chosen.val)} to validate, {len(chosen.test)} to test"

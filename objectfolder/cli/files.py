@@ -2,9 +2,8 @@
 
 import os
 from collections.abc import Sequence
-from math import inf, nan
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -16,33 +15,16 @@ from objectfolder.workspace.layout import Build
 from objectfolder.workspace.lookup import FORMS, find_object_files, own_keys
 
 #: Names of an object of this workspace, for help.
-OWN = "key in params.yaml or Object File in build/"
+OWN = "key in params.yaml, or Object File in build/"
 PAGES = (".html", ".htm")  #: suffixes
 #: Stages that a command on a workspace is for.
 Targets = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="TARGET",
+        metavar="[TARGET]...",
         help="Stage of an object (`modal@mug`), stage (`train_audio`) or object (`mug`); default: all.",
     ),
 ]
-
-
-def bounded(least: float, most: float = inf, kind: type[float] = int, metavar: str = "N") -> dict[str, Any]:
-    """Return how an option of numbers in a range is declared; help shows typer's ranges as `[x>=1]`."""
-    expected = "a whole number" if kind is int else "a number"
-    expected += f", at least {least:g}" if most == inf else f" from {least:g} to {most:.10g}"
-
-    def parse(text: str) -> float:
-        try:
-            value = kind(text)
-        except ValueError:
-            value = nan
-        if not least <= value <= most:
-            raise typer.BadParameter(f"{text!r}, expected {expected}")
-        return value
-
-    return {"parser": parse, "metavar": metavar}
 
 
 def object_file(given: Path) -> Path:
@@ -147,6 +129,6 @@ def empty_folder(given: Path) -> Path:
 #: Object Files that a command is for.
 FilesArgument = Annotated[
     list[Path],
-    typer.Argument(metavar="FILE", help=f"Object Files, each a {FORMS}.", callback=object_files),
+    typer.Argument(metavar="FILE...", help=f"Object Files, each a {FORMS}.", callback=object_files),
 ]
 OpenOption = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")]

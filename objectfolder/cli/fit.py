@@ -6,11 +6,11 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from objectfolder.cli.console import Commands, print_line, print_wide
+from objectfolder.cli.console import App, print_line, print_wide
 from objectfolder.cli.files import OWN, object_key
 
-fit_app = Commands(
-    help="Fit an object to a real one: its `sound` to recordings of taps.",
+fit_app = App(
+    help="Fit an object to measurements: `sound`, to recordings of taps.",
 )
 #: Score of the next best stiffness, relative to the best, from which on the fit may be wrong.
 RIVAL_LIMIT = 0.6
@@ -27,21 +27,21 @@ def sound(
         str, typer.Argument(metavar="OBJECT", help=f"Built object: its {OWN}.", callback=object_key)
     ],
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING", help="Recordings of taps: WAV, FLAC, OGG or M4A.")
+        list[Path], typer.Argument(metavar="RECORDING...", help="WAV, FLAC, OGG or M4A files of taps.")
     ],
     law: Annotated[str, typer.Option(metavar="loss_factor|rayleigh", help="Damping model.")] = "loss_factor",
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the fit without writing it.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the fit; change nothing.")] = False,
 ) -> None:
-    """Fit an object's stiffness and damping to recordings of taps, and write them to params.yaml.
+    """Fit stiffness and damping of an object to recordings of taps, and write them to params.yaml.
 
-    Hang the object on a thread or lay it on foam so that it rings freely. Tap it in several places with
-    something small and hard. Each recording may hold several taps, at least a second apart; avoid clipping.
-    Then:
+    Hang the object on a thread or lay it on foam, so that it rings freely, and tap it at several points with
+    something hard and small: one or more taps per file, at least a second apart, without clipping. Then:
 
     `objectfolder fit sound mug tap1.wav tap2.wav`
 
     The modes heard are matched to those of the object's last build; modes below 200 Hz are not used. Size,
-    density and Poisson's ratio are kept. The next build rescales the modes without solving them again.
+    density and Poisson's ratio stay as they are. The next build rescales the modes; it does not solve them
+    again.
     """
     import numpy as np
 
@@ -83,7 +83,7 @@ def sound(
     print_wide(table)
     left = ", ".join(f"{heard.frequency[row]:.0f}" for row in fit.left_out)
     lines = [
-        *(f"{path}: no strike, left out" for path, count in zip(recordings, fit.taps) if not count),
+        *(f"{path}: no tap found, left out" for path, count in zip(recordings, fit.taps) if not count),
         f"stiffness: {match.stiffness:.4f} times that of {report['material']} as built; frequencies then "
         f"differ by {fit.frequency_error:.2%} (root mean square)",
         f"not matched, Hz: {left or 'none'}",

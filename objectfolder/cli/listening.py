@@ -8,31 +8,27 @@ from rich.table import Table
 from rich.text import Text
 
 from objectfolder.base.errors import plural
-from objectfolder.cli.console import Commands, console, print_line
-from objectfolder.cli.files import bounded, page_to_write
+from objectfolder.cli.console import App, console, print_line
+from objectfolder.cli.files import page_to_write
 
-listening_app = Commands(
-    help="Ask people which sounds are more realistic: `make` a page, then `score` the answers.",
+listening_app = App(
+    help="Ask listeners which of two sounds is more real: `make` a page, `score` the answers.",
 )
 
 
 @listening_app.command()
 def make(
-    ours: Annotated[Path, typer.Argument(metavar="OURS", help="Folder of sounds named MATERIAL_ANYTHING.")],
-    other: Annotated[Path, typer.Argument(metavar="OTHER", help="Folder of sounds with the same names.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Page to write, .html.")] = Path("listening.html"),
-    pairs: Annotated[
-        int, typer.Option(**bounded(1), help="Pairs that each listener hears, at least 1.")
-    ] = 16,
-    seed: Annotated[
-        int, typer.Option(**bounded(0), help="Random seed for choosing and ordering pairs, 0 or more.")
-    ] = 0,
+    ours: Annotated[Path, typer.Argument(metavar="OURS", help="Folder of sounds named MATERIAL_anything.")],
+    other: Annotated[Path, typer.Argument(metavar="OTHER", help="Folder of sounds of the same names.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.html", help="Page to write.")] = Path("listening.html"),
+    pairs: Annotated[int, typer.Option(min=1, help="Pairs that each listener hears.")] = 16,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed for choosing and ordering pairs.")] = 0,
 ) -> None:
-    """Write a page that plays pairs of sounds, such as ours and recordings, and asks which is more realistic.
+    """Write a page that plays pairs of sounds, such as ours and recordings, and asks which is more real.
 
-    The page opens from disk and keeps the answers in the browser until they are saved as CSV. It plays the
-    first 10 s of the loudest channel of each sound, at matched levels, in random and balanced order. The
-    defaults are the paper's; it had 10 listeners.
+    The page needs no server, and keeps the answers in the browser until they are saved as CSV. It plays the
+    first 10 s of the loudest channel of each sound. Levels are matched; orders are random and balanced. The
+    defaults are those of the paper, which had 10 listeners.
     """
     from objectfolder.base.io import write_text
     from objectfolder.benchmarks.listening import study_page
@@ -44,13 +40,13 @@ def make(
 
 @listening_app.command()
 def score(
-    results: Annotated[list[Path], typer.Argument(metavar="CSV", help="Answers saved by the page.")],
+    results: Annotated[list[Path], typer.Argument(metavar="CSV...", help="Answers that the page saved.")],
     study: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Page of the study: answers about other pairs are refused."),
+        typer.Option(metavar="FILE.html", help="Page of the study: refuse answers to other pairs."),
     ] = None,
 ) -> None:
-    """Show how often OURS was preferred, by material, with 95 % intervals (Wilson)."""
+    """Show how often OURS was preferred, by material, with Wilson's 95 % intervals."""
     from objectfolder.benchmarks.listening import preferences
     from objectfolder.benchmarks.reporting.published import LISTENING
 

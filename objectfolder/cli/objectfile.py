@@ -10,8 +10,8 @@ from rich.table import Table
 
 from objectfolder.base.arrays import read_rows
 from objectfolder.base.errors import ObjectFolderError, plural
-from objectfolder.cli.console import Commands, console, print_line
-from objectfolder.cli.files import FORMS, bounded, empty_folder, object_file
+from objectfolder.cli.console import App, console, print_line
+from objectfolder.cli.files import FORMS, empty_folder, object_file
 from objectfolder.stored.header import PARTS, RADIATION
 from objectfolder.stored.kinds import known_kinds
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.vision.lighting import PointLight
 
-query_app = Commands(help="Query an Object File for `vision`, `audio` or `touch`.")
+query_app = App(help="Query an Object File: `vision`, `audio` or `touch`.")
 
 #: Units of a sound without a listener, by response.
 SOUND_UNITS = {"displacement": "m kg^1/2", "velocity": "m kg^1/2/s", "acceleration": "m kg^1/2/s^2"}
@@ -48,16 +48,16 @@ FileArgument = Annotated[
 ]
 ImagesArgument = Annotated[
     Path,
-    typer.Argument(metavar="OUT", help="New or empty folder for 1.png, 2.png, ...", callback=empty_folder),
+    typer.Argument(metavar="OUT", help="New or empty folder for 1.png, 2.png ...", callback=empty_folder),
 ]
 SoundsArgument = Annotated[
     Path,
-    typer.Argument(metavar="OUT", help="New or empty folder for 1.wav, 2.wav, ...", callback=empty_folder),
+    typer.Argument(metavar="OUT", help="New or empty folder for 1.wav, 2.wav ...", callback=empty_folder),
 ]
 
 
 def info(file: FileArgument) -> None:
-    """Show what an Object File contains."""
+    """Show the contents of an Object File."""
     from objectfolder.objectfile.file import ObjectFile
 
     obj = ObjectFile.load(file)
@@ -70,7 +70,7 @@ def info(file: FileArgument) -> None:
             rows["mass"] = f"{given:.3g} kg (given; solid volume x density would be {rows['mass']})"
     rows |= {part: _summary_of(obj, part) for part in PARTS}
     heard = RADIATION in obj.header
-    rows[RADIATION] = obj.header[RADIATION]["kind"] if heard else "none: no listener hears it"
+    rows[RADIATION] = obj.header[RADIATION]["kind"] if heard else "none: no sound at a listener"
     rows["format"] = obj.header["format"]
     for name, value in rows.items():
         table.add_row(name, value)
@@ -84,28 +84,29 @@ def vision(
         Path,
         typer.Argument(
             metavar="QUERIES.npy",
-            help="(N, 6): camera xyz and light xyz; (N, 3), camera xyz, with --lights or --environment.",
+            help="(N, 6): camera xyz, light xyz; with --lights or --environment (N, 3): camera xyz.",
         ),
     ],
     out: ImagesArgument,
-    resolution: Annotated[int, typer.Option(**bounded(1), help="Side of the square images, pixels.")] = 256,
+    resolution: Annotated[int, typer.Option(min=1, help="Side of the square images, pixels.")] = 256,
     buffers: Annotated[
-        bool, typer.Option("--buffers", help="Also write 1.npz, ...: linear rgba, depth (metres), normals.")
+        bool, typer.Option("--buffers", help="Also write 1.npz ...: linear rgba, depth (metres), normals.")
     ] = False,
-    supersample: Annotated[bool, typer.Option(help="Antialias edges; without, it is faster.")] = True,
+    supersample: Annotated[
+        bool, typer.Option(help="Antialias edges; without it, rendering is faster.")
+    ] = True,
     lights: Annotated[
         str | None,
         typer.Option(
             metavar="studio|FILE.npy",
-            help="Lights for all views: studio, or a file (L, 6) with position xyz and linear RGB.",
+            help="Lights of all views: studio, or an array (L, 6) of positions xyz and linear RGB.",
         ),
     ] = None,
     environment: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Environment light: an equirectangular HDR or EXR image."),
+        Path | None, typer.Option(help="Equirectangular HDR or EXR image to light all views with.")
     ] = None,
 ) -> None:
-    """Render views. Positions are in the unit frame, where the object's longest side is 1."""
+    """Render views of an object. Positions are in the unit frame: the longest side is 1."""
     from objectfolder.base.arrays import write_npz, write_png
     from objectfolder.objectfile.file import ObjectFile
     from objectfolder.vision.cameras import Intrinsics
@@ -145,61 +146,65 @@ def audio(
     vertices: Annotated[
         Path,
         typer.Argument(
-            metavar="VERTICES.npy", help="(N, 6): points (metres), impulses (N s); (N, 3) with --forces."
+            metavar="VERTICES.npy", help="(N, 3) points in metres, or (N, 6) with impulses in N s."
         ),
     ],
     out: SoundsArgument,
     forces: Annotated[
         Path | None,
         typer.Option(
-            metavar="FORCES.npy", help="(N, 3): impulses, N s; default: columns 4 to 6 of VERTICES."
+            metavar="FORCES.npy", help="(N, 3) impulses in N s; default: columns 4 to 6 of VERTICES."
         ),
     ] = None,
-    sample_rate: Annotated[int, typer.Option(**bounded(1, _MAX_RATE), help="Samples per second.")] = 16000,
+    sample_rate: Annotated[
+        int, typer.Option(min=1, max=_MAX_RATE, metavar="HZ", help="Samples per second.")
+    ] = 16000,
     duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of each sound.")] = 2.0,
     response: Annotated[
-        str, typer.Option(metavar="KIND", help="Of the modes: displacement, velocity or acceleration.")
+        str,
+        typer.Option(
+            metavar="displacement|velocity|acceleration", help="What to synthesize without a listener."
+        ),
     ] = "displacement",
     contact_time: Annotated[
         float | None,
         typer.Option(
-            metavar="SECONDS", help="Duration of the contact; 0: an ideal impulse; default: the striker's."
+            metavar="SECONDS", help="Duration of the strike; 0: an impulse; default: the striker's."
         ),
     ] = None,
     material: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Material of the struck object; default: the object's own."),
+        typer.Option(
+            metavar="MATERIAL", help="Another material: a name, or a YAML file; default: the object's own."
+        ),
     ] = None,
     scale: Annotated[
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Longest side of the struck object, to which VERTICES refer; default: its own.",
+            help="Another longest side, which VERTICES are given for; default: the object's own.",
         ),
     ] = None,
     striker: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME|FILE",
-            help="Striker, for the contact time: steel (default), wood, rubber, finger or a .yaml file.",
+            metavar="STRIKER",
+            help="steel (default), wood, rubber, finger or a YAML file: determines the contact time.",
         ),
     ] = None,
     listener: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
-            metavar="X Y Z",
-            help="Listener position, metres, object frame: write the sound pressure there, in pascals.",
+            metavar="X Y Z", help="Listener position in metres: write the sound pressure there, in Pa."
         ),
     ] = None,
-    normalize: Annotated[
-        bool, typer.Option(help="Scale all sounds by one factor, to a peak of 0.9.")
-    ] = False,
+    normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
 ) -> None:
-    """Synthesize impact sounds as float WAV files. `objectfolder sample audio` writes random strikes.
+    """Synthesize impact sounds as float WAV files, of strikes that `objectfolder sample audio` writes.
 
     `objectfolder query audio mug VERTICES.npy OUT/ --sample-rate 48000 --listener 0.5 0 0.3 --normalize`
 
-    Amplitudes are absolute: to listen, add `--normalize`, without which most sounds are too faint or clip.
+    Amplitudes are absolute: most are too faint or too loud for a player without `--normalize`.
     """
     from objectfolder.base.arrays import wav_bytes
     from objectfolder.base.io import write_bytes
@@ -247,7 +252,7 @@ def audio(
 @query_app.command()
 def touch(
     file: FileArgument,
-    vertices: Annotated[Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3): contact points, metres.")],
+    vertices: Annotated[Path, typer.Argument(metavar="VERTICES.npy", help="(N, 3) contact points, metres.")],
     out: ImagesArgument,
     gelinfo: Annotated[
         Path | None,
@@ -256,38 +261,32 @@ def touch(
             help="(N, 3): tilt theta and its azimuth phi (radians), press depth (metres).",
         ),
     ] = None,
-    depth: Annotated[
-        float, typer.Option(metavar="METRES", help="Press depth, if --gelinfo is not given.")
-    ] = 0.001,
+    depth: Annotated[float, typer.Option(metavar="METRES", help="Press depth, without --gelinfo.")] = 0.001,
     sensor: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Sensor: a name (`objectfolder sensor list`) or a .yaml file; default: the object's.",
-        ),
+        typer.Option(metavar="SENSOR", help="Another sensor: a name (`sensor list`) or a .yaml file."),
     ] = None,
     outputs: Annotated[
         str, typer.Option(metavar="NAME,...", help=f"What to write: {', '.join(TOUCH_OUTPUTS)}.")
     ] = "image",
     shear: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="RIGHT UP", help="Move the object in the image after the press, metres."),
+        typer.Option(metavar="RIGHT UP", help="Motion of the object in the image after the press, metres."),
     ] = None,
-    twist: Annotated[float, typer.Option(metavar="RADIANS", help="Rotate the object after the press.")] = 0.0,
+    twist: Annotated[
+        float, typer.Option(metavar="RADIANS", help="Turn of the object after the press.")
+    ] = 0.0,
     friction: Annotated[
-        float | None,
-        typer.Option(metavar="NUMBER", help="Coefficient of friction; default: the material's."),
+        float | None, typer.Option(help="Coefficient of friction; default: the material's.")
     ] = None,
-    markers: Annotated[
-        bool, typer.Option("--markers", help="Draw the gel's markers into the images.")
-    ] = False,
+    markers: Annotated[bool, typer.Option("--markers", help="Draw the gel's dots into the images.")] = False,
 ) -> None:
-    """Press a tactile sensor on the object; optionally shear or twist the contact.
+    """Press a tactile sensor on an object, and optionally shear the contact.
 
-    Writes 1.png, ... (image), 1_mask.png, ... (mask: where gel and object touch), 1.npz, ... (height and
-    displacement in metres, pressure in Pa, normals of the gel), and contacts.csv with force, area,
-    penetration and obstruction of each contact. With --shear, --twist or --markers, also the gel's sideways
-    motion (metres), traction (Pa), marker_flow and the markers at rest (pixels), shear force and torque.
+    Writes 1.png ... (image), 1_mask.png ... (mask: the contact area of gel and object), 1.npz ... (height and
+    displacement in metres, pressure in Pa, normals of the gel), and contacts.csv with the force, area,
+    penetration and obstruction of each contact. With --shear, --twist or --markers also the gel's motion
+    sideways (metres), traction (Pa), marker_flow and the markers at rest (pixels), shear force and torque.
     docs/touch.md defines them.
     """
     from objectfolder.base.arrays import write_png
@@ -301,9 +300,9 @@ def touch(
         raise ObjectFolderError(f"--outputs {unknown[0]!r} is not one of {', '.join(TOUCH_OUTPUTS)}")
     moved = shear is not None or twist != 0 or markers
     if not moved and (of_motion := [name for name in names if name in SHEAR_ARRAYS]):
-        raise ObjectFolderError(f"--outputs {of_motion[0]}: give --shear, --twist or --markers, too")
+        raise ObjectFolderError(f"--outputs {of_motion[0]} needs --shear, --twist or --markers")
     if friction is not None and shear is None and twist == 0:
-        raise ObjectFolderError("--friction matters to a motion sideways: give --shear or --twist, too")
+        raise ObjectFolderError("--friction has an effect only with --shear or --twist")
     points = read_rows(vertices, 3)
     tilt, azimuth, depths = read_rows(gelinfo, 3).T if gelinfo else (0.0, 0.0, depth)
     obj = ObjectFile.load(file)
@@ -372,7 +371,7 @@ def _contact_summary(rows: np.ndarray) -> str:
     text = "" if np.isnan(force).any() else f"; force {force.min():.3g} to {force.max():.3g} N"
     text += f", area {area.min():.3g} to {area.max():.3g} mm2"
     obstructed = int((columns["obstructed"] > 0).sum())
-    return text + (f"; {obstructed} obstructed: a real sensor could not get there" if obstructed else "")
+    return text + (f"; {obstructed} obstructed: a real sensor could not reach them" if obstructed else "")
 
 
 def _summary_of(obj: "ObjectFile", part: str) -> str:
@@ -402,7 +401,7 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     elif error is not None:
         certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")
     if described.get("frequency_uncertainty_unknown"):
-        certain = ", their error not known: walls are too thin for the grid"
+        certain = ", of unknown error: walls are too thin for the grid"
     if described.get("uncertain"):
         certain += "; the sound is marked uncertain"
     span = f"{frequencies.min():.0f} to {frequencies.max():.0f} Hz"

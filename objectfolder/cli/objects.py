@@ -43,58 +43,58 @@ def add(
         Path,
         typer.Argument(
             metavar="PATH",
-            help="Mesh (.obj, .glb, .gltf, .ply, .stl or .off), folder of meshes, or catalogue (.yaml).",
+            help="Mesh (.obj, .glb, .gltf, .ply, .stl, .off), folder of meshes, or catalogue (.yaml).",
         ),
     ],
     name: Annotated[str | None, typer.Option(metavar="NAME", help="Object key, such as `blue_mug`.")] = None,
     material: Annotated[
         str | None,
-        typer.Option(metavar="NAME|FILE", help=f"{', '.join(material_names())}, or your own as a YAML file."),
+        typer.Option(
+            metavar="MATERIAL", help=f"{', '.join(material_names())}, or a YAML file (docs/conventions.md)."
+        ),
     ] = None,
     scale: Annotated[
         float | None,
-        typer.Option(metavar="METRES", parser=_metres, help="Longest side; default: that of the mesh."),
+        typer.Option(
+            metavar="METRES", parser=_metres, help="Longest side in metres; default: the size of the mesh."
+        ),
     ] = None,
     up: Annotated[
         str | None, typer.Option(metavar="y|z", help="Up axis; default: y for glTF, else z.")
     ] = None,
-    unit: Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of the mesh's coordinates.")] = "m",
+    unit: Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of the mesh coordinates.")] = "m",
     wall: Annotated[
         float | None,
         typer.Option(
             metavar="METRES",
             parser=_metres,
-            help="Wall thickness for open sheets; default: 2 % of the size.",
+            help="Thickness of open sheets in metres; default: 2 % of the size.",
         ),
     ] = None,
     bridge: Annotated[
         str,
-        typer.Option(
-            metavar="all|fem|off", help="Fill gaps narrower than half an FEM cell; fem: for sound only."
-        ),
+        typer.Option(metavar="all|fem|off", help="Fill gaps under half an FEM cell; fem: for sound only."),
     ] = "all",
     mass: Annotated[
         float | None,
         typer.Option(
             metavar="KG",
             parser=_kilograms,
-            help="Mass of the real object; sounds do not depend on it. Default: solid volume times density.",
+            help="Mass of the real object, for simulations; default: solid volume times density.",
         ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Examine the meshes without adding them.")
+        bool, typer.Option("--dry-run", help="Show the examined meshes; add nothing.")
     ] = False,
 ) -> None:
     """Add a mesh, a folder of meshes, or a catalogue of objects to the workspace.
 
-    `objectfolder add mug.glb --name mug --material ceramic --scale 0.112`
-
-    Each mesh is first loaded and closed; meshes that cannot be built are refused. The others are copied, with
-    the files they refer to, to data/objects/NAME, tracked with DVC and entered in params.yaml. Next:
+    Each mesh is first loaded and closed; meshes that cannot be built are refused. Accepted meshes are copied
+    with their referenced files to data/objects/NAME, tracked with DVC and entered in params.yaml. Next:
     `objectfolder build NAME`.
 
-    In a folder, each mesh file and each subfolder with a mesh is an object. Options apply to all objects.
-    materials.csv in the folder overrides them per object; its first line names its columns, any of `name`,
+    In a folder, each mesh file and each subfolder with a mesh is an object. Options apply to all;
+    materials.csv in the folder overrides them by object: its first line names its columns, of `name`,
     `material`, `size`, `up`, `wall`, `mass`, `licence` and `author`.
     """
     from objectfolder.workspace.discover import Candidate, discover
@@ -274,36 +274,32 @@ def _add_examined(finding: "Examination", options: dict[str, Any]) -> dict[str, 
 
 def fetch(
     objects: Annotated[
-        list[str] | None, typer.Argument(metavar="OBJECT", help="Object keys or published names.")
+        list[str] | None, typer.Argument(metavar="[OBJECT]...", help="Object keys or published names.")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Fetch all objects.")] = False,
-    listing: Annotated[bool, typer.Option("--list", help="List the published objects and exit.")] = False,
-    catalogue: Annotated[Path, typer.Option(metavar="FILE", help="Catalogue of published objects.")] = Path(
+    everything: Annotated[bool, typer.Option("--all", help="Fetch every object.")] = False,
+    listing: Annotated[bool, typer.Option("--list", help="List the catalogue and exit.")] = False,
+    catalogue: Annotated[Path, typer.Option(help="Catalogue of published objects.")] = Path(
         "catalogs/objectfolder1.yaml"
     ),
     directory: Annotated[
         Path | None,
-        typer.Option(
-            "--from", metavar="FOLDER", help="Use archives or folders in FOLDER instead of downloading."
-        ),
+        typer.Option("--from", metavar="DIR", help="Use archives or folders in DIR instead of downloads."),
     ] = None,
     url: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="SOURCE=URL",
-            help="Another URL for a source; {model} stands for the model id. Repeatable.",
+            metavar="SOURCE=TEMPLATE", help="Another URL for a source; {model} stands for the model id."
         ),
     ] = None,
     accept_changed: Annotated[
-        bool,
-        typer.Option("--accept-changed", help="Accept files whose checksum differs from the recorded one."),
+        bool, typer.Option("--accept-changed", help="Accept files that differ from their recorded checksum.")
     ] = False,
 ) -> None:
-    """Download the paper's published meshes and add them to the workspace.
+    """Download published meshes of the paper's objects and add them to the workspace.
 
     Examples: `objectfolder fetch --list`, `objectfolder fetch ycb_mug 024_bowl`,
-    `objectfolder fetch --all --from ~/meshes`. To resume an interrupted download, repeat the command. Each
-    mesh has its own licence, kept beside it in SOURCE.txt.
+    `objectfolder fetch --all --from ~/meshes`. Run the same command again to resume an
+    interrupted download. Each mesh has its own licence, stored next to it in SOURCE.txt.
     """
     from objectfolder.hub.fetch import report
     from objectfolder.hub.fetch.catalogue import read_catalogue, select_objects
@@ -319,7 +315,7 @@ def fetch(
     keys = list(published.objects) if everything else select_objects(published, objects or ())
     if not keys:
         report.print_overview(published, present, console)
-        raise ObjectFolderError("no objects given; name objects (--list shows them) or use --all")
+        raise ObjectFolderError("no objects given: name some (--list shows them), or use --all")
     report.print_licences(published, [key for key in keys if key not in present], console)
     if directory is not None:
         check_directory(directory)

@@ -8,37 +8,32 @@ import typer
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import check_output
 from objectfolder.cli.console import print_line
-from objectfolder.cli.files import bounded
 
 
 def reconstruct(
-    photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="Image of a single object.")],
+    photo: Annotated[Path, typer.Argument(metavar="PHOTO", help="Image of one object.")],
     out: Annotated[
         Path, typer.Argument(metavar="OUT", help="Mesh to write: .obj, .ply (z up) or .glb (y up).")
     ],
     model: Annotated[
-        Path,
-        typer.Option(metavar="FILE", help="Model that `objectfolder bench reconstruct` wrote, .safetensors."),
+        Path, typer.Option(metavar="FILE.safetensors", help="Model that `bench reconstruct` trained.")
     ],
-    mask: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Image of the same size, white where the object is."),
-    ] = None,
+    mask: Annotated[Path | None, typer.Option(help="Image of the same size, white on the object.")] = None,
     background: Annotated[
-        str | None, typer.Option(metavar="R,G,B", help="Colour of a plain background, each 0 to 255.")
+        str | None, typer.Option(metavar="R,G,B", help="Colour of a plain background, 0 to 255 each.")
     ] = None,
     tolerance: Annotated[
-        int, typer.Option(**bounded(0, 255), help="Least difference from the background, 0 to 255.")
+        int, typer.Option(min=0, max=255, help="Smallest difference from the background, 0 to 255.")
     ] = 30,
     encoder: Annotated[
         str | None,
-        typer.Option(metavar="FILE.py:NAME", help="Encoder of your own, if the model was trained with it."),
+        typer.Option(metavar="FILE.py:NAME", help="Your own encoder, if the model was trained with one."),
     ] = None,
 ) -> None:
-    """Reconstruct a mesh from one photograph; its longest side is 1.
+    """Reconstruct an object's shape from one image (unit frame: the longest side is 1).
 
-    The background is removed by the image's transparency if it has any, else by `--mask`, else by
-    `--background`. The model works only for objects like those it was trained on.
+    The background is removed with the image's transparency if it has any, else with `--mask`, else with
+    `--background`. The model only handles objects like those it was trained on.
     """
     from objectfolder.benchmarks.models.encoders import registered
     from objectfolder.benchmarks.models.framing import frame_cutout

@@ -10,60 +10,59 @@ import typer
 
 from objectfolder.base.checks import is_web_address, one_line
 from objectfolder.base.errors import ObjectFolderError, plural, quoted, shortened
-from objectfolder.cli.console import console, print_line
+from objectfolder.cli.console import console, print_line, show_status
 from objectfolder.cli.files import OWN, folder_to_write, object_keys
 
 
 def release(
-    out: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to create.")],
+    *,
     objects: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="OBJECT",
+            metavar="[OBJECT]...",
             help=f"Built objects, each by its {OWN}; default: all.",
             callback=object_keys,
         ),
     ] = None,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to create.")],
     licence: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[OBJECT=]LICENCE",
-            help="Licence, such as CC0-1.0, of an object or of all without a SOURCE.txt. Repeatable.",
+            help="Licence of an object, or of all whose mesh has no SOURCE.txt, such as CC0-1.0. Repeatable.",
         ),
     ] = None,
     category: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[OBJECT=]CATEGORY",
-            help="Category of an object, or of all without one. Procedural objects have one. Repeatable.",
+            help="Category of an object, or of all others. Procedural ones have one. Repeatable.",
         ),
     ] = None,
     catalogue: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Catalogue with categories of fetched objects, such as catalogs/real.yaml."
-        ),
+        typer.Option(help="Catalogue of fetched objects, for their categories, such as catalogs/real.yaml."),
     ] = None,
-    name: Annotated[str, typer.Option(metavar="TEXT", help="Name of the dataset.")] = "Object Files",
-    creator: Annotated[str, typer.Option(metavar="TEXT", help="Who publishes it.")] = "unnamed",
-    version: Annotated[str, typer.Option(metavar="N.N.N", help="Version of the dataset.")] = "1.0.0",
+    name: Annotated[str, typer.Option(metavar="NAME", help="Name of the dataset.")] = "Object Files",
+    creator: Annotated[str, typer.Option(metavar="NAME", help="Publisher.")] = "unnamed",
+    version: Annotated[str, typer.Option(metavar="X.Y.Z", help="Version of the dataset.")] = "1.0.0",
     date: Annotated[
         str | None, typer.Option(metavar="YYYY-MM-DD", help="Date of publication; default: today.")
     ] = None,
     url: Annotated[
-        str, typer.Option(metavar="URL", help="Where it will be published.")
+        str, typer.Option(metavar="ADDRESS", help="Web address of the dataset.")
     ] = "https://example.org",
     draft: Annotated[
-        bool, typer.Option("--draft", help="Allow placeholders, and licences that are not SPDX expressions.")
+        bool, typer.Option("--draft", help="Allow placeholders, and licences without SPDX identifier.")
     ] = False,
-    site: Annotated[bool, typer.Option("--site/--no-site", help="Include the report on its objects.")] = True,
+    site: Annotated[bool, typer.Option("--site/--no-site", help="Add the report on its objects.")] = True,
 ) -> None:
-    """Pack built objects into a folder to publish.
+    """Pack built objects into a dataset for others (docs/dataset.md).
 
-    It holds the Object Files, an index, a dataset card, a datasheet, Croissant metadata, licences, checksums
-    and the report (docs/dataset.md). In Python, `objectfolder.Dataset("FOLDER")` reads it.
+    The folder holds Object Files, an index, a dataset card, a datasheet, Croissant metadata, licences,
+    checksums and the report. In Python, `objectfolder.Dataset("OUT")` reads it.
 
-    `objectfolder release kitchen --name Kitchen --creator "A. Smith" --url URL --licence CC0-1.0`
+    Example: `objectfolder release kitchen --name Kitchen --creator "A. Smith" --url URL --licence CC0-1.0`
     """
     from objectfolder.hub.fetch.catalogue import read_catalogue
     from objectfolder.hub.release.entries import (
@@ -99,7 +98,7 @@ def release(
         if entry.category
     }
     categories |= _by_key("--category", category, keys, MAX_CATEGORY)
-    with console.status("reading objects") as status:
+    with show_status("reading objects") as show:
         entries = [entry_of(key, values, licences, categories) for key in keys]
         words = describe_release(
             entries, name=name, creator=creator, version=version, date=_day(date), url=url
@@ -108,21 +107,18 @@ def release(
         kept = kept_licences(licences[""], entries, notices) if "" in licences else ""
         if not draft:
             check_publishable(entries, words, notices)
-        write_release(
-            out, entries, words, notices, site, on_object=lambda key: status.update(f"{key} is done")
-        )
+        write_release(out, entries, words, notices, site, on_object=lambda key: show(f"{key} is done"))
     size = sum(entry.bytes for entry in entries) / 1e6
     print_line(f"{out}: {plural(len(entries), 'object')}, {size:.1f} MB of Object Files")
     if kept:
         console.print(
-            f"note: --licence {licences['']} is not of those whose SOURCE.txt states another: {kept}",
+            f"note: --licence {licences['']} does not apply where SOURCE.txt states another: {kept}",
             highlight=False,
         )
     unnamed = [entry.key for entry in entries if not entry.source]
     if unnamed:
         console.print(
-            f"note: no source is stated of {shortened(', '.join(unnamed))}: it is read from SOURCE.txt "
-            "beside a mesh",
+            f"note: no source of {shortened(', '.join(unnamed))}: state it in SOURCE.txt beside the mesh",
             highlight=False,
         )
     unscored = [entry.key for entry in entries if entry.vision_psnr is None]

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from objectfolder.base.errors import ObjectFolderError, plural
-from objectfolder.cli.console import console, print_line, show_page
+from objectfolder.cli.console import print_line, show_page, show_status
 from objectfolder.cli.files import FORMS, OpenOption, object_files, page_to_write, site_to_write
 
 
@@ -14,7 +14,7 @@ def report(
     files: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="FILE",
+            metavar="[FILE]...",
             help=f"Object Files, each a {FORMS}; default: all objects of the workspace.",
             callback=object_files,
         ),
@@ -22,19 +22,18 @@ def report(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER|FILE",
-            help="Folder to write, default site; with --single-file, page, default report.html.",
+            help="Folder to write (default: site); with --single-file, page (default: report.html)."
         ),
     ] = None,
     single_file: Annotated[
-        bool, typer.Option("--single-file", help="Write everything into one page, to mail.")
+        bool, typer.Option("--single-file", help="Write one page that contains everything.")
     ] = False,
     open_page: OpenOption = True,
 ) -> None:
-    """Report on objects in a browser: ground truth beside predictions, scores, checks and the viewer.
+    """Write a website about objects: ground truth beside prediction, scores, checks and a viewer.
 
-    Writes a static site that opens from disk, offline (docs/viewer.md). If an object cannot be reported, the
-    others are, and the exit code is 1.
+    The site is static, and needs no server or network (docs/viewer.md). The exit code is 1 if there is an
+    object that cannot be reported; the others have their pages.
 
     Examples: `objectfolder report`, `objectfolder report mug.safetensors --single-file --out mug.html`
     """
@@ -59,8 +58,8 @@ def report(
         failed.append(key)
         print_line(f"{key} cannot be reported: {error}")
 
-    with console.status("reading objects") as status:
-        page = write_site(paths, out, missing, single_file, lambda key: status.update(f"{key} is done"), note)
+    with show_status("reading objects") as show:
+        page = write_site(paths, out, missing, single_file, lambda key: show(f"{key} is done"), note)
     count = plural(len(paths), "object") + (f", {len(failed)} failed" if failed else "")
     print_line(f"{page}: {count}")
     if open_page:

@@ -9,21 +9,18 @@ import typer
 from objectfolder.base.arrays import write_npy
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import check_output
-from objectfolder.cli.console import Commands, print_line
-from objectfolder.cli.files import bounded
+from objectfolder.cli.console import App, print_line
 from objectfolder.cli.objectfile import FileArgument
 
-sample_app = Commands(
-    help="Write files of random queries for `vision`, `audio` or `touch`, which `query` answers.",
+sample_app = App(
+    help="Write random, valid query files: `vision`, `audio` or `touch`; `query` answers them.",
 )
 
 _TAP = 0.01, 0.05  # impulses of taps with a small hammer or a finger, N s
 
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT.npy", help="File to write.")]
-CountOption = Annotated[
-    int, typer.Option("-n", "--count", **bounded(1), help="Number of queries, at least 1.")
-]
-SeedOption = Annotated[int, typer.Option(**bounded(0), help="Random seed, 0 or more.")]
+CountOption = Annotated[int, typer.Option("-n", "--count", min=1, help="Queries, one per row.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Random seed.")]
 
 
 @sample_app.command()
@@ -31,19 +28,19 @@ def vision(
     out: OutArgument,
     count: CountOption = 20,
     seed: SeedOption = 0,
-    radius: Annotated[float, typer.Option(metavar="RADIUS", help="Distance of the cameras.")] = 2.5,
-    light_radius: Annotated[float, typer.Option(metavar="RADIUS", help="Distance of the lights.")] = 1.0,
+    radius: Annotated[float, typer.Option(help="Radius of the sphere of cameras.")] = 2.5,
+    light_radius: Annotated[float, typer.Option(help="Radius of the sphere of lights.")] = 1.0,
     cameras_only: Annotated[
         bool,
         typer.Option(
             "--cameras-only",
-            help="Leave out the lights: (N, 3), for `query vision` with --lights or --environment.",
+            help="Leave out the lights: (N, 3), as `query vision` expects with --lights or --environment.",
         ),
     ] = False,
 ) -> None:
-    """Write views, (N, 6): camera xyz and light xyz, each uniform on a sphere around the object.
+    """Write views, (N, 6): camera xyz, light xyz, each uniform on a sphere around the object.
 
-    Positions are in the unit frame, where every object's longest side is 1, so no object is needed. Then:
+    Positions are in the unit frame, the same for all objects. Then:
 
     `objectfolder query vision FILE OUT.npy IMAGES/`
     """
@@ -61,9 +58,7 @@ def audio(
     seed: SeedOption = 0,
     force: Annotated[
         float | None,
-        typer.Option(
-            metavar="NUMBER", help="Magnitude of every impulse, N s; default: random, 0.01 to 0.05."
-        ),
+        typer.Option(help="Magnitude of every impulse, N s; default: taps, uniform in 0.01 to 0.05."),
     ] = None,
     directions: Annotated[
         str,
@@ -75,14 +70,13 @@ def audio(
     forces: Annotated[
         Path | None,
         typer.Option(
-            metavar="FORCES.npy",
-            help="Write the impulses, (N, 3), to this file, and only the points to OUT.npy.",
+            metavar="FORCES.npy", help="Write impulses (N, 3) to this file, and only points to OUT.npy."
         ),
     ] = None,
 ) -> None:
     """Write strikes, (N, 6): points on the surface (metres), uniform by area, and impulses (N s).
 
-    Then (with `--forces FORCES.npy` if there are two files, as in the published dataset):
+    Then, with `--forces FORCES.npy` for two files of (N, 3), as in the published dataset:
 
     `objectfolder query audio FILE OUT.npy SOUNDS/ --sample-rate 48000 --listener 0.5 0 0.3 --normalize`
     """
@@ -106,16 +100,15 @@ def touch(
         Path | None,
         typer.Option(
             metavar="GELINFO.npy",
-            help="Also write (N, 3): tilt theta up to 15 degrees and its direction phi, both in radians, and "
-            "press depth within the sensor's range, metres.",
+            help="Also write (N, 3): tilt theta up to 15 degrees, its direction phi (both in radians), depth "
+            "in the sensor's range (metres).",
         ),
     ] = None,
     sensor: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME|FILE",
-            help="Sensor whose range of depths is used: a name (`objectfolder sensor list`) or a .yaml file; "
-            "default: the object's.",
+            metavar="SENSOR",
+            help="Sensor of the depths: a name (`sensor list`) or .yaml file; default: the Object File's.",
         ),
     ] = None,
 ) -> None:
@@ -131,7 +124,7 @@ def touch(
 
     _check_names(out, gelinfo)
     if sensor is not None and gelinfo is None:
-        raise ObjectFolderError("--sensor chooses the depths of --gelinfo, which is not given")
+        raise ObjectFolderError("--sensor has an effect only with --gelinfo, whose depths it determines")
     obj = ObjectFile.load(file)
     arrays = {out: obj.sample_surface(count, seed)}
     if gelinfo is not None:

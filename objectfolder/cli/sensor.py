@@ -9,10 +9,10 @@ from rich.table import Table
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.base.io import check_output
-from objectfolder.cli.console import Commands, console, print_line
-from objectfolder.cli.files import bounded, empty_folder
+from objectfolder.cli.console import App, console, print_line
+from objectfolder.cli.files import empty_folder
 
-sensor_app = Commands(
+sensor_app = App(
     help="Tactile sensors: `list` profiles, `fit` a profile to photographs, `export` its colours.",
 )
 
@@ -37,59 +37,57 @@ def fit_sensor_profile(
     images: Annotated[
         list[Path],
         typer.Argument(
-            metavar="IMAGE",
-            help="Photographs of a ball pressed on the sensor in different places, or one Taxim calibration "
-            "pack (dataPack.npz).",
+            metavar="IMAGE...",
+            help="Photographs of a ball pressed on the sensor at different positions, or one calibration "
+            "pack of Taxim (dataPack.npz).",
         ),
     ],
     radius: Annotated[float, typer.Option(metavar="METRES", help="Radius of the ball.")],
     out: Annotated[
         Path,
-        typer.Option(metavar="FILE", help="Profile to write, .yaml; two more files are written beside it."),
+        typer.Option(metavar="FILE.yaml", help="Profile to write; two more files are written beside it."),
     ],
     sensor: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Initial profile: a name or a .yaml file.")
+        str, typer.Option(metavar="SENSOR", help="Initial profile: a name or a .yaml file.")
     ] = "digit",
     untouched: Annotated[
         Path | None,
-        typer.Option(
-            metavar="IMAGE", help="Photograph of the untouched sensor; without it, give at least 3 images."
-        ),
+        typer.Option(help="Photograph of the untouched sensor; without it, give 3 images or more."),
     ] = None,
     circle: Annotated[
         list[str] | None,
         typer.Option(
             metavar="ROW,COLUMN,RADIUS",
-            help="Circle of an imprint, in pixels of the profile's images; one per image; default: detected.",
+            help="Circle of an imprint, pixels of the profile's images; one per image. Default: detected.",
         ),
     ] = None,
     lights: Annotated[
         int | None,
         typer.Option(
-            **bounded(1),
-            help="Fit this many lights, with position and colour, and the coating; 6 suits most sensors.",
+            min=1,
+            help="Fit the coating and this many lights, with position and colour; 6 suits most sensors.",
         ),
     ] = None,
     residual: Annotated[
-        bool, typer.Option("--residual", help="With --lights, also fit a polynomial to the remaining error.")
+        bool, typer.Option("--residual", help="Also fit a polynomial to the remaining error.")
     ] = False,
 ) -> None:
     """Fit a sensor's lights and background to photographs of a ball pressed on it.
 
-    Press a steel ball (radius 2 to 10 mm) about 1 mm deep in three or more places away from the border. Take
-    a photograph of each press and one of the untouched sensor. Keep the camera upright; turn off automatic
-    exposure and white balance. Size, field of view, gel and positions of the lights must match the profile
+    Press a steel ball (radius 2 to 10 mm) about 1 mm deep at three or more positions away from the border.
+    Photograph each press, and the untouched sensor. The camera must be upright, without automatic exposure
+    or white balance; size, field of view, gel and positions of the lights must be those of the profile
     `--sensor`. Then:
 
     `objectfolder sensor fit a.png b.png c.png --untouched rest.png --radius 0.004 --out mine.yaml`
 
-    This writes mine.yaml, mine_background.png and mine_report.json. Lights of the same colour are fitted
-    together. With `--lights`, only geometry and gel are taken from the profile:
+    Writes mine.yaml, mine_background.png and mine_report.json. Lights of the same colour are fitted together.
+    With `--lights`, only geometry and gel are taken from the profile:
 
     `objectfolder sensor fit dataPack.npz --radius 0.002 --lights 6 --residual --sensor my.yaml --out n.yaml`
 
-    In Python, load it with `load_profile("mine.yaml")`. For a build, copy it to sensors/ of your workspace,
-    or in a clone to objectfolder/touch/profiles/.
+    In Python, load it with `load_profile("mine.yaml")`. For a build, copy it to objectfolder/touch/profiles/,
+    or to sensors/ of a workspace that `objectfolder init` made.
     """
     from objectfolder.touch.calibration import fit_sensor, fit_sensor_lights, save_fit
     from objectfolder.touch.photographs import read_pack, read_photograph
@@ -111,7 +109,9 @@ def fit_sensor_profile(
         pictures = np.stack([read_photograph(path, profile) for path in images])
     if lights is None:
         if residual:
-            raise ObjectFolderError("--residual is what fitted lights leave over: give --lights, such as 6")
+            raise ObjectFolderError(
+                "--residual corrects the error of fitted lights: give --lights, such as 6"
+            )
         fit = fit_sensor(pictures, radius, profile, rest, circles, names)
         table = Table(
             title=f"{out.stem}: lights of {profile.name}, fitted to {plural(len(pictures), 'image')}"
@@ -124,7 +124,7 @@ def fit_sensor_profile(
         console.print(table)
     else:
         if rest is None:
-            raise ObjectFolderError("--lights needs a picture of the untouched sensor: give --untouched")
+            raise ObjectFolderError("--lights needs a photograph of the untouched sensor: give --untouched")
         fit = fit_sensor_lights(pictures, radius, profile, rest, circles, names, lights, residual)
     source = f"{profile.source.strip()} Lights and background: fitted to {plural(len(pictures), 'image')}."
     written = save_fit(fit, out, out.stem, source)
@@ -137,30 +137,27 @@ def fit_sensor_profile(
 @sensor_app.command("export")
 def export_sensor(
     sensor: Annotated[
-        str,
-        typer.Argument(
-            metavar="SENSOR", help="Profile: a name (`objectfolder sensor list`) or a .yaml file."
-        ),
+        str, typer.Argument(metavar="SENSOR", help="Profile: a name (`sensor list`) or a .yaml file.")
     ],
     taxim: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="New or empty folder for polycalib.npz, bg.jpg and real_bg.npy."),
+        typer.Option(metavar="DIR", help="New or empty folder for polycalib.npz, bg.jpg and real_bg.npy."),
     ] = None,
     isaac_lab: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="The same, with the slopes that Isaac Lab looks up.")
+        Path | None, typer.Option(metavar="DIR", help="The same, in the form that Isaac Lab reads.")
     ] = None,
 ) -> None:
-    """Write a sensor's colours for the simulator Taxim or NVIDIA's Isaac Lab.
+    """Write a sensor's colours as the simulator Taxim or NVIDIA's Isaac Lab reads them.
 
     `objectfolder sensor export digit_real --isaac-lab digit_real/`
 
-    Prints what else Isaac Lab's GelSightRenderCfg needs.
+    Also prints the settings of Isaac Lab's GelSightRenderCfg.
     """
     from objectfolder.touch.profiles import load_profile
     from objectfolder.touch.taxim import BINS, export_taxim
 
     if (taxim is None) == (isaac_lab is None):
-        raise ObjectFolderError("give one folder: --taxim FOLDER or --isaac-lab FOLDER")
+        raise ObjectFolderError("give one folder: --taxim DIR or --isaac-lab DIR")
     given = taxim or isaac_lab
     assert given is not None
     folder, profile = empty_folder(given), load_profile(sensor)

@@ -14,35 +14,32 @@ def simulate(
     files: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="FILE",
-            help=f"Object Files whose keys are names of bodies, each a {FORMS}; default: the samples among "
-            "the bodies.",
+            metavar="[FILE...]",
+            help=f"Object Files of the bodies that their keys name, each a {FORMS}; default: samples.",
             callback=object_files,
         ),
     ] = None,
-    seconds: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the video.")] = 5.0,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Video to write, .mp4.")] = Path("clip.mp4"),
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the video.")] = 5.0,
+    out: Annotated[Path, typer.Option(help="Video to write, .mp4.")] = Path("clip.mp4"),
     listener: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
-            metavar="X Y Z",
-            help="Listener position, metres, world frame.",
-            show_default="the camera's",
+            metavar="X Y Z", help="Listener position, metres, world frame.", show_default="the camera's"
         ),
     ] = None,
-    size: Annotated[
-        tuple[int, int], typer.Option(metavar="WIDTH HEIGHT", help="Size in pixels, even numbers.")
+    resolution: Annotated[
+        tuple[int, int], typer.Option(metavar="WIDTH HEIGHT", help="Pixels, even numbers.")
     ] = (480, 360),
-    rate: Annotated[int, typer.Option(metavar="N", help="Frames per second.")] = 25,
-    seed: Annotated[int, typer.Option(metavar="N", help="Random seed for contact noise.")] = 0,
+    fps: Annotated[int, typer.Option(help="Frames per second.")] = 25,
+    seed: Annotated[int, typer.Option(help="Random seed of the contact noise.")] = 0,
 ) -> None:
     """Render a MuJoCo scene to video with the contact sounds of its Object Files.
 
-    `objectfolder simulate scene.xml --seconds 3 --out clip.mp4`
+    `objectfolder export mjcf` writes bodies for a scene. The simulation starts at the first keyframe, if any,
+    and is seen by the first camera. Sound is scaled to a peak of 1; the pressure of the peak is
+    printed. Needs the program ffmpeg; see docs/senses.md.
 
-    The scene contains objects that `objectfolder export mjcf` wrote. Without files, bodies named mug, die or
-    bell are the samples. The simulation starts from the first keyframe, if any; the first camera is the view.
-    The sound is scaled to a peak of 1; the peak's pressure is printed. Needs ffmpeg. See docs/senses.md.
+    Example: `objectfolder simulate scene.xml --duration 3 --out clip.mp4`
     """
     import mujoco
 
@@ -54,7 +51,7 @@ def simulate(
     from objectfolder.sim.clip import simulate as run
     from objectfolder.sim.hearing import Hearing
 
-    program = encoder("simulate", out, *size)
+    program = encoder("simulate", out, *resolution)
     try:
         model = mujoco.MjModel.from_xml_path(str(scene))
     except ValueError as error:
@@ -78,10 +75,10 @@ def simulate(
     view = default_view(model, data, objects)
     hearing = Hearing(model, objects, view.eye if listener is None else listener, seed=seed)
     hearing.reset(data)
-    take = run(model, data, hearing, seconds, rate)
+    take = run(model, data, hearing, duration, fps)
     loudest = float(abs(take.sound).max())
     console.print(f"loudest: {loudest:.3g} Pa", highlight=False)
-    width, height = size
+    width, height = resolution
     pictures = SceneCamera(model, objects, view, height, width).pictures(take)
     track = take.sound / loudest if loudest else take.sound
-    write_video(program, out, pictures, len(take.states), rate, size, track, round(hearing.sample_rate))
+    write_video(program, out, pictures, len(take.states), fps, resolution, track, round(hearing.sample_rate))

@@ -8,8 +8,9 @@ from rich.table import Table
 from rich.text import Text
 
 from objectfolder.base.errors import plural
-from objectfolder.cli.console import NO_OBJECTS, print_wide
+from objectfolder.cli.console import print_wide
 from objectfolder.engine.status import Outlook, StageStatus, State
+from objectfolder.engine.summary import NO_OBJECTS
 from objectfolder.workspace.stages import TASKS
 
 MARKS = {

@@ -11,13 +11,13 @@ from rich.text import Text
 
 from objectfolder.base.errors import ObjectFolderError, plural
 from objectfolder.cli.console import console, print_wide, track_progress
-from objectfolder.cli.files import Targets, bounded
+from objectfolder.cli.files import Targets
 
 
 def status(
     targets: Targets = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print JSON: a list of stages, or while a build runs, an object.")
+        bool, typer.Option("--json", help="Print JSON: a list of stages; while a build runs, its progress.")
     ] = False,
     check: Annotated[
         bool, typer.Option("--check", help="Exit with code 1 unless all stages are fresh.")
@@ -25,12 +25,11 @@ def status(
 ) -> None:
     """Show which stages are fresh, stale, missing, failed or never built.
 
-    Without targets: the objects that are not fresh, with a mark per stage. With targets: each of their stages
-    and why it is not fresh: the changed dependency, parameter (old -> new) or module, the missing output, or
-    the failure in the last build and its log. These are the stages that `objectfolder build` with the same
-    targets would bring up to date.
+    Without targets: the objects that are not fresh, with a mark per stage. With targets: each stage, and why
+    it is not fresh: the changed dependency, parameter (old -> new) or module, the missing output, or the
+    failure of the last build and its log. `objectfolder build` with the same targets brings them up to date.
 
-    While a build runs, in any terminal or on a cluster: what is running, done, failed and left.
+    While a build runs, in any terminal or on a cluster: its running, finished, failed and remaining stages.
     """
     from objectfolder.engine.journal import read_journal
     from objectfolder.engine.progress import print_build, print_death
@@ -67,26 +66,23 @@ def status(
 def verify(
     targets: Targets = None,
     repair: Annotated[
-        bool, typer.Option("--repair", help="Restore or rebuild damaged files, then verify again.")
+        bool, typer.Option("--repair", help="Restore or rebuild bad files, then verify again.")
     ] = False,
     jobs: Annotated[
         int | None,
         typer.Option(
-            "--jobs",
-            "-j",
-            **bounded(1),
-            help="Files to read in parallel, at least 1; default: the number of cores.",
+            "--jobs", "-j", min=1, help="Number of files to read in parallel; default: number of cores."
         ),
     ] = None,
 ) -> None:
-    """Verify the hashes of artifacts and cached files against dvc.lock, and check that artifacts load.
+    """Verify the hashes of all artifacts and cached files, and check that artifacts load.
 
-    DVC trusts file sizes and times; this command also finds silent corruption, in the workspace and in the
-    cache. Without targets it reads the whole cache, including files of earlier states. The exit code is 1 if
-    anything is damaged.
+    Hashes are those of dvc.lock. DVC trusts file sizes and times; this command also finds silent corruption,
+    in the workspace and in the cache. Without targets, the whole cache is read, including files of earlier
+    states. The exit code is 1 if anything is bad.
 
-    --repair restores a damaged file from the intact copy in the cache or the workspace, or rebuilds it if
-    there is none. Sources that differ from their .dvc file are kept, because you may have edited them.
+    --repair restores a bad file from the intact copy in the cache or the workspace, and rebuilds it if there
+    is none. Sources that differ from their .dvc file are kept, because you may have edited them.
     """
     from objectfolder.engine.progress import Progress, print_summary
     from objectfolder.engine.verify import verify as run_verify
@@ -107,19 +103,19 @@ def verify(
 
 
 def prune(
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Remove without confirmation.")] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Show what would be removed without removing it.")
+        bool, typer.Option("--dry-run", help="Show what would be removed; remove nothing.")
     ] = False,
 ) -> None:
-    """Remove what was built for objects that are no longer in params.yaml, after confirmation.
+    """Remove the build results of objects that are no longer in params.yaml, after confirmation.
 
     This removes their artifacts, metrics and logs, their entries in dvc.lock, and their cached files and
-    saved runs, except those that dvc.lock, a .dvc file or a saved run of another object refers to. Sources in
+    saved runs, unless dvc.lock, a .dvc file or a saved run of another object refers to them. Sources in
     data/objects and files that the pipeline did not write are kept.
 
-    Like `dvc gc --workspace`, it considers only this workspace: other branches or commits with these objects
-    have to build or `dvc pull` them again.
+    Like `dvc gc --workspace`, it considers only this workspace: on other branches or commits with these
+    objects, build or `dvc pull` them again.
     """
     from objectfolder.engine.prune import prune as run_prune
     from objectfolder.engine.prune import survey

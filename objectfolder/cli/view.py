@@ -15,19 +15,15 @@ def view(
     files: FilesArgument,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Page to write, such as mug.html, to keep or mail; default: a temporary file.",
-        ),
+        typer.Option(metavar="FILE.html", help="Page to write; default: a temporary file."),
     ] = None,
     open_page: OpenOption = True,
 ) -> None:
     """See, strike and touch objects in a browser.
 
-    Writes one page with the files and the program that queries them. It needs no server and no network
-    (docs/viewer.md).
+    Writes one page that contains the files and the viewer. It needs no server or network (docs/viewer.md).
 
-    Examples: `objectfolder view mug`, `objectfolder view mug.safetensors`
+    Examples: objectfolder view mug, objectfolder view mug.safetensors
     """
     from objectfolder.base.io import write_text
     from objectfolder.objectfile.file import ObjectFile
@@ -39,7 +35,7 @@ def view(
         key = ObjectFile.load(path).key
         if key in objects:
             raise ObjectFolderError(
-                f"{path}: another file holds an object of the key {key}; give one of them"
+                f"{path}: another file has an object with the key {key}; give one of them"
             )
         objects[key] = path.read_bytes()
     write_text(page, viewer_page(objects, ", ".join(objects)))

@@ -10,10 +10,18 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from objectfolder.base.errors import ObjectFolderError, plural
-from objectfolder.cli.console import NO_OBJECTS, console, print_line
-from objectfolder.cli.files import Targets, bounded
+from objectfolder.cli.console import console, print_line
+from objectfolder.cli.files import Targets
 
 MAX_SCORES = 40  # objects whose scores a build prints
+#: Presets, and what an object then costs (docs/pipeline.md, docs/faithful.md).
+COSTS = {
+    "quick": "about two minutes of CPU time per object",
+    "laptop": "the same; only its benchmarks differ",
+    "standard": "tens of minutes per object on one core",
+    "faithful": "months of CPU time per object, less on a GPU",
+    "faithful-small": "5 to 10 CPU hours per object",
+}
 
 
 class Engine(StrEnum):
@@ -28,65 +36,57 @@ def build(
     jobs: Annotated[
         int | None,
         typer.Option(
-            "--jobs",
-            "-j",
-            **bounded(1),
-            help="Number of cores to use, at least 1; default: all, with --engine ray those of the cluster.",
+            "--jobs", "-j", min=1, help="Number of cores; default: all (--engine ray: of the cluster)."
         ),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", "-f", help="Also rerun stages that are up to date.")
-    ] = False,
+    force: Annotated[bool, typer.Option("--force", "-f", help="Rerun stages that are up to date.")] = False,
     keep_going: Annotated[
         bool,
-        typer.Option(
-            "--keep-going/--fail-fast", help="After a failure, continue with stages that do not depend on it."
-        ),
+        typer.Option("--keep-going/--fail-fast", help="After a failure, continue with independent stages."),
     ] = True,
     timeout: Annotated[
         float | None,
         typer.Option(
-            **bounded(0, kind=float, metavar="SECONDS"),
-            help="Time limit of each stage; 0: none; default: hours, depending on the stage.",
+            min=0, metavar="SECONDS", help="Time limit of each stage; 0: none. Default: hours, by stage."
         ),
     ] = None,
     engine: Annotated[
-        Engine,
-        typer.Option(metavar="local|ray", help="Where to run stages: on this machine or on a Ray cluster."),
+        Engine, typer.Option(help="Run stages on this machine or on a Ray cluster.")
     ] = Engine.LOCAL,
     address: Annotated[
         str | None,
         typer.Option(
             metavar="HOST:PORT",
-            help="Head node of the Ray cluster; default: the cluster that this machine belongs to.",
+            help="Head node of the Ray cluster; default: auto, the cluster of this machine.",
         ),
     ] = None,
     pull: Annotated[
-        bool, typer.Option("--pull", help="First pull available outputs from the default DVC remote.")
+        bool, typer.Option("--pull", help="Pull available outputs from the default DVC remote first.")
     ] = False,
     wait: Annotated[
         bool,
-        typer.Option("--wait", help="If another process uses the workspace, wait instead of failing."),
+        typer.Option("--wait", help="Wait while another process uses the workspace, instead of failing."),
     ] = False,
     dry_run: Annotated[
         bool,
         typer.Option(
             "--dry-run",
-            help="Show which stages would run or be restored, and why, without changing anything. Of the "
-            "other options, only --wait has an effect; --force and --pull are refused.",
+            help="Show which stages would run or be restored, and why; change nothing. Of the other options, "
+            "only --wait has an effect; --force and --pull are refused.",
         ),
     ] = False,
 ) -> None:
-    """Build the objects of the workspace: run outdated stages in parallel, with DVC's graph and cache.
+    """Build outdated stages in parallel, with the graph and cache of DVC.
 
     Examples: `objectfolder build -j 2`, `objectfolder build mug`, `objectfolder build modal@mug`,
-    `objectfolder build --engine ray` (docs/pipeline.md says what a cluster needs).
+    `objectfolder build --engine ray` (requirements of a cluster: docs/pipeline.md).
 
-    The stage `observe` runs only for tasks listed in `benchmarks` of params.yaml, or if a target names it.
-    Logs of stages are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
+    The stage `observe` runs only for tasks that `benchmarks` in params.yaml lists, or if a target names it.
+    Stage logs are in build/.logs. `dvc status`, `dvc repro` and `dvc metrics show` work as usual.
     """
     from objectfolder.base.io import check_output
     from objectfolder.engine.progress import Progress, print_summary
+    from objectfolder.engine.summary import NO_OBJECTS
     from objectfolder.engine.unchanged import recall
 
     if address is not None and engine is Engine.LOCAL:
@@ -120,11 +120,11 @@ def build(
                 make_workers=ray_workers(address or "auto") if engine is Engine.RAY else local_workers,
             )
     print_summary(summary)
+    if not targets and not any(result.key for result in summary.stages.values()):
+        console.print(NO_OBJECTS, soft_wrap=True, highlight=False)
     evaluated = sorted(a.partition("@")[2] for a in summary.stages if a.startswith("evaluate@"))
     if summary.ok and 0 < len(evaluated) <= MAX_SCORES:
         _print_metrics(evaluated)
-    elif summary.ok and not targets and not any("@" in address for address in summary.stages):
-        console.print(NO_OBJECTS, highlight=False, soft_wrap=True)
     elif summary.ok and evaluated:
         console.print(f"{plural(len(evaluated), 'object')} evaluated; `dvc metrics show` prints their scores")
     raise typer.Exit(not summary.ok)
@@ -146,20 +146,15 @@ def preset(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="NAME",
-            help="quick, laptop, standard, faithful, faithful-small, or your own (params/NAME.yaml).",
+            metavar="NAME", help="; ".join(f"{name}: {cost}" for name, cost in COSTS.items()) + "."
         ),
     ],
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the changes without making them.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the changes; change nothing.")] = False,
 ) -> None:
-    """Set params.yaml to a preset: numbers of views, FEM resolution, training length and more.
+    """Set params.yaml to a preset: number of views, FEM resolution, training length and more.
 
-    `quick` is the defaults; params/NAME.yaml holds what differs from them. Objects, seed and selected
-    benchmarks are kept. Each changed setting is printed.
-
-    A build then takes, per object: `quick` and `laptop` about 130 s of CPU time and 24 MB; `standard` more;
-    `faithful` a GPU, with 150 times as many samples of views as `quick`; `faithful-small` a night on two
-    cores.
+    quick is the defaults; params/NAME.yaml holds what differs from them, and may be your own. Objects, seed
+    and selected benchmarks are kept. Each setting that changes is printed.
     """
     from objectfolder.workspace.presets import apply_preset
 
@@ -169,13 +164,17 @@ def preset(
     count = plural(len(changed), "setting") if changed else "nothing"
     done = f"would change {count}" if dry_run else f"changed {count}; next: objectfolder build"
     console.print(f"preset {name}: {done}")
+    if name in COSTS:
+        console.print(f"a build then takes {COSTS[name]}", highlight=False, soft_wrap=True)
 
 
 def inspect(
-    target: Annotated[str, typer.Argument(metavar="STAGE@OBJECT", help="Such as `modal@mug`.")],
-    vtu: Annotated[bool, typer.Option(help="Also export the solid for ParaView; voxelize only.")] = False,
+    target: Annotated[
+        str, typer.Argument(metavar="STAGE@OBJECT", help="Stage and object, such as `modal@mug`.")
+    ],
+    vtu: Annotated[bool, typer.Option(help="Also export the solid for ParaView (voxelize only).")] = False,
 ) -> None:
-    """Summarize the artifacts of a stage in a table, and save a picture beside them."""
+    """Summarize what a stage wrote in a table, and save a picture beside it."""
     from objectfolder.report.inspect_stage import STAGES, inspect_stage
     from objectfolder.report.inspection import print_inspection
     from objectfolder.workspace.params import PARAMS_FILE, outside_workspace
@@ -210,9 +209,8 @@ def _print_metrics(keys: list[str]) -> None:
     console.print(table)
     for key in keys:
         b = Build(key)
-        report = read_json(b.modal)
-        if warning := uncertainty_warning(report, key):
-            if not report.get("uncertain"):  # whose warning says it
+        if warning := uncertainty_warning(report := read_json(b.modal), key):
+            if not report.get("uncertain"):  # else it says so itself
                 warning += "; thicken them, or raise modal.fine.max_degrees_of_freedom in params.yaml"
             console.print(f"warning: {warning}", style="yellow", soft_wrap=True, highlight=False)
         sheets = (b.views_sheet, b.touch_sheet, b.vision_sheet, b.sound_sheet)

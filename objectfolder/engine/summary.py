@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+NO_OBJECTS = "there are no objects yet; run `objectfolder add MESH --name NAME --material MATERIAL`"
+
 
 class StageOutcome(StrEnum):
     """Outcome of a stage."""

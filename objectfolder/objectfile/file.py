@@ -47,8 +47,8 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
     `impact` or `touch` is a tensor, so is the answer, on the same device; no gradients flow. The answer to a
     row depends on that row only. Queries are thread-safe.
 
-    The file is in memory: later changes to the file do not affect results. A pickle or a copy holds its
-    bytes, not its path, so that it answers the same in another process, on another machine and after a
+    The file is read into memory: later changes to the file do not affect results. A pickle or a copy holds
+    its bytes, not its path, so it gives the same results in another process, on another machine and after a
     rebuild; parts are read again there. docs/queries.md tells how to query in worker processes.
 
     Parameters

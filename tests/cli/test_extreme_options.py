@@ -79,15 +79,16 @@ def test_more_sound_than_memory(brick):
 @pytest.mark.parametrize(
     ("option", "value", "expected"),
     [
-        ("--seconds", "1e9", "48,000,000,000,000 samples of sound: needs 576,000,000,000,000 bytes"),
-        ("--seconds", "1e308", "samples of sound: needs"),
-        ("--seconds", "inf", "seconds of a turntable is inf, expected a finite number"),
-        ("--seconds", "nan", "seconds of a turntable is nan, expected a finite number"),
-        ("--seconds", "-1", "seconds of a turntable is -1.0, expected more than 0"),
-        ("--size", "1000000", "a picture of 1000000 x 1000000 pixels: needs"),
-        ("--size", "2", "--size"),
-        ("--rate", "0", "--rate"),
-        ("--rate", "9223372036854775807", "--rate"),
+        ("--duration", "1e9", "48,000,000,000,000 samples of sound: needs 576,000,000,000,000 bytes"),
+        ("--duration", "1e308", "samples of sound: needs"),
+        ("--duration", "inf", "seconds of a turntable is inf, expected a finite number"),
+        ("--duration", "nan", "seconds of a turntable is nan, expected a finite number"),
+        ("--duration", "-1", "seconds of a turntable is -1.0, expected more than 0"),
+        ("--resolution", "1000000", "a picture of 1000000 x 1000000 pixels: needs"),
+        ("--resolution", "2", "--resolution"),
+        ("--size", "2", "--resolution"),
+        ("--fps", "0", "--fps"),
+        ("--fps", "9223372036854775807", "--fps"),
         ("--contacts", "0", "--contacts"),
         ("--contacts", "1000000000000", "1,000,000,000,000 tactile images: needs"),
         ("--seed", "-1", "--seed"),
@@ -142,7 +143,7 @@ def test_a_full_disk_is_named(brick_path, tmp_path):
 
 def test_a_place_that_cannot_be_written_is_named(brick_path, tmp_path):
     (tmp_path / "file").write_text("")
-    words = ["export", "nerfstudio", tmp_path / "file" / "out", brick_path]
+    words = ["export", "nerfstudio", brick_path, tmp_path / "file" / "out"]
     done = subprocess.run(
         [sys.executable, "-c", MAIN, *map(str, words)], capture_output=True, text=True, check=False
     )

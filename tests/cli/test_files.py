@@ -200,4 +200,4 @@ def test_the_name_of_a_sample_is_no_path(tmp_path, monkeypatch):
 def test_an_export_into_a_file_is_refused_before_any_work(tmp_path, kind):
     (tmp_path / "afile").touch()
     with pytest.raises(ObjectFolderError, match="afile is a file, expected a folder; choose another name"):
-        app(["export", kind, str(tmp_path / "afile"), "mug"], standalone_mode=False)
+        app(["export", kind, "mug", str(tmp_path / "afile")], standalone_mode=False)

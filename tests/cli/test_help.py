@@ -1,65 +1,108 @@
-"""Help of all commands, and completion in a shell."""
+"""Help of all commands, the grammar of their arguments and options, and their progress without a terminal."""
 
+import io
 import re
 
 import pytest
-import typer
 from typer.main import get_command
 from typer.testing import CliRunner
 
 from objectfolder.base.materials import material_names
-from objectfolder.cli import PANELS, app
-from objectfolder.cli.files import bounded
+from objectfolder.base.terminal import Terminal
+from objectfolder.cli import FORMER, PANELS, app, console, doctor
+from objectfolder.engine.summary import NO_OBJECTS, StageOutcome, StageResult, Summary
 
 
-def paths(command, path=()):
-    yield path
-    for name, below in getattr(command, "commands", {}).items():
-        yield from paths(below, (*path, name))
+def _walk(command, *path):
+    yield path, command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _walk(inner, *path, name)
 
 
-def said(*words, width=100):
-    result = CliRunner().invoke(app, words, env={"COLUMNS": str(width), "TERMINAL_WIDTH": str(width)})
-    assert result.exit_code == 0, result.output
-    return result.output
+COMMANDS = dict(_walk(get_command(app)))
 
 
-@pytest.mark.parametrize("path", [*paths(get_command(app))], ids=" ".join)
-def test_help_shows_forms_and_no_types(path):
-    text = said(*path, "-h")
-    assert not re.search(r"<[a-z]|\[x|x>=|<=x", text), text
+def run(*words, **env):
+    done = CliRunner().invoke(app, words, prog_name="objectfolder", env={"TERMINAL_WIDTH": "200"} | env)
+    assert done.exit_code == 0, done.output
+    return done.output
 
 
-def test_help_shows_what_is_typed():
-    audio = said("query", "audio", "-h")
-    assert re.search(r"--listener +X Y Z +Listener position", audio)
-    assert re.search(r"--duration +SECONDS ", audio)
-    assert re.search(r"--forces +FORCES\.npy ", audio)
-    assert re.search(r"--jobs +-j +N +Number of cores to use, at least 1", said("build", "-h"))
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+def test_help_shows_what_is_typed_instead_of_types(path):
+    text = run(*path, "-h")
+    for kind in ("<", "range [", "list[", "[x", "}...", "]...]", "{F", "{O"):
+        assert kind not in text.replace("train-{000000..000003}", "")
+    assert {"-h", "--help"} <= {*text.split()}
 
 
-def test_commands_stand_in_panels_by_purpose():
-    titles = re.findall(r"^╭─ (\w+)", said("-h"), re.MULTILINE)
-    assert titles == ["Options", *PANELS]
+def test_a_place_has_its_numbers_and_a_count_is_n():
+    text = run("simulate", "--help")
+    assert "SCENE.xml [FILE...]" in text
+    for form in (r"--listener +X Y Z  ", r"--resolution +WIDTH HEIGHT  ", r"--fps +N  "):
+        assert re.search(form, text)
 
 
-def test_help_of_add_lists_the_materials():
-    text = " ".join(said("add", "-h", width=200).split())
-    assert ", ".join(material_names()) in text
+def test_commands_are_in_panels():
+    text = run("--help")
+    places = [text.index(f"─ {panel} ─") for panel in PANELS]
+    assert places == sorted(places)
+    assert text.index("─ Query ─") < text.index("│ sample ") < text.index("─ Publish ─")
 
 
-@pytest.mark.parametrize("text", ["0", "11", "2.5", "few", "nan"])
-def test_a_number_out_of_bounds_is_refused_in_words(text):
-    with pytest.raises(typer.BadParameter, match=f"'{text}', expected a whole number from 1 to 10"):
-        bounded(1, 10)["parser"](text)
+def test_out_is_the_last_argument_and_options_have_one_name():
+    for path, command in COMMANDS.items():
+        arguments = [one.name for one in command.params if one.param_type_name == "argument"]
+        assert "out" not in arguments[:-1], path
+        assert not {f"--{name}" for name in FORMER} & {name for one in command.params for name in one.opts}
 
 
-def test_numbers_within_bounds_are_read():
-    assert [bounded(1, 10)["parser"](text) for text in ("1", "10")] == [1, 10]
-    assert bounded(0, kind=float)["parser"]("0.5") == 0.5
+def test_materials_and_costs_are_in_help():
+    text = run("add", "--help")
+    assert all(name in text for name in material_names())
+    assert "faithful: months of CPU time per object" in " ".join(
+        run("preset", "--help").replace("│", "").split()
+    )
 
 
 def test_a_shell_completes_commands():
-    shell = {"_OBJECTFOLDER_COMPLETE": "complete_bash", "COMP_WORDS": "objectfolder lis", "COMP_CWORD": "1"}
-    result = CliRunner().invoke(app, env=shell, prog_name="objectfolder")
-    assert result.output.split() == ["listening"]
+    asked = {"COMP_WORDS": "objectfolder que", "COMP_CWORD": "1"}
+    assert run(_OBJECTFOLDER_COMPLETE="complete_bash", **asked).split() == ["query"]
+
+
+def test_without_a_terminal_long_work_says_how_far_it_is_each_minute(monkeypatch, capsys):
+    now = iter((0, 30, 61, 61, 70, 100))
+    monkeypatch.setattr(console.time, "monotonic", lambda: next(now))
+    assert list(console.track_progress("abcd", "examining", 4)) == [*"abcd"]
+    assert capsys.readouterr().err.splitlines() == ["examining: 2 of 4"]
+
+
+def test_a_status_is_shown_each_minute(monkeypatch, capsys):
+    monkeypatch.setattr(console, "MINUTE", 0)
+    with console.show_status("begun") as show:
+        show("1 of 3 views")
+    assert capsys.readouterr() == ("", "1 of 3 views\n")
+
+
+def test_doctor_cuts_nothing_in_eighty_columns(monkeypatch):
+    terminal = Terminal(file=io.StringIO(), width=80, force_terminal=True)
+    monkeypatch.setattr(doctor, "console", terminal)
+    long = "x" * 70
+    monkeypatch.setattr(doctor, "examine", lambda: [doctor.Part("LLVM 19", "", False, long, long)])
+    doctor.doctor()
+    text = terminal.file.getvalue()
+    assert "…" not in text
+    assert text.count("x") == 140
+
+
+def test_a_build_without_objects_says_how_to_add_one(monkeypatch):
+    done = {"hash_code": StageResult("hash_code", StageOutcome.SKIPPED)}
+    monkeypatch.setattr("objectfolder.engine.unchanged.recall", lambda *given, **options: Summary(done, 0.1))
+    assert NO_OBJECTS in run("build")
+    monkeypatch.setattr(
+        "objectfolder.engine.unchanged.recall",
+        lambda *given, **options: Summary(
+            done | {"pack@mug": StageResult("pack@mug", StageOutcome.SKIPPED)}, 0.1
+        ),
+    )
+    assert NO_OBJECTS not in run("build")

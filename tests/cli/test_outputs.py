@@ -27,8 +27,8 @@ COMMANDS = {
     "query vision": "query vision mug none.npy BAD/out",
     "query audio": "query audio mug none.npy BAD/out",
     "query touch": "query touch mug none.npy BAD/out",
-    "export mjcf": "export mjcf BAD/out mug",
-    "export webdataset": "export webdataset BAD/out none",
+    "export mjcf": "export mjcf mug BAD/out",
+    "export webdataset": "export webdataset none BAD/out",
     "release": "release BAD/out",
 }
 
@@ -48,7 +48,7 @@ def test_a_place_that_cannot_be_written_is_refused_first(name, tmp_path, monkeyp
     assert [path.name for path in Path().iterdir()] == ["bad"]
 
 
-@pytest.mark.parametrize("words", ["query audio mug none.npy out", "export mjcf out mug", "release out"])
+@pytest.mark.parametrize("words", ["query audio mug none.npy out", "export mjcf mug out", "release out"])
 def test_a_link_to_nothing_is_no_folder(words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("out").symlink_to("nowhere")

@@ -164,7 +164,7 @@ def test_unknown_target_suggests_close_ones_or_lists_the_objects(workspace, targ
 
 def test_unknown_target_of_a_workspace_without_objects(make_workspace):
     root = make_workspace("stages: {}\n").root
-    refused("there are no objects yet; run `objectfolder add`", build, ["mug"], root=root)
+    refused("there are no objects yet; run `objectfolder add MESH", build, ["mug"], root=root)
 
 
 def test_two_jobs_overlap(workspace):

@@ -15,7 +15,7 @@ from objectfolder.cli.statusview import as_json, print_details, print_outlook, p
 from objectfolder.engine.build import build
 from objectfolder.engine.dvc.repository import open_repository
 from objectfolder.engine.status import Outlook, StageStatus, State, status
-from objectfolder.engine.summary import StageOutcome
+from objectfolder.engine.summary import NO_OBJECTS, StageOutcome
 
 from . import tiny_project
 from .conftest import KEYS, everything
@@ -269,8 +269,7 @@ def test_splits_of_benchmarks_are_no_objects():
         (("fresh", "stale"), "1 stage fresh, 1 source stale; 1 of 1 object complete"),
         (
             ("missing",),
-            "no stages, 1 source missing; no objects yet: "
-            "`objectfolder add MESH --name NAME --material MATERIAL`",
+            f"no stages, 1 source missing; {NO_OBJECTS}",
         ),
     ],
 )
@@ -300,7 +299,7 @@ def test_without_objects_it_says_how_to_add_one():
     found = [StageStatus("hash_code", State.NEVER, Outlook.RUN)]
     assert printed(print_table, found, width=60).splitlines() == [
         "- hash_code  never built",
-        "1 stage never built; no objects yet: `objectfolder add MESH --name NAME --material MATERIAL`",
+        f"1 stage never built; {NO_OBJECTS}",
     ]
 
 

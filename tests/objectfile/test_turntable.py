@@ -94,7 +94,7 @@ def film(*arguments):
 
 def test_video_says_what_it_needs(brick_path, tmp_path, monkeypatch):
     refused(r"a name that ends in \.mp4", film, brick_path, "--out", tmp_path / "a.gif")
-    with pytest.raises(ObjectFolderError, match="size is 63, expected an even number"):
+    with pytest.raises(ObjectFolderError, match="resolution is 63, expected an even number"):
         film(brick_path, "--out", tmp_path / "a.mp4", "--size", 63)
     monkeypatch.setattr("shutil.which", lambda program: None)
     refused("apt-get install ffmpeg", film, brick_path, "--out", tmp_path / "a.mp4")

@@ -170,7 +170,7 @@ def test_arrays_come_back_from_a_buffer_of_any_length():
 
 
 def test_command(brick_path, tmp_path):
-    done = CliRunner().invoke(app, ["export", "glb", str(tmp_path), str(brick_path), "--hulls", "2"])
+    done = CliRunner().invoke(app, ["export", "glb", str(brick_path), str(tmp_path), "--hulls", "2"])
     assert done.exit_code == 0
     assert (tmp_path / "brick" / "brick.glb").stat().st_size > 10_000
 

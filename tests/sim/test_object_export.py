@@ -216,7 +216,7 @@ def test_what_is_broken_off_leaves_nothing(brick, body, tmp_path, write, monkeyp
 
 @pytest.mark.parametrize("kind", ["mjcf", "urdf"])
 def test_command_writes_what_mujoco_loads(brick_path, tmp_path, kind):
-    arguments = ["export", kind, str(tmp_path / "out"), str(brick_path), "--hulls", "1"]
+    arguments = ["export", kind, str(brick_path), str(tmp_path / "out"), "--hulls", "1"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.exception
     [printed] = result.stdout.split()
@@ -226,7 +226,7 @@ def test_command_writes_what_mujoco_loads(brick_path, tmp_path, kind):
 
 
 def test_command_refuses_two_objects_of_a_name(brick_path, tmp_path):
-    result = CliRunner().invoke(app, ["export", "mjcf", str(tmp_path / "out"), *[str(brick_path)] * 2])
+    result = CliRunner().invoke(app, ["export", "mjcf", *[str(brick_path)] * 2, str(tmp_path / "out")])
     assert "a second object brick" in str(result.exception)
     assert not (tmp_path / "out").exists()
 
@@ -237,7 +237,7 @@ def test_command_checks_all_objects_before_it_writes_one(brick, brick_path, tmp_
     parts = {name: value for name, value in header.items() if value is not None}
     ObjectFile(parts, brick.tensors).save(tmp_path / "second.safetensors")
     files = [str(brick_path), str(tmp_path / "second.safetensors")]
-    arguments = ["export", "mjcf", str(tmp_path / "out"), *files]
+    arguments = ["export", "mjcf", *files, str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments)
     assert isinstance(result.exception, ObjectFolderError)
     assert "second" in str(result.exception)
@@ -248,7 +248,7 @@ def test_command_checks_all_objects_before_it_writes_one(brick, brick_path, tmp_
 def test_library_that_is_not_there_is_named(brick_path, tmp_path, monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)
     kind, extra = ("usd", "usd") if library == "pxr" else ("urdf", "rl")
-    result = CliRunner().invoke(app, ["export", kind, str(tmp_path / "out"), str(brick_path)])
+    result = CliRunner().invoke(app, ["export", kind, str(brick_path), str(tmp_path / "out")])
     assert isinstance(result.exception, ObjectFolderError)
     assert f"{library} is not installed; this needs: {install_command(extra)}" in str(result.exception)
     assert not (tmp_path / "out").exists()

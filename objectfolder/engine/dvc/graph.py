@@ -12,6 +12,7 @@ from dvc.stage import PipelineStage, Stage
 
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.engine.dvc.repository import OpenRepository
+from objectfolder.engine.summary import NO_OBJECTS
 from objectfolder.workspace.stages import ON_DEMAND, TASKS
 
 
@@ -110,6 +111,5 @@ def _suggest(target: str, addresses: dict[str, Stage], root: Path) -> str:
         return f"did you mean {', '.join(close)}?"
     split = (address.partition("@") for address in addresses)
     keys = ", ".join(sorted({key for stage, _, key in split if key and stage not in TASKS}))
-    if not keys:
-        return "there are no objects yet; run `objectfolder add`"
-    return f"the objects are {shortened(keys, 300)}; `dvc stage list` lists the stages"
+    objects = f"the objects are {shortened(keys, 300)}" if keys else NO_OBJECTS
+    return f"{objects}; `dvc stage list` lists the stages"

@@ -188,7 +188,7 @@ def run(*words):
 )
 def test_commands_take_folders_of_one_or_more_objects(root, tmp_path, library, given, said):
     split = ["--split", "unseen"] if len(given) > 1 else []
-    result = run(library, tmp_path / "out", *(root / name for name in given), *split)
+    result = run(library, *(root / name for name in given), tmp_path / "out", *split)
     assert result.exit_code == 0, result.output
     assert f"{2 if split else 3} objects" in result.output
     assert said in result.output
@@ -200,14 +200,14 @@ def test_commands_take_folders_of_one_or_more_objects(root, tmp_path, library, g
     [(["--split", "other"], "split 'other' is unknown"), (["{tmp}"], "contains no observations")],
 )
 def test_commands_say_what_is_wrong(root, tmp_path, arguments, message):
-    result = run("datasets", tmp_path / "out", root, *(word.format(tmp=tmp_path) for word in arguments))
+    result = run("datasets", root, *(word.format(tmp=tmp_path) for word in arguments), tmp_path / "out")
     assert isinstance(result.exception, ObjectFolderError)
     assert message in str(result.exception)
 
 
 def test_library_that_is_not_there_is_named(root, tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    result = run("webdataset", tmp_path / "out", root)
+    result = run("webdataset", root, tmp_path / "out")
     assert f"webdataset is not installed; this needs: {install_command('hub')}" in str(result.exception)
 
 

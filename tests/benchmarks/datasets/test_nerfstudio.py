@@ -66,7 +66,7 @@ def test_a_fixed_light_is_that_of_all_frames(brick, tmp_path):
 
 
 def test_the_command_writes_a_folder_per_object_and_keeps_what_is_there(brick_path, tmp_path):
-    words = ["export", "nerfstudio", str(tmp_path / "out"), str(brick_path), "-n", "2", "--resolution", "8"]
+    words = ["export", "nerfstudio", str(brick_path), str(tmp_path / "out"), "-n", "2", "--resolution", "8"]
     assert CliRunner().invoke(app, words).exit_code == 0
     assert len(json.loads((tmp_path / "out/brick/transforms.json").read_text())["frames"]) == 2
     again = CliRunner().invoke(app, words)
@@ -79,7 +79,7 @@ def test_the_command_checks_all_objects_before_it_writes_one(brick, brick_path, 
     header = {name: value for name, value in brick.header.items() if name != part} | {"key": "second"}
     ObjectFile(header, brick.tensors).save(tmp_path / "second.safetensors")
     files = [str(brick_path), str(tmp_path / "second.safetensors")]
-    done = CliRunner().invoke(app, ["export", "nerfstudio", str(tmp_path / "out"), *files, "-n", "1"])
+    done = CliRunner().invoke(app, ["export", "nerfstudio", *files, str(tmp_path / "out"), "-n", "1"])
     assert f"second: the file holds no {part}" in str(done.exception)
     assert not (tmp_path / "out").exists()
 

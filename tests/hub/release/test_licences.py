@@ -89,7 +89,7 @@ def fetched(workspace, publisher):
 
 def release(*arguments):
     options = ("--no-site", "--catalogue", "catalogs/real.yaml", "--creator", "A", "--url", "https://a.test")
-    app(["release", "out", *arguments, *options], standalone_mode=False)
+    app(["release", *arguments, *options, "out"], standalone_mode=False)
 
 
 def test_every_object_has_its_licence_and_attribution_in_all_places(fetched, capsys):
@@ -123,7 +123,7 @@ def test_every_object_has_its_licence_and_attribution_in_all_places(fetched, cap
     assert not (out / "licences/bell.txt").exists()
     kept = " ".join(capsys.readouterr().out.split())
     said = "polyhaven_barrel_01 (CC0-1.0); ycb_mug, gso_frypan (CC-BY-4.0)"
-    assert f"note: --licence MIT is not of those whose SOURCE.txt states another: {said}" in kept
+    assert f"note: --licence MIT does not apply where SOURCE.txt states another: {said}" in kept
 
 
 def test_a_licence_for_all_that_is_of_none_is_refused(fetched):

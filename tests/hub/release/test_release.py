@@ -86,9 +86,9 @@ def test_the_same_objects_give_the_same_bytes(dataset, capsys):
 
 
 def test_objects_are_named_by_their_files_too(built):
-    release("some", str(Build("bell").object_file), "mug", "--no-site", *OPTIONS)
+    release(str(Build("bell").object_file), "mug", "some", "--no-site", *OPTIONS)
     assert Dataset("some").keys == ("mug", "bell")
-    release("all", "mug", "build", "--no-site", *OPTIONS)
+    release("mug", "build", "all", "--no-site", *OPTIONS)
     assert Dataset("all").keys == ("mug", "die", "bell")
     refused("some/objects/mug.safetensors was not built in this workspace", release, "new", "some")
     refused("build has 3 objects, expected one, such as bell", object_key, "build")
@@ -176,7 +176,7 @@ def fetched(built):
 
 
 def test_the_meshs_own_licence_counts_and_attributions_are_passed_on(fetched):
-    release("out", "cup", "mug", "--no-site", "--category", "cup=vessels", *OPTIONS)
+    release("cup", "mug", "out", "--no-site", "--category", "cup=vessels", *OPTIONS)
     entry = Dataset("out").entry("cup")
     assert (entry.licence, entry.source, entry.category) == ("CC-BY-4.0", "YCB, https://a.b", "vessels")
     assert (fetched / "out/licences/cup.txt").read_text() == NOTICE
@@ -225,7 +225,7 @@ def test_a_notice_without_a_licence_is_refused_unless_it_is_given(fetched):
     path.write_text("Mesh and textures: a friend\n")
     unknown = r"cup: .*SOURCE\.txt states no licence; add a line `Licence"
     check_refused(unknown, "cup", "--licence", "CC0-1.0")
-    release("out", "cup", "--no-site", "--licence", "cup=CC0-1.0", "--category", "cup=vessels", *PUBLISHER)
+    release("cup", "out", "--no-site", "--licence", "cup=CC0-1.0", "--category", "cup=vessels", *PUBLISHER)
     assert Dataset("out").entry("cup").licence == "CC0-1.0"
 
 
@@ -240,7 +240,7 @@ def test_no_key_is_an_id_of_croissants_other_nodes(dataset):
 
 def test_spellings_of_a_licence_are_one(fetched):
     licences = ("--licence", "cup=cc-by 4.0", "--licence", "CC-BY-4.0")
-    release("out", "cup", "mug", "--no-site", *licences, *PUBLISHER)
+    release("cup", "mug", "out", "--no-site", *licences, *PUBLISHER)
     text = (fetched / "out/README.md").read_text()
     assert "license: cc-by-4.0\n" in text
     assert "Licences: CC-BY-4.0 2;" in text
@@ -275,7 +275,7 @@ def test_wrong_arguments_write_nothing(built, arguments, message):
 
 def test_a_licence_may_be_of_another_list_with_the_address_of_a_page(built):
     given = ("mug=LicenseRef-Kitchen (https://smith.test/?licence=3)", "die=mit or cc0-1.0")
-    release("out", "mug", "die", "--no-site", *PUBLISHER, *(w for text in given for w in ("--licence", text)))
+    release("mug", "die", "out", "--no-site", *PUBLISHER, *(w for text in given for w in ("--licence", text)))
     entry = Dataset("out").entry("mug")
     assert (entry.licence, entry.licence_url) == ("LicenseRef-Kitchen", "https://smith.test/?licence=3")
     assert Dataset("out").entry("die").licence == "MIT OR CC0-1.0"
@@ -364,7 +364,7 @@ def test_scores_of_an_earlier_file_are_not_released(built):
 
 @pytest.mark.slow
 def test_the_site_answers_from_the_same_files(built):
-    release("out", "bell", *OPTIONS)
+    release("bell", "out", *OPTIONS)
     assert "bell" in (built / "out/site/objects/bell.js").read_text()
     assert "site/index.html" in (built / "out/README.md").read_text()
 
@@ -373,5 +373,5 @@ def test_the_site_answers_from_the_same_files(built):
 def test_what_a_build_cost_changes_no_byte_of_a_release(built):
     for name, seconds in (("out", 3.0), ("again", 4.0)):
         record_cost(built / LOGS, "modal@bell", CommandResult(0, seconds, 300.0, cpu_seconds=2.0))
-        release(name, "bell", *OPTIONS)
+        release("bell", name, *OPTIONS)
     assert (built / "out/SHA256SUMS").read_text() == (built / "again/SHA256SUMS").read_text()
