@@ -172,5 +172,5 @@ WRONG |= {"sample vision x.npy -n few": True, "add kettle.obj --nam kettle": Tru
 
 @pytest.mark.parametrize(("line", "whole"), WRONG.items())
 def test_wrong_commands_are_found(line, whole):
-    with pytest.raises(Exception, match=r"no command|has no|Missing|No such|a whole number"):
+    with pytest.raises(Exception, match=r"no command|has no|Missing|No such|a whole number|a valid integer"):
         parse(line.split(), whole)

@@ -23,7 +23,7 @@ MINUTE = 60.0  # seconds between lines of progress without a terminal
 WORDS = {"bool": "", "int": "N", "float": "NUMBER", "path": "FILE", "str": "TEXT"}
 
 
-class Command(TyperCommand):
+class WordedCommand(TyperCommand):
     """Command whose help shows what is to be typed instead of types."""
 
     def get_params(self, ctx: Any) -> Any:
@@ -48,7 +48,7 @@ class App(typer.Typer):
 
     def command(self, name: str | None = None, **options: Any) -> Any:
         """Add a command."""
-        return super().command(name, **{"cls": Command} | options)
+        return super().command(name, **{"cls": WordedCommand} | options)
 
 
 def _worded(parameter: Any) -> Any:

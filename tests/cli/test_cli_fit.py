@@ -67,7 +67,7 @@ def test_a_recording_without_a_strike_is_named(built, recordings, tmp_path):
     noise = tmp_path / "[noise].wav"
     soundfile.write(noise, 0.1 * np.random.default_rng(0).standard_normal(2 * RATE).clip(-4, 4), RATE)
     lines = run("mug", *recordings, noise, "--dry-run").output.splitlines()
-    assert [line for line in lines if "no strike" in line] == [f"{noise}: no strike, left out"]
+    assert [line for line in lines if "no tap" in line] == [f"{noise}: no tap found, left out"]
 
 
 def test_an_object_is_named_by_its_file_too(built, recordings, tmp_path):

@@ -330,7 +330,7 @@ def test_sheared_touches_are_checked_before_any_is_written(brick, feel, tmp_path
     [
         (["--outputs", "image,depth"], "'depth' is not one of image, mask, height"),
         (["--outputs", ""], "'' is not one of"),
-        (["--outputs", "marker_flow"], "marker_flow: give --shear, --twist or --markers"),
+        (["--outputs", "marker_flow"], "--outputs marker_flow needs --shear, --twist or --markers"),
         (["--sensor", "gelsite"], "unknown sensor profile 'gelsite'"),
         (["--depth", "0.01"], "depth: row 0 is 0.01 m"),
     ],

@@ -189,7 +189,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(brick_path, tmp
         (["audio", "{file}", "{out}.npy", "--forces", "{out}.npy"], "given twice"),
         (["audio", "{file}", "{out}.npy", "--forces", "{folder}/../{folder.name}/out.npy"], "given twice"),
         (["audio", "{out}.safetensors", "{out}.npy"], "out.safetensors does not exist"),
-        (["touch", "{file}", "{out}.npy", "--sensor", "digit"], "--sensor chooses the depths of --gelinfo"),
+        (["touch", "{file}", "{out}.npy", "--sensor", "digit"], "--sensor has an effect only with --gelinfo"),
         (
             ["touch", "{file}", "{out}.npy", "--gelinfo", "{out}2.npy", "--sensor", "gelsite"],
             "unknown sensor profile 'gelsite'",

@@ -6,11 +6,8 @@ import json
 import pytest
 from refusals import refused
 from rich.console import Console
-from typer.testing import CliRunner
 
 from objectfolder.cli import app, workspace
-from objectfolder.engine import unchanged
-from objectfolder.engine.summary import StageOutcome, StageResult, Summary
 from objectfolder.report.inspect_stage import STAGES
 from objectfolder.workspace.layout import Build
 
@@ -50,14 +47,6 @@ def test_scores_stay_whole_beside_those_of_a_baseline_in_eighty_columns(printed)
 def test_a_warning_has_one_colour(printed):
     assert "\x1b[33mwarning: polyhaven_teapot: frequencies may be 22% wrong, mode 2 most" in printed
     assert "; thicken them, or raise modal.fine.max_degrees_of_freedom in params.yaml" in printed
-
-
-@pytest.mark.parametrize(("stages", "hint"), [(["hash_code"], True), (["hash_code", "modal@mug"], False)])
-def test_a_build_without_objects_says_how_to_add_one(monkeypatch, stages, hint):
-    results = {address: StageResult(address, StageOutcome.SKIPPED) for address in stages}
-    monkeypatch.setattr(unchanged, "recall", lambda *given, **options: Summary(results, 0.1))
-    output = CliRunner().invoke(app, ["build"]).output
-    assert ("no objects yet: `objectfolder add MESH --name NAME --material MATERIAL`" in output) == hint
 
 
 @pytest.mark.usefixtures("workspace")
