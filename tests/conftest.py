@@ -10,6 +10,7 @@ import pytest
 import torch
 from brick import build_brick, with_spectrograms
 from hypothesis import settings
+from publisher import no_waits, publisher  # noqa: F401
 from sharing import shared_folder
 from threadpoolctl import threadpool_limits
 

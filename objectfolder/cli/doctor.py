@@ -21,7 +21,7 @@ EXTRAS = {
     "inspect": "inspect of meshes, solids and views (VTK); 0.6 GB",
     "bench": "grasp stability: scores and baselines (scikit-learn); 0.06 GB",
     "rl": "robot environments, export mjcf and urdf (MuJoCo); 0.1 GB",
-    "hub": "export of training sets; 0.3 GB",
+    "hub": "export of training sets, releases of hf://; 0.3 GB",
     "usd": "export usd (OpenUSD); 0.1 GB",
     "ray": "build --engine ray, on a cluster; 0.25 GB",
     "s3": "remotes on S3; 0.03 GB",

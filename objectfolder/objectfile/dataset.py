@@ -17,7 +17,7 @@ import torch
 from objectfolder.base.arrays import MAX_BYTES
 from objectfolder.base.checks import is_web_address
 from objectfolder.base.errors import ObjectFolderError, quoted, shortened
-from objectfolder.base.io import file_digest
+from objectfolder.base.io import content_hint, file_digest
 from objectfolder.base.text import from_csv, visible
 from objectfolder.objectfile.file import Device, ObjectFile
 from objectfolder.stored.header import NAMES, checked_name
@@ -98,8 +98,9 @@ class Dataset(Sequence[ObjectFile]):
 
     Parameters
     ----------
-    folder : path
-        Of the release.
+    folder : path or str
+        Of the release; or its address: ``hf://OWNER/NAME``, ``hf://OWNER/NAME@REVISION`` or
+        ``https://HOST/PATH``, whose files are kept in a cache.
     device : str or torch.device, optional
         Where nets are evaluated.
 
@@ -111,7 +112,7 @@ class Dataset(Sequence[ObjectFile]):
     Raises
     ------
     ObjectFolderError
-        If the folder is not a release, or its index is damaged.
+        If the folder or address is not a release, or its index is damaged or cannot be downloaded.
 
     Examples
     --------
@@ -122,8 +123,19 @@ class Dataset(Sequence[ObjectFile]):
     """
 
     def __init__(self, folder: str | Path, device: Device = "cpu"):
-        self.folder, self.device = Path(folder), device
-        self.entries = self._released = read_index(self.folder / INDEX)
+        self._published, self.device = None, device
+        if isinstance(folder, str) and "://" in folder:
+            from objectfolder.objectfile.published import open_published
+
+            self._published = open_published(folder, INDEX)
+        self.folder = Path(folder) if self._published is None else self._published.folder
+        try:
+            self.entries = self._released = read_index(self.folder / INDEX)
+        except ObjectFolderError as error:
+            if self._published is None:
+                raise
+            looks = content_hint(self.folder / INDEX)
+            raise ObjectFolderError(f"{folder} is not a release{looks}: {error}") from error
         self._numbers = self._rows = _numbers(self.entries)
 
     @property
@@ -138,8 +150,8 @@ class Dataset(Sequence[ObjectFile]):
         """Read an object by number or key; return a dataset of a slice, a list or array of these, or a mask.
 
         Raises IndexError if there is no object of a number, or a mask is of another length; TypeError if it
-        is none of these; and ObjectFolderError if there is no object of a key, or its file is missing,
-        damaged, or of another object or material than the index says.
+        is none of these; and ObjectFolderError if there is no object of a key, or its file is missing or
+        cannot be downloaded, damaged, or of another object or material than the index says.
         """
         if isinstance(which, slice):
             return self._with(self.entries[which])
@@ -148,7 +160,7 @@ class Dataset(Sequence[ObjectFile]):
         if isinstance(which, list):
             return self._with(self._several(which))
         entry = self.entry(which)
-        path = self.folder / entry.path
+        path = self._file(entry)
         if not path.is_file():
             raise ObjectFolderError(f"{path} is missing, though the index names it; download it again")
         place = f"{self.folder / INDEX}, object {self._rows[entry.key] + 1}"
@@ -187,7 +199,7 @@ class Dataset(Sequence[ObjectFile]):
         return self.keys.count(_key(value))
 
     def __repr__(self) -> str:
-        return f"Dataset({str(self.folder)!r}): {len(self)} objects"
+        return f"Dataset({str(self._published or self.folder)!r}): {len(self)} objects"
 
     def entry(self, which: int | str) -> IndexEntry:
         """Return what the index says of an object, by number or key."""
@@ -207,8 +219,8 @@ class Dataset(Sequence[ObjectFile]):
         return self.entries[number]
 
     def path(self, which: int | str) -> Path:
-        """Return the path of an Object File, by number or key."""
-        return self.folder / self.entry(which).path
+        """Return the path of an Object File, by number or key; that of an address is downloaded."""
+        return self._file(self.entry(which))
 
     def filter(
         self,
@@ -242,19 +254,25 @@ class Dataset(Sequence[ObjectFile]):
         return self._with(kept)
 
     def verify(self) -> None:
-        """Compare every Object File with its digest in the index.
+        """Compare every Object File with its digest in the index; those of an address are downloaded.
 
         Raises ObjectFolderError if one is missing or differs; the message names all of them.
         """
         wrong = [
             entry.key
             for entry in self.entries
-            if not (path := self.folder / entry.path).is_file() or file_digest(path) != entry.sha256
+            if not (path := self._file(entry)).is_file() or file_digest(path) != entry.sha256
         ]
         if wrong:
             raise ObjectFolderError(
                 f"{self.folder}: missing, or not as released: {', '.join(wrong)}; download them again"
             )
+
+    def _file(self, entry: IndexEntry) -> Path:
+        """Return the path of an Object File; that of an address is there, with the digest of the index."""
+        if self._published is not None:
+            self._published.fetch(entry.path, entry.bytes, entry.sha256)
+        return self.folder / entry.path
 
     def _several(self, which: list[Any]) -> tuple[IndexEntry, ...]:
         if which and all(isinstance(held, bool | np.bool_) for held in which):
@@ -271,7 +289,7 @@ class Dataset(Sequence[ObjectFile]):
 
     def _with(self, entries: tuple[IndexEntry, ...]) -> "Dataset":
         part = object.__new__(type(self))
-        part.folder, part.device = self.folder, self.device
+        part.folder, part.device, part._published = self.folder, self.device, self._published
         part._released, part._rows = self._released, self._rows
         part.entries, part._numbers = entries, _numbers(entries)
         return part

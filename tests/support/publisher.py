@@ -16,6 +16,8 @@ import trimesh
 from gltf_scene import Scene
 from PIL import Image
 
+from objectfolder.base import download
+
 
 def texture(shade: int = 200) -> bytes:
     stream = io.BytesIO()
@@ -168,6 +170,14 @@ def publisher(monkeypatch):
     server = Publisher()
     yield server
     server.close()
+
+
+@pytest.fixture
+def no_waits(monkeypatch):
+    """The waits between attempts, which are recorded instead."""
+    waits = []
+    monkeypatch.setattr(download.time, "sleep", waits.append)
+    return waits
 
 
 def addresses(publisher):

@@ -7,9 +7,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from objectfolder.base.checks import is_web_address
+from objectfolder.base.download import MAX_DOWNLOAD, ProgressFactory, download_to
 from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.hub.fetch.archive import safe_path
-from objectfolder.hub.fetch.download import MAX_DOWNLOAD, ProgressFactory, download_to
 
 MAX_LIST = 1 << 24  #: bytes of a list of files
 

@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from rich.text import Text
 
+from objectfolder.base.download import ProgressCallback, ProgressFactory
 from objectfolder.base.errors import plural
 from objectfolder.hub.fetch.catalogue import Catalogue
-from objectfolder.hub.fetch.download import ProgressCallback, ProgressFactory
 from objectfolder.hub.fetch.run import FetchResult, FetchStatus
 
 STYLES = {FetchStatus.ADDED: "green", FetchStatus.PRESENT: "dim", FetchStatus.FAILED: "bold red"}

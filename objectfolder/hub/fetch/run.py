@@ -15,6 +15,13 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from objectfolder.base.disk import refuse_links
+from objectfolder.base.download import (
+    DownloadError,
+    ProgressFactory,
+    UnreachableError,
+    download_to,
+    no_progress,
+)
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.base.io import check_output, file_digest, write_text
 from objectfolder.base.locks import exclusive
@@ -23,7 +30,6 @@ from objectfolder.base.yamlfile import read_yaml
 from objectfolder.engine.dvc.repository import track
 from objectfolder.hub.fetch.archive import extract
 from objectfolder.hub.fetch.catalogue import Catalogue
-from objectfolder.hub.fetch.download import ProgressFactory, UnreachableError, download_to, no_progress
 from objectfolder.hub.fetch.files import collect, find_local, find_mesh
 from objectfolder.hub.fetch.polyhaven import download_polyhaven
 from objectfolder.hub.release.notices import SOURCE
@@ -34,6 +40,7 @@ from objectfolder.workspace.objects import add_mesh
 
 CACHE = Path("build/.fetch")  #: unfinished downloads
 SIZE_TOLERANCE = 0.05  #: between the catalogue's size and the mesh's own
+_ELSEWHERE = "give another address with --url SOURCE=TEMPLATE, or files of your own with --from DIR"
 _log = logging.getLogger(__name__)
 CHECKSUMS = Path("data/checksums.yaml")
 _HEADER = (
@@ -107,7 +114,11 @@ def _fetch(
         shutil.rmtree(left, ignore_errors=True)
     with TemporaryDirectory(dir=root / CACHE, prefix=f"{key}.") as folder:
         scratch = Path(folder)
-        tree, origin, archive = _obtain(key, catalogue, directory, scratch, root / CACHE, progress)
+        try:
+            tree, origin, archive = _obtain(key, catalogue, directory, scratch, root / CACHE, progress)
+        except DownloadError as error:
+            error.args = (f"{error}; or {_ELSEWHERE}",)
+            raise
         try:
             mesh, files = collect(find_mesh(tree, source), tree, scratch / "object")
             used = {archive.name: archive} if archive else files

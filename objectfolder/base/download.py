@@ -30,18 +30,20 @@ RESERVE = 1 << 28  #: bytes that a download leaves free on the disk
 BLOCK = 1 << 16
 RETRYABLE = (408, 425, 429, 500, 502, 503, 504)  #: HTTP status codes
 RANGE_NOT_SATISFIABLE = 416
-_YOURSELF = "download the object yourself and use --from DIR"
 
 ProgressCallback = Callable[[int, int | None], None]  #: takes bytes received, and bytes expected if known
 ProgressFactory = Callable[[str], ProgressCallback]  #: takes the name of the file to download
 
 
-class UnreachableError(ObjectFolderError):
+class DownloadError(ObjectFolderError):
+    """A server does not answer, refuses, breaks off or sends too much; the message ends with what to do."""
+
+
+class UnreachableError(DownloadError):
     """No connection to a host, which is as in a URL, perhaps with a port, at the first attempt."""
 
     def __init__(self, host: str, reason: object):
-        advice = "check the network and the address, or use --from DIR"
-        super().__init__(f"{host} cannot be reached ({reason}): {advice}")
+        super().__init__(f"{host} cannot be reached ({reason}): check the network and the address")
         self.host = host
 
 
@@ -66,9 +68,9 @@ def download(
     If-Range), which is stored next to it in ``<name>.tag``. ``path``: partial after an error; its directory
     must exist. ``report``: called with the bytes received and the bytes expected, or None. ``waits``: seconds
     before each further attempt; those that bring bytes at the least rate restart the sequence. ``most``:
-    maximum size, bytes. Raises ObjectFolderError if the server cannot be reached (`UnreachableError`, after
-    the first attempt), refuses, redirects to another protocol, keeps breaking off or is slower than
-    `MIN_BYTES` in `PERIOD`, or the file is too large or cannot be written.
+    maximum size, bytes. Raises `DownloadError` if the server cannot be reached (`UnreachableError`, after the
+    first attempt), refuses, redirects to another protocol, keeps breaking off or is slower than `MIN_BYTES`
+    in `PERIOD`, or the file is too large; ObjectFolderError if it cannot be written.
     """
     furthest, since, left = 0, time.monotonic(), list(waits)
     reached = False
@@ -86,8 +88,7 @@ def download(
                 furthest, since, left = size, now, list(waits)
             if not left:
                 kept = f" from the {size} bytes that are kept" if _tag(path).exists() else ""
-                again = f"run the same command again to go on{kept}, or {_YOURSELF}"
-                raise ObjectFolderError(f"{url} broke off ({error}); {again}") from error
+                raise DownloadError(f"{url} broke off ({error}); run it again to go on{kept}") from error
             time.sleep(left.pop(0))
     _tag(path).unlink(missing_ok=True)
 
@@ -156,9 +157,10 @@ class _Redirects(HTTPRedirectHandler):
         self, req: Request, fp: Any, code: int, msg: str, headers: Any, newurl: str
     ) -> Request | None:
         fp.close()  # or its body, which may be endless, is read to the end
-        if not newurl.startswith(("http://", "https://")):
-            where = f"{req.full_url} redirects to {newurl}, expected http:// or https://"
-            raise ObjectFolderError(f"{where}; {_YOURSELF}")
+        allowed = ("https://",) if req.type == "https" else ("http://", "https://")
+        if not newurl.startswith(allowed):
+            where = f"{req.full_url} redirects to {newurl}, expected {' or '.join(allowed)}"
+            raise DownloadError(f"{where}; check the address")
         return super().redirect_request(req, fp, code, msg, headers, newurl)
 
 
@@ -180,9 +182,8 @@ def _attempt(url: str, path: Path, report: ProgressCallback, most: int) -> None:
             if error.code == RANGE_NOT_SATISFIABLE:
                 _forget(path)  # the remote file is shorter now, or ours is complete: start again
             elif error.code not in RETRYABLE:
-                moved = "if the source has moved, give its address with --url SOURCE=TEMPLATE"
                 answer = f"{url} answered {error.code} {error.reason}"
-                raise ObjectFolderError(f"{answer}; {moved}, or {_YOURSELF}") from error
+                raise DownloadError(f"{answer}; check the address") from error
             raise _RetryableError(f"{error.code} {error.reason}") from error
     except (OSError, HTTPException, UnicodeError) as error:  # UnicodeError: of a host's name
         reason = getattr(error, "reason", None) or error or type(error).__name__
@@ -233,11 +234,10 @@ def _check_size(url: str, path: Path, size: int, most: int, room: int) -> None:
     if size > most:
         _forget(path)
         large = f"{url} is larger than {most / 1e6:,.1f} MB, the most that is downloaded"
-        raise ObjectFolderError(f"{large}; check the address, or {_YOURSELF}")
+        raise DownloadError(f"{large}; check the address")
     if size > room:
         left = f"{size / 1e6:,.1f} MB would leave less than {RESERVE / 1e6:.0f} MB free"
-        again = "make room and run the same command again"
-        raise ObjectFolderError(f"{url}: no space in {path.parent}: {left}; {again}")
+        raise ObjectFolderError(f"{url}: no space in {path.parent}: {left}; make room and run it again")
 
 
 @contextmanager

@@ -1,14 +1,16 @@
 """Downloads go on where they broke off, and end whole or with a reason."""
 
+import io
 import itertools
 import socket
 from threading import Event
+from urllib.request import Request
 
 import pytest
 from refusals import refused
 
-from objectfolder.hub.fetch import download as module
-from objectfolder.hub.fetch.download import RESERVE, WAITS, UnreachableError, download
+from objectfolder.base import download as module
+from objectfolder.base.download import RESERVE, WAITS, UnreachableError, download
 
 CONTENT = bytes(range(256)) * 1000
 
@@ -50,7 +52,7 @@ def test_attempts_that_bring_bytes_do_not_use_up_the_attempts(publisher, page, f
 def broken_off(publisher, page, file, no_waits):
     """The message of a download of which 100,000 bytes have come."""
     publisher.drops["/file"] = [100_000, *[0] * len(WAITS)]
-    return refused(r"broke off.*run the same command again.*100000 bytes", download, page, file)
+    return refused(r"broke off.*run it again.*100000 bytes", download, page, file)
 
 
 def test_a_later_run_goes_on_with_what_an_earlier_left(publisher, page, file, no_waits, broken_off):
@@ -102,8 +104,12 @@ def test_a_busy_server_is_asked_again_and_a_refusal_is_not(publisher, page, tmp_
     publisher.refusals["/file"] = [503, 429]
     assert downloaded(page, file) == CONTENT
     assert no_waits == list(WAITS[:2])
-    gone = r"/gone answered 404.*--url SOURCE=TEMPLATE.*--from DIR"
-    refused(gone, download, f"{publisher.url}/gone", tmp_path / "gone")
+    refused(
+        "/gone answered 404 Not Found; check the address",
+        download,
+        f"{publisher.url}/gone",
+        tmp_path / "gone",
+    )
     assert len(no_waits) == 2
     assert not (tmp_path / "gone").exists()
 
@@ -124,9 +130,7 @@ def test_nobody_there_is_said_at_once(file, monkeypatch, no_waits, host, reason,
     file.write_bytes(kept)
     with pytest.raises(UnreachableError) as error:
         download(f"http://{host}/file", file)
-    assert str(error.value) == (
-        f"{host} cannot be reached ({reason}): check the network and the address, or use --from DIR"
-    )
+    assert str(error.value) == (f"{host} cannot be reached ({reason}): check the network and the address")
     assert no_waits == []
     assert file.read_bytes() == kept
 
@@ -201,7 +205,7 @@ def endless(*headers):
 
 def test_a_file_without_end_is_cut_at_the_limit(publisher, tmp_path, file):
     publisher.scripts["/file"] = script = endless(b"HTTP/1.1 200 OK")
-    large = r"/file is larger than 1\.0 MB.*--from DIR"
+    large = r"/file is larger than 1\.0 MB.*check the address"
     refused(large, download, f"{publisher.url}/file", file, most=1_000_000)
     assert list(tmp_path.iterdir()) == []
     assert not script.ended.is_set()
@@ -230,6 +234,13 @@ def test_a_redirect_to_another_protocol_is_refused(publisher, tmp_path, file, no
     assert target in refused(r"redirect|not allowed", download, f"{publisher.url}/file", file)
     assert no_waits == []
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_redirect_from_https_stays_with_it():
+    answer = Request("https://a.test/x"), io.BytesIO(), 302, "Found", {}
+    assert module._Redirects().redirect_request(*answer, "https://b.test/x").full_url == "https://b.test/x"
+    plain = r"https://a\.test/x redirects to http://b\.test/x, expected https://; check"
+    refused(plain, module._Redirects().redirect_request, *answer, "http://b.test/x")
 
 
 def moved(target):
