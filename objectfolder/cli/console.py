@@ -46,7 +46,7 @@ class Commands(typer.Typer):
     def __init__(self, help: str, cls: type[TyperGroup] = PlainGroup, **options: Any) -> None:
         super().__init__(help=help, cls=cls, no_args_is_help=True, rich_markup_mode="markdown", **options)
 
-    def command(self, name: str | None = None, **options: Any) -> Any:  # type: ignore[override]
+    def command(self, name: str | None = None, **options: Any) -> Any:
         """Declare a command."""
         return super().command(name, cls=_PlainCommand, **options)
 
