@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path, PurePosixPath
 from types import NoneType
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import torch
@@ -21,6 +21,9 @@ from objectfolder.base.io import content_hint, file_digest
 from objectfolder.base.text import from_csv, visible
 from objectfolder.objectfile.file import Device, ObjectFile
 from objectfolder.stored.header import NAMES, checked_name
+
+if TYPE_CHECKING:
+    from objectfolder.objectfile.published import HubRelease, WebRelease
 
 INDEX = "objects.csv"  #: in a release's folder
 OBJECTS = "objects"  #: folder of the Object Files
@@ -123,12 +126,12 @@ class Dataset(Sequence[ObjectFile]):
     """
 
     def __init__(self, folder: str | Path, device: Device = "cpu"):
-        self._published, self.device = None, device
+        self._published: WebRelease | HubRelease | None = None
         if isinstance(folder, str) and "://" in folder:
             from objectfolder.objectfile.published import open_published
 
             self._published = open_published(folder, INDEX)
-        self.folder = Path(folder) if self._published is None else self._published.folder
+        self.folder, self.device = Path(self._published.folder if self._published else folder), device
         try:
             self.entries = self._released = read_index(self.folder / INDEX)
         except ObjectFolderError as error:
@@ -199,7 +202,8 @@ class Dataset(Sequence[ObjectFile]):
         return self.keys.count(_key(value))
 
     def __repr__(self) -> str:
-        return f"Dataset({str(self._published or self.folder)!r}): {len(self)} objects"
+        place = self._published.address if self._published else str(self.folder)
+        return f"Dataset({place!r}): {len(self)} objects"
 
     def entry(self, which: int | str) -> IndexEntry:
         """Return what the index says of an object, by number or key."""

@@ -17,12 +17,11 @@ from objectfolder.base.checks import is_web_address
 from objectfolder.base.download import (
     DownloadError,
     ProgressCallback,
-    UnreachableError,
     download,
     no_progress,
 )
 from objectfolder.base.errors import ObjectFolderError, quoted, shortened
-from objectfolder.base.installation import install_command, installed_version
+from objectfolder.base.installation import install_command
 from objectfolder.base.io import file_digest
 from objectfolder.base.locks import exclusive
 
@@ -42,7 +41,7 @@ class WebRelease:
     def fetch(self, name: str, most: int = MAX_INDEX, digest: str | None = None) -> None:
         """Download a file of the release, of at most ``most`` bytes, unless the folder holds it.
 
-        Without a ``digest`` it may have changed: it is downloaded again if the server can be reached. Raises
+        Without a ``digest`` it may have changed: it is downloaded again, if that is possible. Raises
         ObjectFolderError if it does not come, has another digest, or cannot be written.
         """
         path, url = self.folder / name, f"{self.address}/{quote(name)}"
@@ -50,7 +49,7 @@ class WebRelease:
         try:
             if _holds(path, digest):
                 return
-            with exclusive(self.folder, lambda: _log.warning("waiting for another download of %s", self)):
+            with exclusive(self.folder, lambda: _log.warning("waiting for another download of %s", url)):
                 if _holds(path, digest):  # by now
                     return
                 with _shown(name) as report:
@@ -61,16 +60,13 @@ class WebRelease:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 part.replace(path)
         except DownloadError as error:
-            if isinstance(error, UnreachableError) and not digest and path.is_file():
+            if not digest and path.is_file():
                 _log.warning("%s; %s is that of the cache, %s", error, name, self.folder)
                 return
-            missing = f"{name} of {self} is not in the cache, {self.folder}: {error}"
+            missing = f"{name} of {self.address} is not in the cache, {self.folder}: {error}"
             raise ObjectFolderError(missing) from error
         except OSError as error:
-            raise ObjectFolderError(f"{self}: {_unusable(error, 'XDG_CACHE_HOME')}") from error
-
-    def __str__(self) -> str:
-        return self.address
+            raise ObjectFolderError(f"{self.address}: {_unusable(error, 'XDG_CACHE_HOME')}") from error
 
 
 @dataclass(frozen=True)
@@ -88,10 +84,7 @@ class HubRelease:
             _from_hub(self.address, self.repository, self.folder.name, name)
         if (found := file_digest(path)) != digest:
             again = f"delete {os.path.realpath(path)} and try again"
-            raise ObjectFolderError(_differs(f"{self}: {name}", found, digest, again))
-
-    def __str__(self) -> str:
-        return self.address
+            raise ObjectFolderError(_differs(f"{self.address}: {name}", found, digest, again))
 
 
 def open_published(address: str, index: str) -> WebRelease | HubRelease:
@@ -124,9 +117,8 @@ def _from_hub(address: str, repository: str, revision: str | None, name: str) ->
     except ImportError as error:
         needed = f"{error.name} is not installed; {address} needs: {install_command('hub')}"
         raise ObjectFolderError(needed) from error
-    client = {"library_name": "objectfolder", "library_version": installed_version()}
     try:
-        return Path(hf_hub_download(repository, name, repo_type="dataset", revision=revision, **client))
+        return Path(hf_hub_download(repository, name, repo_type="dataset", revision=revision))
     except Exception as error:  # also those of its libraries, which change: requests, httpx, hf_xet
         # The first that it is: some are of several kinds.
         reasons = {
@@ -136,9 +128,9 @@ def _from_hub(address: str, repository: str, revision: str | None, name: str) ->
             errors.RevisionNotFoundError: "there is no such revision, which is a branch, a tag or a commit",
             errors.EntryNotFoundError: "the dataset has no such file; check the address",
         }
-        local = isinstance(error, OSError) and error.filename
-        other = _unusable(error, "HF_HUB_CACHE") if local else error
-        reason = next((text for kind, text in reasons.items() if isinstance(error, kind)), other)
+        reason = next((text for kind, text in reasons.items() if isinstance(error, kind)), str(error))
+        if isinstance(error, OSError) and error.filename:
+            reason = _unusable(error, "HF_HUB_CACHE")
         missing = f"{name} of {address} is not in the cache, {constants.HF_HUB_CACHE}: {reason}"
         raise ObjectFolderError(missing) from error
 

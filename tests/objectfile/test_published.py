@@ -77,6 +77,9 @@ def test_an_interrupted_download_goes_on(publisher, address, no_waits):
 def test_without_a_network_the_cache_answers_and_names_what_it_lacks(publisher, address, caplog, no_waits):
     refused(r"objects\.csv of http.*/none is not in the cache, /.*404", Dataset, f"{publisher.url}/none")
     Dataset(address)["brick"]
+    publisher.refusals[INDEX] = [410]
+    assert Dataset(address).keys == ("brick", "bell")
+    assert "answered 410 Gone" in caplog.text
     publisher.close()
     publisher.close = lambda: None
     with caplog.at_level(logging.WARNING):
