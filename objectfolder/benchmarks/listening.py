@@ -212,7 +212,9 @@ def _study_of(page: Path) -> dict[str, Any]:
         case {"id": str(), "methods": [str(), str()], "pairs": [*pairs]}:
             if all(isinstance(one, dict) and isinstance(one.get("name"), str) for one in pairs):
                 return study
-    raise ObjectFolderError(f"{page} is no page of a study, expected one of `objectfolder listening make`")
+    raise ObjectFolderError(
+        f"{page} is not the page of a study; expected one that `objectfolder listening make` wrote"
+    )
 
 
 def _sound_files(folder: Path) -> dict[str, Path]:

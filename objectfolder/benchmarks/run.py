@@ -290,7 +290,7 @@ def load_object_files(places: Sequence[Path] | None) -> dict[str, LoadedFile]:
         file = ObjectFile.load(path)
         if file.key in sources:
             raise ObjectFolderError(
-                f"{path} and {sources[file.key].path} are both of {file.key}; give each object once"
+                f"{path} and {sources[file.key].path} both contain {file.key}; give each object once"
             )
         sources[file.key] = LoadedFile(path, file)
     return sources

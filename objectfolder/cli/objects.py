@@ -151,7 +151,7 @@ def _check_options(
         )
     if scale is not None and unit != "m":
         raise ObjectFolderError(
-            f"--scale {scale:g} is in metres, whatever the unit of the mesh's coordinates; give --scale, or "
+            f"--scale {scale:g} is in metres, not in the unit of the mesh's coordinates; give --scale, or "
             f"--unit {unit}, not both"
         )
 

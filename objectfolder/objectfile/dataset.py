@@ -244,7 +244,7 @@ class Dataset(Sequence[ObjectFile]):
             listed = values if isinstance(values, Collection) and not isinstance(values, str) else [values]
             if not all(isinstance(value, str) for value in listed):
                 raise ObjectFolderError(
-                    f"{name} is {quoted(values)}, expected a text or several; by anything else choose with a "
+                    f"{name} is {quoted(values)}, expected a text or several; for other fields use a "
                     "mask, such as dataset[[entry.size < 0.1 for entry in dataset.entries]]"
                 )
             wanted = set(listed)
@@ -269,7 +269,7 @@ class Dataset(Sequence[ObjectFile]):
         ]
         if wrong:
             raise ObjectFolderError(
-                f"{self.folder}: missing, or not as released: {', '.join(wrong)}; download them again"
+                f"{self.folder}: missing or changed since release: {', '.join(wrong)}; download them again"
             )
 
     def _file(self, entry: IndexEntry) -> Path:

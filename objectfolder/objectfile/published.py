@@ -99,7 +99,7 @@ def open_published(address: str, index: str) -> WebRelease | HubRelease:
     web = is_web_address(address) and "?" not in address and "#" not in address
     if not web or (address.startswith("http:") and urlsplit(address).hostname not in _THIS_COMPUTER):
         raise ObjectFolderError(
-            f"{quoted(address)} is no address of a release; expected hf://OWNER/NAME, "
+            f"{quoted(address)} is not the address of a release; expected hf://OWNER/NAME, "
             "hf://OWNER/NAME@REVISION, https://HOST/PATH or a folder"
         )
     address = address.rstrip("/")

@@ -63,7 +63,7 @@ def simulate(model: mujoco.MjModel, data: mujoco.MjData, hearing: Hearing, secon
     """
     pictures = round(finite_number("seconds", seconds) * whole_number("rate", rate, 1))
     if pictures < 1:
-        raise ObjectFolderError(f"{seconds:g} s at {rate} pictures per second hold no picture; ask for more")
+        raise ObjectFolderError(f"{seconds:g} s at {rate} frames per second hold no frame; ask for more")
     kind = mujoco.mjtState.mjSTATE_INTEGRATION
     start, sounds, states = data.time, [np.zeros(0, np.float32)], []
     for picture in range(pictures):

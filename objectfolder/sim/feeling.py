@@ -91,8 +91,7 @@ class Feeling:
         self.profile = load_profile(sensor)
         if self.profile.gel == "rigid":
             raise ObjectFolderError(
-                f"the gel of sensor {self.profile.name!r} is rigid and bears no force; take one "
-                "with gel: soft"
+                f"the gel of sensor {self.profile.name!r} is rigid and has no forces; use one with gel: soft"
             )
         self._model, self._optics = model, Optics(self.profile)
         self._sites = [site_number(model, name, "pads") for name in pad_names(pads)]

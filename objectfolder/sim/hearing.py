@@ -303,7 +303,7 @@ def _listener(model: mujoco.MjModel, listener: object) -> "int | np.ndarray":
     place = real_array("listener", listener)
     if place.shape != (3,) or not np.isfinite(place).all():
         raise ObjectFolderError(
-            f"listener is {quoted(listener)}, expected one place of three finite numbers, m; {advice}"
+            f"listener is {quoted(listener)}, expected one position of three finite numbers, m; {advice}"
         )
     return place
 

@@ -82,8 +82,8 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         inner: Any = getattr(env, "unwrapped", env)
         if not isinstance(getattr(inner, "model", None), mujoco.MjModel) or not hasattr(inner, "data"):
             raise ObjectFolderError(
-                f"{type(inner).__name__} has no model and data of MuJoCo; expected an environment that has, "
-                "as those of gymnasium's MuJoCo and of objectfolder.sim"
+                f"{type(inner).__name__} has no model and data of MuJoCo; expected an environment with both, "
+                "such as those of gymnasium's MuJoCo and of objectfolder.sim"
             )
         super().__init__(env)
         if listener is None and not pads:
@@ -117,7 +117,7 @@ class Senses(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], gymnasium.utils.R
         entries = {**own.spaces} if isinstance(own, spaces.Dict) else {"observation": own}
         for name, space in added:
             if not isinstance(name, str) or not name:
-                raise ObjectFolderError(f"{quoted(name)} is no name of an entry, expected a text")
+                raise ObjectFolderError(f"{quoted(name)} is not the name of an entry, expected a text")
             if name in entries:
                 raise ObjectFolderError(
                     f"the observation has an entry {name!r} already; give another name by audio= or touch="

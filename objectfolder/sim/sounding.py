@@ -80,7 +80,7 @@ def name_objects(objects: Objects) -> dict[str, Sounding]:
                 f"objects: two have the key {name!r}; give a mapping from the names of their bodies"
             )
         if not isinstance(name, str):
-            raise ObjectFolderError(f"objects: {quoted(name)} is no name of a body, expected a text")
+            raise ObjectFolderError(f"objects: {quoted(name)} is not the name of a body, expected a text")
         if not isinstance(one, ObjectFile | Sounding):
             raise ObjectFolderError(
                 f"objects: {quoted(name)} is of type {type(one).__name__}, expected an ObjectFile or "

@@ -72,8 +72,8 @@ class TapEnv(Game):
         self.count, self.limit = whole_number("count", count), whole_number("limit", limit)
         if self.count < 3 or self.limit < 1:
             raise ObjectFolderError(
-                f"count is {count} and limit {limit}: expected at least 3 objects, as of two either is the "
-                "odd one, and at least 1 tap"
+                f"count is {count} and limit {limit}: expected at least 3 objects, since of two either is "
+                "the odd one, and at least 1 tap"
             )
         self.sample_rate, self._samples = sample_rate, count_samples(sample_rate, seconds)
         require_audible(self.files, self.materials, SIZES[0] * (1 - SIZE_SPREAD), sample_rate)

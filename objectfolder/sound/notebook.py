@@ -19,7 +19,7 @@ def players(sounds: np.ndarray, sample_rate: float) -> list[Any]:
         audio = import_module("IPython.display").Audio
     except ImportError as error:
         raise ObjectFolderError(
-            "players of sounds need IPython, as in a notebook; `pip install ipython`, or write a WAV file"
+            "players of sounds need IPython: `pip install ipython`, or write a WAV file"
         ) from error
     rows = np.atleast_2d(np.asarray(sounds, np.float64))
     peak = np.abs(rows).max(initial=0.0)

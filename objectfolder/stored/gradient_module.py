@@ -88,7 +88,7 @@ class _Gradient(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor) -> Any:
-        raise ObjectFolderError("the answers of an Object File have first derivatives only, no second ones")
+        raise ObjectFolderError("results of an Object File have first derivatives only, no second ones")
 
 
 def follow_surface(points: torch.Tensor, closest: np.ndarray, surface: Isosurface) -> torch.Tensor:

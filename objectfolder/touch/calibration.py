@@ -96,7 +96,7 @@ def fit_sensor(
     if len(pictures) < needed:
         raise ObjectFolderError(
             f"{plural(len(pictures), 'picture')} cannot determine the background: give one of the untouched "
-            f"sensor, or {needed} pictures with the ball in different places"
+            f"sensor, or {needed} pictures with the ball at different positions"
         )
     observed = np.asarray(pictures, np.float32)
     if circles is None:

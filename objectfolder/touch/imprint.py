@@ -81,7 +81,7 @@ def check_circles(
         inside = -0.5 <= row <= height - 0.5 and -0.5 <= column <= width - 0.5
         if not (inside and np.isfinite(radius) and radius > 0):
             raise ObjectFolderError(
-                f"{name}: the circle is {row:g},{column:g},{radius:g}, expected row and column of a place "
+                f"{name}: the circle is {row:g},{column:g},{radius:g}, expected row and column of a point "
                 f"in the picture of {height} x {width} pixels and a positive radius; correct its --circle"
             )
 
@@ -118,6 +118,6 @@ def check_background_seen(
     for spot, name in zip(spots, names):
         if everywhere.sum() > (1 - _MIN_FREE) * spot.sum():
             raise ObjectFolderError(
-                f"{name}: the ball is in the same place as in all other pictures, so that the "
+                f"{name}: the ball is at the same position as in all other pictures, so the "
                 "background there is unknown; press elsewhere, or give a picture of the untouched sensor"
             )

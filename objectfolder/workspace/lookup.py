@@ -31,7 +31,7 @@ def find_object_files(given: Path) -> list[Path]:
         return [sample_path(name)]
     if given.is_dir():
         raise ObjectFolderError(
-            f"no Object Files in {given}: no {built.name} in it or below, and it is no release; run "
+            f"no Object Files in {given}: no {built.name} in it or below, and it is not a release; run "
             "`objectfolder build`, or name others"
         )
     hint = "; `objectfolder build` builds objects" if name.isidentifier() else ""

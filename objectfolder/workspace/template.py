@@ -94,7 +94,7 @@ def note_foreign_code(root: Path, graphs: Iterable[Path], folder: Path) -> None:
             return
     _log.warning(
         "this build runs code of the workspace that is not as objectfolder has it: %s; read it first, unless "
-        "you trust whose it is",
+        "you trust its author",
         shortened(", ".join(code), 300),
     )
     with suppress(OSError, ObjectFolderError):

@@ -766,7 +766,7 @@ def test_lengths_with_a_unit_are_refused_with_those_in_metres(workspace, option,
         (("--scale", "-1"), ".*; give it in metres"),
         (
             ("--scale", "12", "--unit", "cm"),
-            "--scale 12 is in metres, whatever the unit.*give --scale, or --unit cm, not both",
+            "--scale 12 is in metres, not in the unit.*give --scale, or --unit cm, not both",
         ),
         (
             ("--wall", "0.1"),

@@ -101,7 +101,7 @@ def test_commands_take_keys_and_releases(built, capsys):
     app(["view", "out", "--out", "page.html", "--no-open"], standalone_mode=False)
     assert all(f'data-object="{key}"' in Path("page.html").read_text() for key in ("lid", "mug"))
     assert list(load_object_files([Path("out")])) == list(load_object_files(None)) == ["lid", "mug"]
-    refused("both of lid; give each object once", load_object_files, [Path("out"), Path("lid")])
+    refused("both contain lid; give each object once", load_object_files, [Path("out"), Path("lid")])
 
 
 def test_the_frequency_above_which_modes_are_not_stored_is_shown(brick, tmp_path, capsys):

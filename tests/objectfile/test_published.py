@@ -138,7 +138,7 @@ def test_a_cache_that_cannot_be_written_is_named(address, cache):
     ],
 )
 def test_other_addresses_are_refused(address):
-    refused(r"is no address of a release; expected hf://OWNER/NAME, .* or a folder", Dataset, address)
+    refused(r"is not the address of a release; expected hf://OWNER/NAME, .* or a folder", Dataset, address)
 
 
 class Terminal(io.StringIO):

@@ -22,7 +22,7 @@ def test_a_take_has_all_pictures_and_all_sound(brick):
     take = simulate(model, data, Hearing(model, [brick], "ear"), 0.3, 25)
     assert (len(take.states), len(take.sound)) == (8, 15360)
     assert take.sound.any()
-    refused("hold no picture", simulate, model, data, Hearing(model, [brick], "ear"), 0.001, 25)
+    refused("hold no frame", simulate, model, data, Hearing(model, [brick], "ear"), 0.001, 25)
 
 
 def test_an_object_is_drawn_where_it_is_and_throws_a_shadow(brick):

@@ -164,7 +164,7 @@ def test_what_has_no_senses_is_refused(body, brick):
         ({"seconds": 1e12}, r"seconds is 1e\+12: needs [\d,]+ bytes.*ask for fewer"),
         ({"sample_rate": 1e12}, r"Hearing: needs [\d,]+ bytes.*lower the sample rate, 1e\+12 Hz"),
         ({"sample_rate": None}, "sample_rate is None, expected a finite number"),
-        ({"audio": None}, "None is no name of an entry, expected a text"),
+        ({"audio": None}, "None is not the name of an entry, expected a text"),
     ):
         refused(message, Senses, ReachEnv(body), {"object": brick}, **{"listener": EAR} | change)
 

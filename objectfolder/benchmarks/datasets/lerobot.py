@@ -69,7 +69,7 @@ def write_lerobot(
         raise ObjectFolderError(f"seconds is {seconds:g}, expected at least 2 frames, {2 / fps:g}")
     sizes = {(file.sensor_profile.height, file.sensor_profile.width) for file in files}
     if len(sizes) != 1:
-        raise ObjectFolderError(f"expected objects with sensors of one image size, got {sorted(sizes)}")
+        raise ObjectFolderError(f"expected sensors with the same image size, got {sorted(sizes)}")
     for file in files:
         if (kind := file.header["touch"]["kind"]) != "geometric":
             raise ObjectFolderError(
@@ -78,7 +78,7 @@ def write_lerobot(
             )
     keys = [file.key for file in files]
     if len(set(keys)) < len(keys):
-        raise ObjectFolderError(f"expected objects with keys of their own, as each is a task; got {keys}")
+        raise ObjectFolderError(f"expected objects with different keys, as each is a task; got {keys}")
     features = _features(*sizes.pop(), rate // fps, fps)
     total = episodes * len(files)
     rows: list[dict[str, Any]] = []

@@ -25,7 +25,7 @@ def read_picture(path: str | Path, mode: str = "RGBA") -> np.ndarray:
     """
     path = Path(path)
     if not path.is_file():
-        raise ObjectFolderError(f"{path} does not exist; expected a picture, such as a .jpg or .png file")
+        raise ObjectFolderError(f"{path} does not exist; expected an image, such as a .jpg or .png file")
     return np.asarray(decoded(path, str(path), mode, upright=True))
 
 
@@ -62,7 +62,7 @@ def cut_out(
         alpha = _largest(difference > tolerance).astype(np.float32)
     else:
         raise ObjectFolderError(
-            f"{name} does not say where the object is; expected one of three: a picture with transparency, "
+            f"{name}: the object is not marked; expected an image with transparency, "
             "a mask of the object (--mask), or the colour of a plain background (--background R,G,B)"
         )
     if not (alpha > OBJECT).any():
@@ -80,14 +80,14 @@ def photograph_to_mesh(model: ShapeModel, image: np.ndarray) -> tuple[np.ndarray
     """
     if model.setup.modalities != ("vision",):
         raise ObjectFolderError(
-            f"the model looks at {' and '.join(model.setup.modalities)}, expected one that reconstructs from "
+            f"the model was trained on {' and '.join(model.setup.modalities)}, expected one for "
             "images alone (variant V)"
         )
     vertices, faces = model.mesh(model.embed({"vision": image[None]})[0])
     if not len(faces):
         raise ObjectFolderError(
-            "the model sees no shape in the picture: it knows objects like "
-            f"{', '.join(model.setup.keys[:5])}; check how the object was cut out"
+            "the model finds no shape in the image: it was trained on objects like "
+            f"{', '.join(model.setup.keys[:5])}; check the mask of the object"
         )
     return vertices, faces
 

@@ -226,7 +226,7 @@ def _site_cache() -> Iterator[None]:
         folder = Path(site_cache_dir(Config.from_cwd(validate=False)["core"].get("site_cache_dir")))
         raise ObjectFolderError(
             f"DVC cannot use its databases in {folder}: {error}; {free_bytes(folder) / 1e6:.1f} MB are free "
-            "there; make space, or delete that folder, which DVC makes anew"
+            "there; make space, or delete that folder, which DVC creates again"
         ) from error
 
 

@@ -159,7 +159,7 @@ def _extract_tar(archive: Path, into: Path, budget: _Budget) -> None:
         for _ in range(MAX_PADDING >> 20):
             if not cast(IO[bytes], opened.fileobj).read(1 << 20):
                 return
-        raise ObjectFolderError(f"{archive.name} goes on after its end; it is not a plain tar archive")
+        raise ObjectFolderError(f"{archive.name} continues after its end; it is not a plain tar archive")
 
 
 def _refused(archive: Path, name: str) -> ObjectFolderError:

@@ -135,7 +135,7 @@ def kept_licences(given: str, entries: Sequence[IndexEntry], notices: Mapping[st
     said = "; ".join(f"{shortened(', '.join(keys))} ({licence})" for licence, keys in kept.items())
     if said and not any(entry.licence == licence_name(given) for entry in entries):
         advice = f"their {SOURCE} states another, {said}; leave the option out: each keeps its own"
-        raise ObjectFolderError(f"--licence {given} is of none of these objects: {advice}")
+        raise ObjectFolderError(f"--licence {given} applies to none of these objects: {advice}")
     return said
 
 

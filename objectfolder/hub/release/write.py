@@ -38,7 +38,7 @@ def write_release(
         for entry in entries:
             shutil.copyfile(Build(entry.key, root).object_file, folder / entry.path)
             if file_digest(folder / entry.path) != entry.sha256:
-                anew = f"{entry.key} was built anew while the release was written"
+                anew = f"{entry.key} was rebuilt while the release was written"
                 raise ObjectFolderError(f"{anew}; run it again after the build")
             if not site:
                 on_object(entry.key)

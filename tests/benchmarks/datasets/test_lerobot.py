@@ -141,7 +141,7 @@ def test_windows_have_to_be_equal(brick, tmp_path):
 
 
 def test_each_object_has_a_task_of_its_own(brick, tmp_path):
-    with pytest.raises(ObjectFolderError, match=r"keys of their own, .* got \['brick', 'brick'\]"):
+    with pytest.raises(ObjectFolderError, match=r"different keys, .* got \['brick', 'brick'\]"):
         write_lerobot([brick, brick], tmp_path / "out")
 
 

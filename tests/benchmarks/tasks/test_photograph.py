@@ -118,7 +118,7 @@ def test_specks_elsewhere_are_not_the_object():
 @pytest.mark.parametrize(
     ("alpha", "given", "message"),
     [
-        (255, {}, "expected one of three"),
+        (255, {}, "expected an image with transparency"),
         (255, {"mask": np.zeros((60, 80), np.uint8)}, "no foreground by the mask"),
         (255, {"mask": np.zeros((80, 60), np.uint8)}, "60 x 80 pixels, expected 80 x 60"),
         (255, {"background": (200, 30, 30), "tolerance": 255}, "foreground by the background 200,30,30"),

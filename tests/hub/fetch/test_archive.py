@@ -203,7 +203,7 @@ REFUSED = {
     "dir.tgz": (tgz(GOOD, [member("../aside", tarfile.DIRTYPE)]), r"'\.\./aside' would be written outside"),
     "dir.zip": (zipped({"../aside/": b""}), "outside the folder"),
     "liar.zip": (zip_that_lies(), "damaged|over 1 MB"),
-    "long.tgz": (gzip.compress(gzip.decompress(tgz(GOOD)) + bytes(65 << 20), 1), "goes on after its end"),
+    "long.tgz": (gzip.compress(gzip.decompress(tgz(GOOD)) + bytes(65 << 20), 1), "continues after its end"),
     "locked.zip": (encrypted(), "'secret' is encrypted"),
     # Not called damage.
     "clash.zip": (zipped({"a": b"1", "a/b": b"2"}), r"clash\.zip cannot be unpacked: .*(exists|Not a dir)"),

@@ -127,7 +127,7 @@ def test_every_object_has_its_licence_and_attribution_in_all_places(fetched, cap
 
 
 def test_a_licence_for_all_that_is_of_none_is_refused(fetched):
-    said = r"CC0-1.0 is of none of these objects: .* ycb_mug, gso_frypan \(CC-BY-4.0\); leave the option out"
+    said = r"CC0-1.0 applies to none of these objects: .* gso_frypan \(CC-BY-4.0\); leave the option out"
     refused(said, release, "ycb_mug", "gso_frypan", "--licence", "CC0-1.0")
     assert not Path("out").exists()
     release("ycb_mug", "gso_frypan", "--licence", "CC BY 4.0", "--category", "ycb_mug=mugs")

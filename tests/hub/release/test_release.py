@@ -75,7 +75,7 @@ def test_checksums_hold_for_every_file(dataset):
     dataset.verify()
     dataset.path("die").write_bytes(b"damaged")
     dataset.path("bell").unlink()
-    refused("not as released: die, bell", dataset.verify)
+    refused("changed since release: die, bell", dataset.verify)
 
 
 def test_the_same_objects_give_the_same_bytes(dataset, capsys):
@@ -90,7 +90,7 @@ def test_objects_are_named_by_their_files_too(built):
     assert Dataset("some").keys == ("mug", "bell")
     release("mug", "build", "all", "--no-site", *OPTIONS)
     assert Dataset("all").keys == ("mug", "die", "bell")
-    refused("some/objects/mug.safetensors was not built in this workspace", release, "new", "some")
+    refused("some/objects/mug.safetensors was not built in this workspace", release, "some", "new")
     refused("build has 3 objects, expected one, such as bell", object_key, "build")
 
 
@@ -198,7 +198,7 @@ def test_pages_say_what_is_so(dataset):
 
 def check_refused(message, *arguments):
     """A release is refused, and nothing is written; returns the whole message."""
-    error = refused(message, release, "out", "--no-site", *arguments)
+    error = refused(message, release, *arguments, "--no-site", "out")
     assert not Path("out").exists()
     return error
 
@@ -250,10 +250,10 @@ def test_spellings_of_a_licence_are_one(fetched):
     ("arguments", "message"),
     [
         (("out",), "mug: the licence of its mesh is not known; give --licence mug=LICENCE"),
-        (("out", "cup", "--licence", "MIT"), "no object 'cup' in params.yaml"),
+        (("cup", "out", "--licence", "MIT"), "no object 'cup' in params.yaml"),
         (("build", "--licence", "MIT"), "build exists already"),
         (("out", "--licence", "cup=MIT"), "'cup' is not among the objects of this release, mug, die, bell"),
-        (("out", "mug", "--licence", "die=MIT"), "'die' is not among the objects of this release, mug"),
+        (("mug", "out", "--licence", "die=MIT"), "'die' is not among the objects of this release, mug"),
         (("out", "--licence", "MIT", "--licence", "CC0-1.0"), "all objects without one is given twice"),
         (("out", "--licence", "MIT", "--licence", "mug="), "--licence 'mug=': that of mug is empty"),
         (("out", "--licence", "MIT", "--version", "one"), "--version 'one', expected three numbers"),
@@ -300,7 +300,7 @@ def test_placeholders_are_refused_with_object_field_value_and_remedy_unless_it_i
         f"cup: source is 'X, http://www.Example.com/x', expected that of the mesh; {own}",
         f"cup: attribution is 'unnamed', expected that of the mesh; {own}",
     ]
-    release("out", "--no-site", "--draft", *arguments)
+    release(*arguments, "--no-site", "--draft", "out")
     assert Dataset("out").entry("cup").licence == "ask me"
 
 
@@ -353,7 +353,7 @@ def test_an_object_that_is_built_anew_meanwhile_is_not_released(built, monkeypat
         return {}
 
     monkeypatch.setattr("objectfolder.hub.release.entries.notices_of", built_anew)
-    check_refused("die was built anew while the release was written", *OPTIONS)
+    check_refused("die was rebuilt while the release was written", *OPTIONS)
 
 
 def test_scores_of_an_earlier_file_are_not_released(built):
