@@ -235,7 +235,7 @@ def _touches(file: ObjectFile, build: Build | None) -> list[dict[str, Any]]:
     if truths.shape != answers.shape:  # of another sensor, since the file was written
         return _touches_alone(file)
     titles = map(_contact, data["depths"][rows], data["obstructed"][rows])
-    scores = psnr(np.square(answers - truths).mean((1, 2, 3)))
+    scores = np.asarray(psnr(np.square(answers - truths).mean((1, 2, 3))))
     return [_compared(*each) for each in zip(titles, truths, answers, scores)]
 
 

@@ -133,4 +133,4 @@ def compare_views(
     whole = image_intrinsics(views)[0]
     answers = file.view(views["camera_to_world"][rows], views["light"][rows], intrinsics=whole)
     errors = [_pooled(*noiseless_error(*each))[0] for each in zip(answers, rgba, noise)]
-    return on_white(torch.from_numpy(rgba)).numpy(), answers, psnr(np.array(errors))
+    return on_white(torch.from_numpy(rgba)).numpy(), answers, np.asarray(psnr(np.array(errors)))
