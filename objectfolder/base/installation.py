@@ -1,4 +1,4 @@
-"""How the package that runs was installed: its version, what installs it again with an extra; programs.
+"""How the package that runs was installed: its version, and what installs it again with an extra.
 
 It is on no package index, so the source is a clone, a commit of its repository, or a wheel.
 """
@@ -6,15 +6,12 @@ It is on no package index, so the source is a clone, a commit of its repository,
 import json
 import re
 import shlex
-import shutil
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 from urllib.request import url2pathname
-
-from objectfolder.base.errors import ObjectFolderError
 
 _NAME = "objectfolder"
 _PACKAGES = {"igl": "libigl", "pxr": "usd-core", "sklearn": "scikit-learn"}  # whose modules have other names
@@ -27,16 +24,6 @@ def installed_version() -> str:
         return version(_NAME)
     except PackageNotFoundError:
         return "unknown"
-
-
-def find_ffmpeg(needed_by: object) -> str:
-    """Return the path of ffmpeg; if it is not installed, raise ObjectFolderError that names what needs it."""
-    program = shutil.which("ffmpeg")
-    if program is None:
-        raise ObjectFolderError(
-            f"{needed_by} needs the program ffmpeg, which is not on the PATH: apt-get install ffmpeg"
-        )
-    return program
 
 
 def install_command(extra: str = "") -> str:

@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory, TemporaryFile
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.base.installation import find_ffmpeg
 from objectfolder.base.io import atomic, check_output
 from objectfolder.cli.console import print_line, track_progress
+from objectfolder.sound.recordings import find_ffmpeg
 
 
 def encoder(command: str, out: Path, *sides: int) -> str:

@@ -3,6 +3,7 @@
 import io
 import math
 import re
+import shutil
 import struct
 import subprocess
 from collections.abc import Iterator, Sequence
@@ -14,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.base.installation import find_ffmpeg
 from objectfolder.base.io import content_hint
 
 if TYPE_CHECKING:
@@ -94,6 +94,16 @@ def open_sound(path: Path) -> Iterator["soundfile.SoundFile"]:
         raise ObjectFolderError(
             f"{path} is not a readable audio file ({error}){content_hint(path)}; expected {FORMATS}"
         ) from error
+
+
+def find_ffmpeg(needed_by: object) -> str:
+    """Return the path of ffmpeg; if it is not installed, raise ObjectFolderError that names what needs it."""
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise ObjectFolderError(
+            f"{needed_by} needs the program ffmpeg, which is not on the PATH: apt-get install ffmpeg"
+        )
+    return program
 
 
 @contextmanager

@@ -94,7 +94,7 @@ def test_view_refuses_what_is_no_object_file_and_two_of_one_object(brick_path, t
     path = tmp_path / "a.safetensors"
     path.write_bytes(b"no Object File at all")
     refused(re.escape(str(path)), app, ["view", str(path), "--no-open"], standalone_mode=False)
-    with pytest.raises(ObjectFolderError, match="another file holds an object of the key brick"):
+    with pytest.raises(ObjectFolderError, match="another file has an object with the key brick"):
         app(["view", str(brick_path), str(brick_path), "--no-open"], standalone_mode=False)
 
 
