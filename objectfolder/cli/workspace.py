@@ -17,7 +17,7 @@ MAX_SCORES = 40  # objects whose scores a build prints
 #: Presets, and what an object then costs (docs/pipeline.md, docs/faithful.md).
 COSTS = {
     "quick": "about two minutes of CPU time per object",
-    "laptop": "the same; only its benchmarks differ",
+    "laptop": "as long as with quick (only its benchmarks differ)",
     "standard": "tens of minutes per object on one core",
     "faithful": "months of CPU time per object, less on a GPU",
     "faithful-small": "5 to 10 CPU hours per object",

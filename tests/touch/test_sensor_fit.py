@@ -130,7 +130,7 @@ SAME = [(50.0, 40.0, 12.0)] * 3
     ("chosen", "options", "reason"),
     [
         ([0], {}, r"^1 picture cannot determine the background: "),
-        ([0, 0, 0], {"circles": SAME}, "in the same place"),
+        ([0, 0, 0], {"circles": SAME}, "at the same position"),
         ([0, 1, 2, 3], {"circles": SAME[:1]}, "1 circles for 4 pictures"),
         ([0, 1], {"radius": 0.0, "untouched": True}, "radius is"),
         ([0, 1], {"radius": -1.0, "untouched": True}, "radius is"),
