@@ -209,11 +209,11 @@ def test_answers_are_those_of_the_page(folders, tmp_path, capsys):
     app(["listening", "score", str(path), "--study", str(page)], standalone_mode=False)
     assert "100%" in capsys.readouterr().out
     for held, message in (
-        (None, "no page of a study"),
+        (None, "not the page of a study"),
         ("[", "cannot be read as a page"),
-        ("[]", "no page of a study"),
-        ('{"id": "s", "methods": 5, "pairs": [{"name": "wood_1"}]}', "no page of a study"),
-        ('{"id": "s", "methods": ["ours", "recorded"], "pairs": [{"name": 1}]}', "no page of a study"),
+        ("[]", "not the page of a study"),
+        ('{"id": "s", "methods": 5, "pairs": [{"name": "wood_1"}]}', "not the page of a study"),
+        ('{"id": "s", "methods": ["ours", "recorded"], "pairs": [{"name": 1}]}', "not the page of a study"),
     ):
         tag = "" if held is None else f'<script type="application/json" id="study">{held}</script>'
         page.write_text(tag, encoding="utf-8")

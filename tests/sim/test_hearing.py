@@ -221,7 +221,7 @@ def test_restitution_is_that_of_a_spring_and_a_damper_that_cannot_pull(reference
     ("change", "message"),
     [
         ({"listener": ["ear", "brick_ear"]}, r"expected one; .*two ears need a Hearing each"),
-        ({"listener": [[0, 0, 1], [0, 1, 1]]}, r"expected one place.*two ears need a Hearing each"),
+        ({"listener": [[0, 0, 1], [0, 1, 1]]}, r"expected one position.*two ears need a Hearing each"),
         ({"listener": [0, 0, np.nan]}, "three finite numbers"),
         ({"listener": "nose"}, r"no site 'nose', but \['ear', 'brick_ear'\]"),
         ({"sample_rate": 2000}, r"lowest mode is at \d+ Hz, above half the sample rate of 2000 Hz"),

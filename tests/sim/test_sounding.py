@@ -33,7 +33,7 @@ def scene(body, *names):
         ([], "objects is empty"),
         (["brick"], "'brick' is of type str, expected an ObjectFile"),
         ({"cup": None}, "'cup' is of type NoneType"),
-        ({1: None}, "objects: 1 is no name of a body"),
+        ({1: None}, "objects: 1 is not the name of a body"),
     ],
 )
 def test_what_is_no_object_is_named(given, message):
