@@ -97,7 +97,7 @@ EXCEPTIONS = {
     "objectfolder/base/download.py:_receive": "O_EXCL, or goes on with a file of its own",
     "objectfolder/base/download.py:download_to": "a rename, which replaces links, into a new folder",
     "objectfolder/hub/fetch/run.py:_fetch": "temporary folders; those that were left, under a lock",
-    "objectfolder/objectfile/published.py:WebRelease.fetch": "a rename, which replaces links, under a lock",
+    "objectfolder/objectfile/online.py:WebRelease.fetch": "a rename, which replaces links, under a lock",
     "objectfolder/workspace/creation.py:_create": "removes what it has made under the lock of the folder",
     "objectfolder/workspace/objects.py:add_mesh": "removes the folder that it has placed",
     "objectfolder/cli/__init__.py:main": "opens the null device",

@@ -23,7 +23,7 @@ from objectfolder.objectfile.file import Device, ObjectFile
 from objectfolder.stored.header import NAMES, checked_name
 
 if TYPE_CHECKING:
-    from objectfolder.objectfile.published import HubRelease, WebRelease
+    from objectfolder.objectfile.online import HubRelease, WebRelease
 
 INDEX = "objects.csv"  #: in a release's folder
 OBJECTS = "objects"  #: folder of the Object Files
@@ -128,7 +128,7 @@ class Dataset(Sequence[ObjectFile]):
     def __init__(self, folder: str | Path, device: Device = "cpu"):
         self._published: WebRelease | HubRelease | None = None
         if isinstance(folder, str) and "://" in folder:
-            from objectfolder.objectfile.published import open_published
+            from objectfolder.objectfile.online import open_published
 
             self._published = open_published(folder, INDEX)
         self.folder, self.device = Path(self._published.folder if self._published else folder), device
