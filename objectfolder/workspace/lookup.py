@@ -18,7 +18,7 @@ def find_object_files(given: Path) -> list[Path]:
 
     The first of `FORMS` that the name is; those of a folder are in it or below.
 
-    Raises ObjectFolderError if it is none of them, or the index of a release is not valid.
+    Raises ObjectFolderError if it is none of them, or a file of a release is not what its index says.
     """
     if _exists(given) and not given.is_dir():
         return [given]
@@ -61,6 +61,8 @@ def _inside(folder: Path) -> list[Path]:
 
     if (folder / INDEX).is_file():
         dataset = Dataset(folder)
+        for _ in dataset:  # which compares each file with the index
+            pass
         return [dataset.path(key) for key in dataset.keys]
     copies = Benchmarks().observations("any").parent.name  # where benchmarks put Object Files, too
     found = folder.rglob(Build("any").object_file.name)
