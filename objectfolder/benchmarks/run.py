@@ -27,6 +27,7 @@ from objectfolder.benchmarks.reporting.tables import describe_uncertain
 from objectfolder.benchmarks.tasks.job import Report
 from objectfolder.benchmarks.tasks.running import KnownObject, Run, machine, run_benchmark, training_device
 from objectfolder.benchmarks.tasks.task import Objects, Scores, Task, TaskParams, find_task
+from objectfolder.benchmarks.tasks.vision_to_touch import VisionToTouchConfig
 from objectfolder.engine.process import in_processes
 from objectfolder.engine.resources import cores
 from objectfolder.objectfile.file import ObjectFile
@@ -198,7 +199,8 @@ def _sample_settings(
     """Return what a task's samples depend on besides the object, first their number of each."""
     if task.samples == "close_ups":
         assert params.encode is not None
-        return params.settings.contacts, params.encode.touch, params.seed
+        contacts = workspace.settings(VisionToTouchConfig, values, path).contacts
+        return contacts, params.encode.touch, params.seed
     if task.samples == "grasps":
         wanted = workspace.settings(GraspDataConfig, values, path)
         return wanted.grasps, wanted, params.seed, workspace.settings(DecomposeConfig, values, path).hulls

@@ -103,6 +103,9 @@ STAGES = {
     "vision_to_touch": Stage(
         "listed", f"{_TASKS}.vision_to_touch:VisionToTouchConfig", TRAINING, task=True, splits=_BOTH
     ),
+    "touch_to_vision": Stage(
+        "listed", f"{_TASKS}.touch_to_vision:TouchToVisionConfig", TRAINING, task=True, splits=_BOTH
+    ),
     "decompose": Stage("listed", f"{_DATA}:DecomposeConfig", Needs(15, memory_mb=1500), hulls=True),
     "grasp_data": Stage(
         "listed", f"{_DATA}:GraspDataConfig", Needs(60, memory_mb=2000, timeout=None), hulls=True

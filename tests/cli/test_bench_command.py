@@ -36,6 +36,7 @@ TINY = {
     "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 4},
     "localize": {"seeds": 1, "contacts": 80, "epochs": 1, "batch": 16},
     "vision_to_touch": {"seeds": 1, "contacts": 10, "epochs": 1, "batch": 8, "width": 2},
+    "touch_to_vision": {"seeds": 1, "epochs": 1, "batch": 8, "width": 2},
     "reconstruct": {
         **{"seeds": 1, "epochs": 1, "batch": 8, "points": 32, "width": 8, "blocks": 1},
         **{"resolution": 16, "score_points": 200, "views": 1, "touches": 2},
@@ -154,8 +155,11 @@ def test_touches_are_drawn_from_close_views(files, workspace):
     assert Path("first/vision_to_touch_seen.png").is_file()
     times = {path: path.stat().st_mtime_ns for path in Path("first/close_ups").rglob("*")}
     bench("vision-to-touch", files, "--out", "first", "--split", "seen", "--seeds", "2")
+    output = bench("touch-to-vision", files, "--out", "first", "--split", "seen")
+    assert "view of the most similar touch" in output
     assert times == {path: path.stat().st_mtime_ns for path in times}  # made once
-    assert Path("first/vision_to_touch_seen.png").is_file()
+    for task in ("vision_to_touch", "touch_to_vision"):
+        assert Path(f"first/{task}_seen.png").is_file()
 
 
 @pytest.mark.slow

@@ -1,4 +1,7 @@
-"""Touch from a close view: what would this spot feel like (ObjectFolder Benchmark)?"""
+"""Touch from a close view: what would this spot feel like (ObjectFolder Benchmark)?
+
+`objectfolder.benchmarks.tasks.touch_to_vision` is the other way round, with the same net and close views.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,21 +15,27 @@ from objectfolder.benchmarks.reporting.tables import NEW_OBJECTS, Table, format_
 from objectfolder.benchmarks.tasks.task import Task
 
 
-@section("vision_to_touch")
 @dataclass(frozen=True, kw_only=True)
-class VisionToTouchConfig(TrainingConfig):
-    """Section ``vision_to_touch`` of ``params.yaml``."""
+class TranslationConfig(TrainingConfig):
+    """Training of a net that draws one picture from another."""
 
     epochs: Count = 8
     learning_rate: Positive = 0.004
     weight_decay: NonNegative = 0.05
     patience: Count = 8
-    contacts: Annotated[int, Ge(10), MultipleOf(10)] = 100  #: with each object
     width: Count = 16  #: channels of the net at full size
 
 
-def _table(split: str, scores: Mapping[str, Any]) -> Table:
-    names = {"net": "net", "nearest": "touch of the most similar view", "mean": "mean touch"}
+@section("vision_to_touch")
+@dataclass(frozen=True, kw_only=True)
+class VisionToTouchConfig(TranslationConfig):
+    """Section ``vision_to_touch`` of ``params.yaml``."""
+
+    contacts: Annotated[int, Ge(10), MultipleOf(10)] = 100  #: with each object
+
+
+def translation_table(title: str, names: Mapping[str, str], split: str, scores: Mapping[str, Any]) -> Table:
+    """Lay out scores of pictures; ``names`` of the answers ``net``, ``nearest`` and ``mean``."""
     rows = []
     for kind, name in names.items():
         score = scores[kind]
@@ -35,7 +44,7 @@ def _table(split: str, scores: Mapping[str, Any]) -> Table:
         rows.append((name, f"{score['psnr']:.1f}" + spread, *figures))
     counts = scores["rows"]
     return Table(
-        f"Touch from a close view, {split} objects",
+        f"{title}, {split} objects",
         ("", "PSNR, dB", "PSNR, pooled", "SSIM"),
         rows,
         f"{scores['objects']} objects; {counts['train']:,} contacts to train with, {counts['val']:,} for "
@@ -43,6 +52,11 @@ def _table(split: str, scores: Mapping[str, Any]) -> Table:
         + NEW_OBJECTS
         * (split == "unseen"),
     )
+
+
+def _table(split: str, scores: Mapping[str, Any]) -> Table:
+    names = {"net": "net", "nearest": "touch of the most similar view", "mean": "mean touch"}
+    return translation_table("Touch from a close view", names, split, scores)
 
 
 TASK = Task(

@@ -17,7 +17,7 @@ from objectfolder.benchmarks.tasks.localize_training import localize
 from objectfolder.benchmarks.tasks.recognize_training import recognize
 from objectfolder.benchmarks.tasks.reconstruct_training import reconstruct
 from objectfolder.benchmarks.tasks.retrieve_training import retrieve
-from objectfolder.benchmarks.tasks.vision_to_touch_training import vision_to_touch
+from objectfolder.benchmarks.tasks.vision_to_touch_training import touch_to_vision, vision_to_touch
 
 occupancy = reconstructing.occupancy
 #: Sizes 16 and 40; the first net of a seed is trained alone, the last from several.
@@ -37,6 +37,7 @@ def shapes(folder, pretrain_epochs):
         (grasp_stability, lambda folder: stability._job(stability.FakeGrasps(20), folder, **FEW_GRASPS)),
         (localize, lambda folder: localizing.job(folder, epochs=3)),
         (vision_to_touch, lambda folder: translating.job(folder, epochs=3)),
+        (touch_to_vision, lambda folder: translating.back(folder, translating.pairs(), epochs=3)),
         (retrieve, lambda folder: retrieving.make_job(retrieving.Table(3), folder, epochs=3)),
         (
             retrieve,

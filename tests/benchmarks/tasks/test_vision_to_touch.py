@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import numpy as np
@@ -9,8 +10,13 @@ from objectfolder.benchmarks.datasets.splits import per_sample
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import vision_to_touch_training as task
 from objectfolder.benchmarks.tasks.job import Job
+from objectfolder.benchmarks.tasks.touch_to_vision import TouchToVisionConfig
 from objectfolder.benchmarks.tasks.vision_to_touch import TASK, VisionToTouchConfig
-from objectfolder.benchmarks.tasks.vision_to_touch_training import score_answers, vision_to_touch
+from objectfolder.benchmarks.tasks.vision_to_touch_training import (
+    score_answers,
+    touch_to_vision,
+    vision_to_touch,
+)
 
 SIZE = (16, 12)
 
@@ -51,6 +57,33 @@ def test_the_net_draws_what_the_view_shows(tmp_path):
     json.dumps(scores, allow_nan=False)
 
 
+def back(progress, samples, **changed):
+    there = job(progress, samples, **changed)
+    kept = {name: value for name, value in vars(there.params).items() if name != "contacts"}
+    return dataclasses.replace(there, params=TouchToVisionConfig(**kept))
+
+
+def test_the_net_draws_the_view_of_what_is_felt(tmp_path):
+    scores, curve = touch_to_vision(back(tmp_path, pairs()))
+    assert scores["net"]["psnr_pooled"] > scores["mean"]["psnr_pooled"] + 8
+    assert scores["net"]["ssim"] > scores["mean"]["ssim"]
+    assert scores["nearest"]["psnr_pooled"] > scores["mean"]["psnr_pooled"] + 3
+    assert {len(row) for row in curve} == {len(TASK.columns)}
+    assert (tmp_path / "sheet.png").is_file()
+
+
+def test_spots_that_feel_alike_are_tested_if_they_look_different(tmp_path):
+    """The bar has fourteen places, so that most touches repeat; its noise makes each view new."""
+    scores, _ = touch_to_vision(back(tmp_path / "new", pairs(), epochs=1))
+    assert scores["rows"] == {"train": 96, "val": 12, "test": 12}
+    same = pairs()
+    for array in same.arrays.values():
+        array[:60] = 0  # the first object looks and feels the same everywhere, and like no other
+    scores, _ = touch_to_vision(back(tmp_path / "same", same, epochs=1))
+    assert scores["rows"] == {"train": 96, "val": 6, "test": 6}
+    assert scores["untested"] == {"all": ["a"]}
+
+
 def test_views_that_say_nothing_give_the_mean_touch(tmp_path):
     blind = pairs()
     blind.arrays["view"] = np.random.default_rng(1).integers(0, 255, (120, *SIZE, 3), np.uint8)
@@ -62,7 +95,7 @@ def test_views_that_say_nothing_give_the_mean_touch(tmp_path):
 def test_the_pooled_error_chooses_the_epoch(tmp_path, monkeypatch):
     """One touch that is wrong counts as much as it is wrong, however many others are exact."""
 
-    def answers(job, net, blank, rows):
+    def answers(job, way, net, blank, rows):
         found = job.observations.read("touch", rows)
         found[0] = found[0] - 51  # a fifth of the range: 14 dB
         return found
