@@ -200,15 +200,15 @@ def test_an_object_whose_sound_is_uncertain_is_left_out_where_sound_is_used(file
         bench("recognize", one, marked / "flimsy", "--out", "third")
 
 
-def test_an_object_whose_sound_is_uncertain_is_localized_by_touch_alone(marked, workspace):
+def test_an_object_whose_sound_is_uncertain_is_localized_without_it(marked, workspace):
     output = bench("localize", marked / "flimsy", "--out", "first")
-    assert "flimsy: its sound is marked uncertain, so contacts are localized by touch alone" in output
-    assert "By touch alone, since their sound is marked uncertain: flimsy." in output
+    assert "flimsy: its sound is marked uncertain, so contacts are localized without it" in output
+    assert "Without sound, since theirs is marked uncertain: flimsy." in output
     assert "touch + sound" not in output
     scores = json.loads(Path("first/localize_flimsy.json").read_text())
     assert scores["uncertain"]
     assert "T" in scores
-    assert not {"A", "TA"} & scores.keys()
+    assert not {"A", "TA", "TVA"} & scores.keys()
     heard = {"T": scores["T"], "A": scores["T"], "TA": scores["T"], "constant": 1.0, "random": 1.0}
     [table] = find_task("localize").tables(
         {"flimsy": scores, "other": heard | {"contacts": scores["contacts"]}}
@@ -218,7 +218,9 @@ def test_an_object_whose_sound_is_uncertain_is_localized_by_touch_alone(marked, 
         ("touch", "other"),
         ("touch", "mean of 2"),
         ("sound", "other"),
+        ("close view", "flimsy"),
         ("touch + sound", "other"),
+        ("touch + close view", "flimsy"),
     ]
 
 

@@ -85,10 +85,7 @@ def sample_close_ups(file: ObjectFile, count: int, size: tuple[int, int], seed: 
 def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Draw points of the surface with room for a camera, and its distances: (N, 3) and (N,), metres."""
     drawn = file.sample_surface(4 * count, seed)
-    place = (drawn / file.scale).astype(np.float32)
-    normals = file.contact_normals(drawn).astype(np.float32)
-    free, _ = file.surface.caster.first_hit(place + LIFT * normals, normals)
-    distances = np.minimum(CLEAR * file.scale * free.astype(np.float64), FARTHEST)
+    distances = camera_distances(file, drawn)
     chosen = np.flatnonzero(distances >= NEAREST)[:count]
     if len(chosen) < count:
         raise ObjectFolderError(
@@ -96,6 +93,14 @@ def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np
             f"camera, expected {count}: leave the object out"
         )
     return drawn[chosen], distances[chosen]
+
+
+def camera_distances(file: ObjectFile, points: np.ndarray) -> np.ndarray:
+    """Return how far from points (N, 3) a camera has room along the normal, at most `FARTHEST`; metres."""
+    place = (points / file.scale).astype(np.float32)
+    normals = file.contact_normals(points).astype(np.float32)
+    free, _ = file.surface.caster.first_hit(place + LIFT * normals, normals)
+    return np.minimum(CLEAR * file.scale * free.astype(np.float64), FARTHEST)
 
 
 def close_views(

@@ -1,8 +1,9 @@
-"""Contacts with one object: touches and strikes at the same random points."""
+"""Contacts with one object: touches, strikes and close views at the same random points."""
 
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.benchmarks.datasets.close_ups import camera_distances, close_views
 from objectfolder.benchmarks.datasets.samples import Samples, has_uncertain_sound, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, Split
 from objectfolder.objectfile.file import ObjectFile
@@ -11,14 +12,17 @@ from objectfolder.sound.spectrogram import DURATION, SAMPLE_RATE
 
 TOGETHER = 8  #: contacts of one sequence
 CHUNK = 64  #: contacts asked at once
+CLOSEST = 0.001  #: of the camera to a contact, metres
 
 
-def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
-    """Touch and strike an object at the same random points of its surface.
+def sample_contacts(file: ObjectFile, count: int, seed: int, side: int) -> Samples:
+    """Touch, strike and look at an object at the same random points of its surface.
 
     The samples are of one object: ``touch`` (count, H, W, 3) uint8, at random press depths with the sensor
     upright, or as a net of kind ``image`` answers; ``audio`` (count, samples) float32, of strikes along the
-    inward normal, but of objects whose sound is marked uncertain; ``point`` (count, 3), unit frame.
+    inward normal, but of objects whose sound is marked uncertain; ``vision`` (count, side, side, 3) uint8,
+    the `close_views`, from where the surface leaves little room as near as `CLOSEST`, but of objects without
+    a vision net; ``point`` (count, 3), unit frame.
     """
     strikes = sample_strikes(file, count, seed)
     points, impulses = strikes[:, :3], strikes[:, 3:]
@@ -32,6 +36,9 @@ def sample_contacts(file: ObjectFile, count: int, seed: int) -> Samples:
         played = SAMPLE_RATE, DURATION, "displacement"
         sounds = [file.impact(points[rows], impulses[rows], *played, contact_time=0.0) for rows in parts]
         arrays["audio"] = np.concatenate(sounds)
+    if "vision" in file.header:
+        distances = np.maximum(camera_distances(file, points), CLOSEST)
+        arrays["vision"] = close_views(file, points, distances, (side, side))
     record = {"count": count, "seed": seed, "object": object_digest(file)}
     return Samples({file.key: record}, {name: [array] for name, array in arrays.items()})
 

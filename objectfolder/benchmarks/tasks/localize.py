@@ -1,4 +1,4 @@
-"""Localization of a contact on a known object by touch, by sound, or by both (ObjectFolder Benchmark)."""
+"""Localization of a contact on a known object by touch, sound, sight, or several (ObjectFolder Benchmark)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,11 @@ from objectfolder.benchmarks.models.settings import TrainingConfig
 from objectfolder.benchmarks.reporting.tables import Table, format_interval
 from objectfolder.benchmarks.tasks.task import Task
 
-SENSES = {"T": "touch", "A": "sound", "TA": "touch + sound"}  #: that contacts are localized by
+#: Senses that contacts are localized by. The last letter's belief counts in full beside those of others.
+SENSES = {
+    **{"T": "touch", "A": "sound", "V": "close view", "TA": "touch + sound", "TV": "touch + close view"},
+    "TVA": "touch + close view + sound",
+}
 
 
 @section("localize")
@@ -32,7 +36,9 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
     """Lay out the scores of `objectfolder.benchmarks.tasks.localization.localize` by object."""
     rows: list[tuple[str, ...]] = []
     for senses, name in SENSES.items():
-        heard = [key for key, score in scores.items() if senses == "T" or not score.get("uncertain")]
+        heard = [key for key, score in scores.items() if senses in score]
+        if not heard:
+            continue
         found = [scores[key][senses] for key in heard]
         for key, one in zip(heard, found):
             net, nearest = one["net"], one["nearest"]
@@ -62,13 +68,13 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         f"{contacts['test']} for the test. Eight: after eight contacts with known moves between them. "
         "Nearest: the training contact with the most similar input, for eight a belief by similarity. "
         "Constant: the best single answer."
-        + (f" By touch alone, since their sound is marked uncertain: {', '.join(silent)}." if silent else ""),
+        + (f" Without sound, since theirs is marked uncertain: {', '.join(silent)}." if silent else ""),
     )
 
 
 TASK = Task(
     name="localize",
-    help="""Find where a known object was touched or struck: by one touch, one sound, both, or eight in a row.
+    help="""Find where a known object was touched or struck: by a touch, a sound, a close view, or several.
 
 Mean errors in percent of the object's longest side, next to the most similar contact of the training, the
 best constant answer and a random one.
@@ -79,6 +85,6 @@ best constant answer and a random one.
     columns=("seed", "senses", "epoch", "train_loss", "val_score"),  # minus the mean error, sides
     table=_table,
     page="Localization",
-    encodes=("touch", "audio"),
+    encodes=("touch", "audio", "vision"),
     former=("localization",),
 )

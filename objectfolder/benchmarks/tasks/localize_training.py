@@ -1,12 +1,13 @@
-"""Localize a contact on a known object by touch, by sound, or by both (ObjectFolder Benchmark, CVPR 2023).
+"""Localize a contact on a known object by touch, sound, sight or several (ObjectFolder Benchmark, CVPR 2023).
 
-A net turns what was felt, or what was heard, into a belief over places on the object's surface. Logarithms of
-beliefs add up: of both senses, and of several contacts of a robot that knows how it moved between them.
+A net turns what was felt, heard or seen into a belief over places on the object's surface. Logarithms of
+beliefs add up: of several senses, and of several contacts of a robot that knows how it moved between them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,29 +26,29 @@ from objectfolder.benchmarks.models.localizer import SOFTNESS, Localizer, add_be
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.scores import over_seeds
 from objectfolder.benchmarks.tasks.job import Job, ObjectJob, in_chunks
-from objectfolder.benchmarks.tasks.localize import LocalizeConfig
+from objectfolder.benchmarks.tasks.localize import SENSES, LocalizeConfig
 
-LETTERS = {"T": "touch", "A": "audio"}
-COMBINATIONS = ("T", "A", "TA")
-TOUCH_WEIGHTS = (0.25, 0.5, 1.0)  #: of the belief by touch in that by both senses
+LETTERS = {"T": "touch", "A": "audio", "V": "vision"}
+WEIGHTS = (0.25, 0.5, 1.0)  #: of the belief by a sense in that by several, of which the last counts in full
 PLACES = 1000  #: on the surface, among which the answer is
-POOLED = {"touch": (16, 12), "audio": (64, 8)}  #: sizes of inputs that the nearest contact is sought by
+#: Sizes of inputs that the nearest contact is sought by.
+POOLED = {"touch": (16, 12), "audio": (64, 8), "vision": (12, 12)}
 
 Batch = tuple[torch.Tensor, torch.Tensor]  #: inputs, and beliefs
 
 
-def localize(job: Job[LocalizeConfig], letters: str = "TA") -> tuple[dict[str, Any], list[list[Any]]]:
+def localize(job: Job[LocalizeConfig], letters: str = "TAV") -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score the localization of contacts on one object.
 
     Nets learn a belief with a deviation of `SOFTNESS` around the true place. The answer is the place with
     the least expected distance. The best epoch is chosen on the validation contacts. At a known place, what
-    is felt and what is heard are independent, so that the belief by both senses is the product of the two
-    nets'; how much touch counts in it is chosen on the validation contacts. ``together`` are the answers
-    after `TOGETHER` contacts with known moves between them. Letters are the senses: ``TA``, or ``T`` alone.
+    is felt, heard and seen is independent, so that the belief by several senses is the product of their
+    nets'; how much each but the last counts in it is chosen on the validation contacts. ``together`` are the
+    answers after `TOGETHER` contacts with known moves between them. Letters are the senses that there are.
 
-    Returns scores: errors as shares of the longest side. By senses (``T``, ``A``, ``TA``): ``net`` and
+    Returns scores: errors as shares of the longest side. By those of `SENSES` that there are: ``net`` and
     ``nearest`` (the training contact with the most similar input), each with ``mean``, ``median`` and
-    ``together``, and ``interval_95`` and ``seeds`` of the net's mean; ``touch_weights`` of ``TA``, by seed.
+    ``together``, and ``interval_95`` and ``seeds`` of the net's mean; of several also ``weights``, by seed.
     ``random``: a random place; ``constant``: the place with the least mean distance to the training contacts.
     ``contacts`` by part, and ``seconds``.
     """
@@ -55,18 +56,18 @@ def localize(job: Job[LocalizeConfig], letters: str = "TA") -> tuple[dict[str, A
     setting = _Setting.of(job, points, letters)
     seeds = range(job.params.seeds)
     finished = {(run, letter): _train_once(job, setting, run, letter) for run in seeds for letter in letters}
-    weights = [_touch_weight(job, setting, run) for run in seeds] if letters == "TA" else []
     scores: dict[str, Any] = {}
-    for name in COMBINATIONS if letters == "TA" else letters:
-        if name == "TA":
-            runs = [setting.scores(_both(job, run, "test", weight)) for run, weight in enumerate(weights)]
-        else:
+    for name in (name for name in SENSES if set(name) <= set(letters)):
+        if len(name) == 1:
             runs = [finished[run, name]["scores"] for run in seeds]
+        else:
+            weights = [_choose_weights(job, setting, run, name) for run in seeds]
+            runs = [setting.scores(_joint(job, run, name, "test", weights[run])) for run in seeds]
         net = {kind: float(np.mean([run[kind] for run in runs])) for kind in runs[0]}
         net |= over_seeds("mean", [run["mean"] for run in runs])
         scores[name] = {"net": net, "nearest": _nearest(job, setting, name)}
-    if weights:
-        scores["TA"]["touch_weights"] = weights
+        if len(name) > 1:
+            scores[name]["weights"] = weights
     train, test = points[job.split.train], points[job.split.test]
     spread = _between(setting.places, test)
     constant = np.argmin(_between(setting.places, train).mean(1))
@@ -179,17 +180,18 @@ def _beliefs_path(job: Job[LocalizeConfig], run: int, letter: str) -> Path:
     return job.progress / f"{run}_{letter}.npz"
 
 
-def _both(job: Job[LocalizeConfig], run: int, part: str, touch_weight: float) -> np.ndarray:
-    """Return the beliefs of finished nets of both senses about the contacts of a part, (n, P)."""
-    touch, sound = (read_npz(_beliefs_path(job, run, letter), part)[part] for letter in "TA")
-    return sound + touch_weight * touch
+def _joint(job: Job[LocalizeConfig], run: int, name: str, part: str, weights: Sequence[float]) -> np.ndarray:
+    """Return the weighted sum of beliefs of finished nets about the contacts of a part, (n, P)."""
+    beliefs = [read_npz(_beliefs_path(job, run, letter), part)[part] for letter in name]
+    return np.tensordot(weights, beliefs, 1)
 
 
-def _touch_weight(job: Job[LocalizeConfig], setting: _Setting, run: int) -> float:
-    """Choose how much touch counts beside sound, by the mean error of the validation contacts."""
+def _choose_weights(job: Job[LocalizeConfig], setting: _Setting, run: int, name: str) -> list[float]:
+    """Choose how much each sense counts, by the mean error of the validation contacts."""
     truth = job.observations.read("point", job.split.val)
-    errors = [setting.errors(_both(job, run, "val", weight), truth).mean() for weight in TOUCH_WEIGHTS]
-    return TOUCH_WEIGHTS[int(np.argmin(errors))]
+    choices = [[*some, 1.0] for some in product(WEIGHTS, repeat=len(name) - 1)]
+    errors = [setting.errors(_joint(job, run, name, "val", some), truth).mean() for some in choices]
+    return choices[int(np.argmin(errors))]
 
 
 def _train(
@@ -234,18 +236,20 @@ def _belief(setting: _Setting, net: Localizer, letter: str, rows: np.ndarray) ->
 
 
 def localize_object(job: ObjectJob[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
-    """Touch and strike an object, and `localize` these contacts; scores also hold its ``scale``.
+    """Touch, strike and look at an object, and `localize` these contacts; scores also hold its ``scale``.
 
-    If its sound is marked uncertain, contacts are localized by touch alone, and scores say so: ``uncertain``.
+    If its sound is marked uncertain, contacts are localized without it, and scores say so: ``uncertain``.
 
     Raises ObjectFolderError if the object cannot be touched or heard, or there are too few contacts.
     """
     assert job.encode is not None
     count = job.params.contacts
-    contacts, split = sample_contacts(job.file, count, job.seed), contact_split(count)
+    contacts, split = sample_contacts(job.file, count, job.seed, job.encode.image), contact_split(count)
     given = job.params, job.encode, job.seed, job.progress, job.weights, job.device, job.report
     marked = has_uncertain_sound(job.file)
     if marked:
-        job.report(f"{job.file.key}: its sound is marked uncertain, so contacts are localized by touch alone")
-    scores, curve = localize(Job(contacts, split, *given), "T" if marked else "TA")
+        job.report(f"{job.file.key}: its sound is marked uncertain, so contacts are localized without it")
+    lacking = {"A": marked, "V": "vision" not in job.file.header}
+    letters = "".join(letter for letter in LETTERS if not lacking.get(letter))
+    scores, curve = localize(Job(contacts, split, *given), letters)
     return scores | {"scale": job.file.scale} | ({"uncertain": True} if marked else {}), curve

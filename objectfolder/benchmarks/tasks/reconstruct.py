@@ -14,7 +14,11 @@ from objectfolder.benchmarks.tasks.task import Task
 from objectfolder.workspace.layout import MODALITIES
 
 #: Rows of reconstruction, in their order; touches are not in the paper.
-NAMES = {"average_shape": "average shape", "V": "image", "A": "audio", "T": "", "VA": "image + audio"}
+NAMES = {
+    **{"average_shape": "average shape", "V": "image", "A": "audio", "T": "{} touches"},
+    **{"VA": "image + audio", "VT": "image + {} touches", "AT": "audio + {} touches"},
+    "VAT": "image + audio + {} touches",
+}
 #: Scores and their decimals, in the order of columns.
 COLUMNS = {"iou": 4, "chamfer_l1": 4, "chamfer_cm": 2, "normal_consistency": 4}
 #: Rows of reconstruction below the paper's, and what they are.
@@ -53,12 +57,13 @@ class ReconstructConfig(TrainingConfig):
 
 def _table(split: str, scores: Mapping[str, Any]) -> tables.Table:
     rows, counts = [], scores["rows"]
-    names = NAMES | KNOWN_SHAPES | {"T": f"{scores['touches']} touches"}
-    for kind in [*NAMES, *(name for name in KNOWN_SHAPES if name in scores)]:
+    for kind, name in (NAMES | KNOWN_SHAPES).items():
+        if kind not in scores:  # a baseline that the split lacks, or a variant that earlier versions lacked
+            continue
         score = scores[kind]
         ours = [tables.format_figure(score.get(name), digits) for name, digits in COLUMNS.items()]
         ours[0] += tables.format_interval(score, 1, ".4f") if "interval_95" in score else ""
-        rows.append((names[kind], *ours))
+        rows.append((name.format(scores["touches"]), *ours))
     return tables.Table(
         f"3D reconstruction, {split} objects",
         ("from", "IoU", "Chamfer-L1", "Chamfer-L1, cm", "normal consistency"),
@@ -72,7 +77,7 @@ def _table(split: str, scores: Mapping[str, Any]) -> tables.Table:
 
 TASK = Task(
     name="reconstruct",
-    help="""Reconstruct an object's shape from a view, an impact sound, both, or several touches.
+    help="""Reconstruct an object's shape from a view, an impact sound, several touches, or several of these.
 
 IoU, Chamfer-L1 and normal consistency, next to the average shape and the paper's Table 4. The model for
 views is kept: `objectfolder reconstruct PHOTO.jpg MESH.ply --model OUT/reconstruct_seen.safetensors`.

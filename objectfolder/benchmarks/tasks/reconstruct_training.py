@@ -1,8 +1,8 @@
 """3D reconstruction from sight, sound and touch (main paper, section 4.3 and Table 4; supplementary I.3).
 
-From an image, a sound, both, or several touches to the object's shape in its own frame, by an occupancy
-network behind the encoders of the other benchmarks. IMAGE2MESH is "V", AUDIO2MESH "A", IMAGE+AUDIO2MESH
-"VA". Touches, "T", are not in the paper.
+From an image, a sound, several touches, or any of these together to the object's shape in its own frame, by
+an occupancy network behind the encoders of the other benchmarks. IMAGE2MESH is "V", AUDIO2MESH "A",
+IMAGE+AUDIO2MESH "VA". Touches, "T", are not in the paper.
 """
 
 import time
@@ -44,10 +44,11 @@ Jobs = dict[str, Job[ReconstructConfig]]  #: by variant
 def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score all variants (main paper, Table 4).
 
-    Variants drop the validation and test rows all of whose inputs repeat an input of their object; T and the
-    average shape drop none. Test rows are evaluated once, after all choices were made on validation rows.
-    Every variant trains at most ``epochs`` epochs; VA half as many, as it starts from the encoders of V and
-    A, and from the fusion and the decoder of the one that validates better, of the same seed. The first
+    Variants drop the validation and test rows all of whose inputs repeat an input of their object; those with
+    touches and the average shape drop none. Test rows are evaluated once, after all choices were made on
+    validation rows. Every variant trains at most ``epochs`` epochs; those of several senses half as many, as
+    they start from the encoders of one each, and from the fusion and the decoder of the one that validates
+    best, of the same seed. The first
     seed's model of views is written to the progress folder as ``model.safetensors``, and a figure of some of
     its meshes as ``sheet.png``.
 
@@ -65,7 +66,7 @@ def reconstruct(job: Job[ReconstructConfig]) -> tuple[dict[str, Any], list[list[
     job.check_sizes(MODALITIES)
     repeats = job.repeats(("vision", "audio"))
     jobs = {
-        variant: job if variant == "T" else job.without_repeats(repeats, modalities)
+        variant: job if "touch" in modalities else job.without_repeats(repeats, modalities)
         for variant, modalities in VARIANTS.items()
     }
     truth = _truth(job)

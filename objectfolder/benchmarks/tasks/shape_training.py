@@ -31,12 +31,15 @@ from objectfolder.benchmarks.tasks.job import Job, in_chunks
 from objectfolder.benchmarks.tasks.naming import train_namer
 from objectfolder.benchmarks.tasks.reconstruct import ReconstructConfig
 
-#: Inputs of each variant. VA comes last: it starts from the nets of the others.
+#: Inputs of each variant. Those of several start from the nets of one each, which come first.
 VARIANTS: dict[str, tuple[str, ...]] = {
     "V": ("vision",),
     "A": ("audio",),
     "T": ("touch",),
     "VA": ("vision", "audio"),
+    "VT": ("vision", "touch"),
+    "AT": ("audio", "touch"),
+    "VAT": ("vision", "audio", "touch"),
 }
 #: Steps per encoded batch, each on other points; all but the first train fusion and decoder only. Encoders
 #: take most of the time, while shapes need many more steps than features. A row of several touches is so
@@ -163,7 +166,7 @@ class ShapeTraining:
         values = torch.zeros(len(self._labels), size, device=job.device)
         if modality == "vision":  # cropped differently in each epoch
             values[rows] = make(rows)
-        else:  # of A, they serve VA, too
+        else:  # they serve all variants with this modality
             kept = job.once(f"{modality} features of seed {self._run}", rows, (size,), make)
             values[rows] = kept.to(job.device)
         return values

@@ -121,10 +121,13 @@ def test_published_figures_of_retrieval_stand_beside_their_split():
 def test_reconstruction_beside_the_average_shape():
     score = {"iou": 0.5, "chamfer_l1": 0.02, "chamfer_cm": 0.25, "normal_consistency": 0.75}
     counts = {"views": 1, "touches": 4}
-    scores = dict.fromkeys(("V", "A", "T", "VA", "average_shape"), score) | ROWS | counts
+    scores = dict.fromkeys(("V", "A", "T", "VA", "VT", "AT", "VAT", "average_shape"), score) | ROWS | counts
     scores |= {"objects": 100}
     shown = score_table("reconstruct", "seen", scores)
-    assert list(cells(shown)) == ["average shape", "image", "audio", "4 touches", "image + audio"]
+    assert list(cells(shown)) == [
+        *("average shape", "image", "audio", "4 touches", "image + audio", "image + 4 touches"),
+        *("audio + 4 touches", "image + audio + 4 touches"),
+    ]
     assert cells(shown)["audio"] == ("0.5000", "0.0200", "0.25", "0.7500", "0.8729", "0.0048", "0.9504")
     used = "16 rows to train with; of each object the first 1 for validation and for the test, 2 and 2 in all"
     assert shown.note.startswith(used)

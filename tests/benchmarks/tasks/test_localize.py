@@ -24,13 +24,14 @@ COUNT = 400
 
 
 def square(seed=0, sounds=True):
-    """Return contacts on a unit square: touches show x as a brightness, sounds tell y by their pitch."""
+    """Return contacts on a unit square: touches and views show x as a brightness, sounds tell y by pitch."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-0.5, 0.5, (COUNT, 2)), np.zeros(COUNT)])
     level = 128 + 200 * points[:, 0, None, None, None]
     touch = np.clip(level + rng.normal(0, 3, (COUNT, 8, 6, 3)), 0, 255).astype(np.uint8)
     audio = hum(2500 + 4000 * points[:, 1], rng) * np.float32(sounds)
-    return MadeUp(["square"], {"touch": touch, "audio": audio, "point": points})
+    vision = np.broadcast_to(255 - touch.mean((1, 2, 3), keepdims=True), (COUNT, 8, 8, 3)).astype(np.uint8)
+    return MadeUp(["square"], {"touch": touch, "audio": audio, "vision": vision, "point": points})
 
 
 def job(progress, samples=None, **changed):
@@ -84,11 +85,13 @@ def test_two_senses_find_what_one_leaves_open(learnt):
     # One coordinate known, the other uniform: the best answer is a quarter off. Both unknown: 0.38.
     assert scores["constant"] == pytest.approx(0.38, abs=0.04)
     assert scores["random"] == pytest.approx(0.52, abs=0.04)
-    for one in ("T", "A"):
+    for one in ("T", "A", "V"):
         assert 0.2 < scores[one]["net"]["mean"] < 0.3
         assert 0.2 < scores[one]["nearest"]["mean"] < 0.4
     assert scores["TA"]["net"]["mean"] < 0.08
     assert scores["TA"]["net"]["median"] < 0.06
+    assert scores["TVA"]["net"]["mean"] < 0.08
+    assert scores["TV"]["net"]["mean"] > 0.2  # both show x
     # 320 contacts on the square: the nearest one is 0.5 / sqrt(320) = 0.028 away on average.
     assert 0.025 < scores["TA"]["nearest"]["mean"] < 0.045
     # Eight contacts on a line of equal x still leave y open but for the square's ends.
@@ -106,11 +109,12 @@ def test_silence_tells_nothing(tmp_path):
 
 def test_contacts_are_touched_and_struck_at_the_same_points():
     file = ObjectFile.sample("bell")
-    contacts = sample_contacts(file, 20, seed=2)
+    contacts = sample_contacts(file, 20, seed=2, side=12)
     points = contacts.read("point", np.arange(20))
     assert np.abs(file.surface.grid.distance(torch.from_numpy(points).float()).numpy()).max() < 2e-3
-    again = sample_contacts(file, 20, seed=2)
-    for name in ("touch", "audio"):
+    again = sample_contacts(file, 20, seed=2, side=12)
+    assert contacts.shape("vision") == (12, 12, 3)
+    for name in ("touch", "audio", "vision"):
         np.testing.assert_array_equal(contacts.read(name, np.arange(20)), again.read(name, np.arange(20)))
     sound = contacts.read("audio", np.array([3]))[0]
     direction = -file.surface.grid.normals(torch.from_numpy(points[3:4]).float()).numpy()[0]
@@ -134,7 +138,7 @@ def test_every_contact_is_in_one_part():
 
 def test_a_net_of_one_press_is_asked_for_that(brick):
     file = with_images(brick, 0.0012, 0.3)
-    contacts, rows = sample_contacts(file, 20, seed=2), np.arange(20)
+    contacts, rows = sample_contacts(file, 20, seed=2, side=12), np.arange(20)
     expected = file.touch(contacts.read("point", rows) * file.scale, 0.0012, 0.3)
     np.testing.assert_array_equal(contacts.read("touch", rows), expected)
 
@@ -151,6 +155,6 @@ def test_the_weight_of_touch_is_chosen_on_the_validation_contacts(tmp_path, monk
         errors=lambda belief, truth: np.linalg.norm(places[belief.argmax(1)], axis=1) + 0 * truth[:2, 0]
     )
     monkeypatch.setattr(made.observations, "read", lambda name, rows: truth)
-    weight = localize_training._touch_weight(made, setting, 0)
-    assert weight == 0.25  # the others follow the wrong sense
-    np.testing.assert_allclose(localize_training._both(made, 0, "test", weight), wrong + 0.25 * right)
+    weights = localize_training._choose_weights(made, setting, 0, "TA")
+    assert weights == [0.25, 1]  # the others follow the wrong sense
+    np.testing.assert_allclose(localize_training._joint(made, 0, "TA", "test", weights), wrong + 0.25 * right)
