@@ -31,7 +31,8 @@ OutArgument = Annotated[
     typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write, is_eager=True),
 ]
 FoldersArgument = Annotated[
-    list[Path], typer.Argument(metavar="DIR...", help="Folders that hold observations, or whose subfolders do.")
+    list[Path],
+    typer.Argument(metavar="DIR...", help="Folders that hold observations, or whose subfolders do."),
 ]
 HullsOption = Annotated[int, typer.Option(min=1, help="Maximum number of convex hulls per object.")]
 SplitOption = Annotated[

@@ -92,9 +92,7 @@ def vision(
     buffers: Annotated[
         bool, typer.Option("--buffers", help="Also write 1.npz ...: linear rgba, depth (metres), normals.")
     ] = False,
-    supersample: Annotated[
-        bool, typer.Option(help="Smooth edges; without it, rendering is faster.")
-    ] = True,
+    supersample: Annotated[bool, typer.Option(help="Smooth edges; without it, rendering is faster.")] = True,
     lights: Annotated[
         str | None,
         typer.Option(
@@ -103,7 +101,8 @@ def vision(
         ),
     ] = None,
     environment: Annotated[
-        Path | None, typer.Option(help="Environment map that lights all views: equirectangular, .hdr or .exr.")
+        Path | None,
+        typer.Option(help="Environment map that lights all views: equirectangular, .hdr or .exr."),
     ] = None,
 ) -> None:
     """Render views of an object. Positions are in the unit frame: the longest side is 1."""
@@ -280,7 +279,9 @@ def touch(
     friction: Annotated[
         float | None, typer.Option(help="Coefficient of friction; default: the material's.")
     ] = None,
-    markers: Annotated[bool, typer.Option("--markers", help="Draw the gel's markers into the images.")] = False,
+    markers: Annotated[
+        bool, typer.Option("--markers", help="Draw the gel's markers into the images.")
+    ] = False,
 ) -> None:
     """Press a tactile sensor on an object, and optionally shear the contact.
 
@@ -360,7 +361,7 @@ def _peak_summary(peak: float, response: str, heard: bool, normalized: bool) -> 
 
 def _mode_summary(frequencies: np.ndarray, sample_rate: int) -> str:
     above = int((frequencies >= sample_rate / 2).sum())
-    left_out = f", {above} left out above the Nyquist frequency of {sample_rate / 2:g} Hz" if above else ""
+    left_out = f", {above} left out above half the sample rate, {sample_rate / 2:g} Hz" if above else ""
     return plural(len(frequencies), "mode") + left_out
 
 

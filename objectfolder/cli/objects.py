@@ -46,7 +46,9 @@ def add(
             help="Mesh (.obj, .glb, .gltf, .ply, .stl, .off), folder of meshes, or catalogue (.yaml).",
         ),
     ],
-    name: Annotated[str | None, typer.Option(metavar="NAME", help="Key of the object, such as `blue_mug`; default: from the file name.")] = None,
+    name: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Key of the object, such as `blue_mug`.")
+    ] = None,
     material: Annotated[
         str | None,
         typer.Option(
@@ -73,7 +75,10 @@ def add(
     ] = None,
     bridge: Annotated[
         str,
-        typer.Option(metavar="all|fem|off", help="Fill gaps narrower than half a cell of the sound grid; fem: for sound only."),
+        typer.Option(
+            metavar="all|fem|off",
+            help="Fill gaps narrower than half a cell of the sound grid; fem: for sound only.",
+        ),
     ] = "all",
     mass: Annotated[
         float | None,

@@ -24,11 +24,14 @@ def simulate(
     listener: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
-            metavar="X Y Z", help="Position of the listener, metres, world frame.", show_default="the camera's"
+            metavar="X Y Z",
+            help="Position of the listener, metres, world frame.",
+            show_default="the camera's",
         ),
     ] = None,
     resolution: Annotated[
-        tuple[int, int], typer.Option(metavar="WIDTH HEIGHT", help="Size of the frames, pixels; even numbers.")
+        tuple[int, int],
+        typer.Option(metavar="WIDTH HEIGHT", help="Size of the frames, pixels; even numbers."),
     ] = (480, 360),
     fps: Annotated[int, typer.Option(help="Frames per second.")] = 25,
     seed: Annotated[int, typer.Option(help="Random seed of the noise of sliding and rolling.")] = 0,

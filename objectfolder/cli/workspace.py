@@ -42,7 +42,10 @@ def build(
     force: Annotated[bool, typer.Option("--force", "-f", help="Rerun stages that are up to date.")] = False,
     keep_going: Annotated[
         bool,
-        typer.Option("--keep-going/--fail-fast", help="After a failure, continue with the stages that do not need what failed, or stop."),
+        typer.Option(
+            "--keep-going/--fail-fast",
+            help="After a failure, continue with the stages that do not need what failed, or stop.",
+        ),
     ] = True,
     timeout: Annotated[
         float | None,

@@ -70,8 +70,8 @@ TASK = Task(
     name="localize",
     help="""Find where a known object was touched or struck: by one touch, one sound, both, or eight in a row.
 
-Prints mean errors in percent of the object's longest side, next to those of the most similar training contact,
-the best constant answer and a random one.
+Prints mean errors in percent of the object's longest side, next to those of the most similar training
+contact, the best constant answer and a random one.
 
 `objectfolder bench localize --preset quick build/mug`""",
     settings=LocalizeConfig,
