@@ -80,7 +80,7 @@ app = App(
         "help_option_names": ["-h", "--help"],
         "token_normalize_func": lambda name: FORMER.get(name, name),
     },
-    help="Build and query **Object Files**, implicit representations of how objects look, sound and feel.\n\n"
+    help="Build and query **Object Files**, which answer how objects look, sound and feel.\n\n"
     "In a workspace (a folder with dvc.yaml; `objectfolder init` makes one): `objectfolder add MESH ...`, "
     "then `objectfolder build`.\n\n"
     "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`; "

@@ -65,7 +65,7 @@ PRESET = Annotated[
 OUT = Annotated[
     Path | None,
     typer.Option(
-        metavar="FOLDER",
+        metavar="DIR",
         help="Folder of results; default: benchmarks/PRESET, or benchmarks/own without --preset.",
     ),
 ]

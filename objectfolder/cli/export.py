@@ -31,7 +31,8 @@ OutArgument = Annotated[
     typer.Argument(metavar="OUT", help="Folder to create.", callback=folder_to_write, is_eager=True),
 ]
 FoldersArgument = Annotated[
-    list[Path], typer.Argument(metavar="FOLDER...", help="Folders with observations in them or below.")
+    list[Path],
+    typer.Argument(metavar="DIR...", help="Folders that hold observations, or whose subfolders do."),
 ]
 HullsOption = Annotated[int, typer.Option(min=1, help="Maximum number of convex hulls per object.")]
 SplitOption = Annotated[
@@ -83,7 +84,7 @@ def datasets(folders: FoldersArgument, out: OutArgument, split: SplitOption = "s
 def mjcf(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
     """Write a folder OUT/KEY per object for MuJoCo: a body with free joint, hulls, texture, mass and inertia.
 
-    Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Half a minute per object.
+    Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Takes half a minute per object.
     """
     _require("rl", *SIMULATION)
     from objectfolder.sim.export import write_mjcf
@@ -93,9 +94,9 @@ def mjcf(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> Non
 
 @export_app.command()
 def urdf(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
-    """Write a folder OUT/KEY per object for PyBullet and other URDF readers: a link as in `mjcf`.
+    """Write a folder OUT/KEY per object for PyBullet and other URDF readers: a link, with what `mjcf` writes.
 
-    Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Half a minute per
+    Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Takes half a minute per
     object.
     """
     _require("rl", *SIMULATION)
@@ -121,7 +122,7 @@ def glb(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None
 def usd(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
     """Write OUT/KEY/KEY.usda per object: OpenUSD with its look, mass, inertia, friction and hulls.
 
-    Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Half a minute per object.
+    Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Takes half a minute per object.
     """
     _require("usd", "pxr")
     _require("rl", *SIMULATION)
@@ -138,7 +139,7 @@ def nerfstudio(
     resolution: Annotated[int, typer.Option(min=1, help="Side of the square images, pixels.")] = 256,
     seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     fixed_light: Annotated[
-        bool, typer.Option("--fixed-light", help="One light for all views, for nets without relighting.")
+        bool, typer.Option("--fixed-light", help="One light for all views, for nets that cannot relight.")
     ] = False,
 ) -> None:
     """Write OUT/KEY/transforms.json and images/ per object: rendered views with cameras and lights.

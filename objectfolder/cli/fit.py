@@ -10,7 +10,7 @@ from objectfolder.cli.console import App, print_line, print_wide
 from objectfolder.cli.files import OWN, object_key
 
 fit_app = App(
-    help="Fit an object to measurements: `sound`, to recordings of taps.",
+    help="Fit an object to measurements of the real one: `sound`, to recordings of taps.",
 )
 #: Score of the next best stiffness, relative to the best, from which on the fit may be wrong.
 RIVAL_LIMIT = 0.6

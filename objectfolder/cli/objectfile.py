@@ -92,18 +92,17 @@ def vision(
     buffers: Annotated[
         bool, typer.Option("--buffers", help="Also write 1.npz ...: linear rgba, depth (metres), normals.")
     ] = False,
-    supersample: Annotated[
-        bool, typer.Option(help="Antialias edges; without it, rendering is faster.")
-    ] = True,
+    supersample: Annotated[bool, typer.Option(help="Smooth edges; without it, rendering is faster.")] = True,
     lights: Annotated[
         str | None,
         typer.Option(
             metavar="studio|FILE.npy",
-            help="Lights of all views: studio, or an array (L, 6) of positions xyz and linear RGB.",
+            help="Lights of all views: studio, or a file (L, 6): position xyz, linear RGB.",
         ),
     ] = None,
     environment: Annotated[
-        Path | None, typer.Option(help="Equirectangular HDR or EXR image to light all views with.")
+        Path | None,
+        typer.Option(help="Environment map that lights all views: equirectangular, .hdr or .exr."),
     ] = None,
 ) -> None:
     """Render views of an object. Positions are in the unit frame: the longest side is 1."""
@@ -163,13 +162,14 @@ def audio(
     response: Annotated[
         str,
         typer.Option(
-            metavar="displacement|velocity|acceleration", help="What to synthesize without a listener."
+            metavar="RESPONSE",
+            help="Without --listener: displacement, velocity or acceleration of the modes.",
         ),
     ] = "displacement",
     contact_time: Annotated[
         float | None,
         typer.Option(
-            metavar="SECONDS", help="Duration of the strike; 0: an impulse; default: the striker's."
+            metavar="SECONDS", help="Duration of the strike; 0: an ideal impulse; default: the striker's."
         ),
     ] = None,
     material: Annotated[
@@ -182,25 +182,25 @@ def audio(
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Another longest side, which VERTICES are given for; default: the object's own.",
+            help="Another longest side, with VERTICES on the object of this size; default: its own.",
         ),
     ] = None,
     striker: Annotated[
         str | None,
         typer.Option(
             metavar="STRIKER",
-            help="steel (default), wood, rubber, finger or a YAML file: determines the contact time.",
+            help="What strikes: steel (default), wood, rubber, finger or a YAML file. Sets the contact time.",
         ),
     ] = None,
     listener: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
-            metavar="X Y Z", help="Listener position in metres: write the sound pressure there, in Pa."
+            metavar="X Y Z", help="Position of a listener, metres: write the sound pressure there, Pa."
         ),
     ] = None,
     normalize: Annotated[bool, typer.Option(help="Scale all sounds by their common peak.")] = False,
 ) -> None:
-    """Synthesize impact sounds as float WAV files, of strikes that `objectfolder sample audio` writes.
+    """Write the sounds of strikes as WAV files. `objectfolder sample audio` makes strikes.
 
     `objectfolder query audio mug VERTICES.npy OUT/ --sample-rate 48000 --listener 0.5 0 0.3 --normalize`
 
@@ -258,7 +258,7 @@ def touch(
         Path | None,
         typer.Option(
             metavar="GELINFO.npy",
-            help="(N, 3): tilt theta and its azimuth phi (radians), press depth (metres).",
+            help="(N, 3): tilt theta, its direction phi (both in radians), press depth (metres).",
         ),
     ] = None,
     depth: Annotated[float, typer.Option(metavar="METRES", help="Press depth, without --gelinfo.")] = 0.001,
@@ -274,12 +274,14 @@ def touch(
         typer.Option(metavar="RIGHT UP", help="Motion of the object in the image after the press, metres."),
     ] = None,
     twist: Annotated[
-        float, typer.Option(metavar="RADIANS", help="Turn of the object after the press.")
+        float, typer.Option(metavar="RADIANS", help="Rotation of the object in the image after the press.")
     ] = 0.0,
     friction: Annotated[
         float | None, typer.Option(help="Coefficient of friction; default: the material's.")
     ] = None,
-    markers: Annotated[bool, typer.Option("--markers", help="Draw the gel's dots into the images.")] = False,
+    markers: Annotated[
+        bool, typer.Option("--markers", help="Draw the gel's markers into the images.")
+    ] = False,
 ) -> None:
     """Press a tactile sensor on an object, and optionally shear the contact.
 
@@ -359,7 +361,7 @@ def _peak_summary(peak: float, response: str, heard: bool, normalized: bool) -> 
 
 def _mode_summary(frequencies: np.ndarray, sample_rate: int) -> str:
     above = int((frequencies >= sample_rate / 2).sum())
-    left_out = f", {above} left out above the Nyquist frequency of {sample_rate / 2:g} Hz" if above else ""
+    left_out = f", {above} left out above half the sample rate, {sample_rate / 2:g} Hz" if above else ""
     return plural(len(frequencies), "mode") + left_out
 
 

@@ -46,7 +46,9 @@ def add(
             help="Mesh (.obj, .glb, .gltf, .ply, .stl, .off), folder of meshes, or catalogue (.yaml).",
         ),
     ],
-    name: Annotated[str | None, typer.Option(metavar="NAME", help="Object key, such as `blue_mug`.")] = None,
+    name: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Key of the object, such as `blue_mug`.")
+    ] = None,
     material: Annotated[
         str | None,
         typer.Option(
@@ -73,14 +75,17 @@ def add(
     ] = None,
     bridge: Annotated[
         str,
-        typer.Option(metavar="all|fem|off", help="Fill gaps under half an FEM cell; fem: for sound only."),
+        typer.Option(
+            metavar="all|fem|off",
+            help="Fill gaps narrower than half a cell of the sound grid; fem: for sound only.",
+        ),
     ] = "all",
     mass: Annotated[
         float | None,
         typer.Option(
             metavar="KG",
             parser=_kilograms,
-            help="Mass of the real object, for simulations; default: solid volume times density.",
+            help="Mass of the real object, for simulations; default: volume of the solid times density.",
         ),
     ] = None,
     dry_run: Annotated[
@@ -94,7 +99,7 @@ def add(
     `objectfolder build NAME`.
 
     In a folder, each mesh file and each subfolder with a mesh is an object. Options apply to all;
-    materials.csv in the folder overrides them by object: its first line names its columns, of `name`,
+    materials.csv in the folder overrides them by object: its first line names its columns, any of `name`,
     `material`, `size`, `up`, `wall`, `mass`, `licence` and `author`.
     """
     from objectfolder.workspace.discover import Candidate, discover

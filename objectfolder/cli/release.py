@@ -36,7 +36,7 @@ def release(
         list[str] | None,
         typer.Option(
             metavar="[OBJECT=]CATEGORY",
-            help="Category of an object, or of all others. Procedural ones have one. Repeatable.",
+            help="Category of an object, or of all others. Generated objects have one. Repeatable.",
         ),
     ] = None,
     catalogue: Annotated[
@@ -53,7 +53,7 @@ def release(
         str, typer.Option(metavar="ADDRESS", help="Web address of the dataset.")
     ] = "https://example.org",
     draft: Annotated[
-        bool, typer.Option("--draft", help="Allow placeholders, and licences without SPDX identifier.")
+        bool, typer.Option("--draft", help="Allow placeholders, and licences that have no SPDX identifier.")
     ] = False,
     site: Annotated[bool, typer.Option("--site/--no-site", help="Add the report on its objects.")] = True,
 ) -> None:

@@ -22,7 +22,8 @@ def report(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder to write (default: site); with --single-file, page (default: report.html)."
+            metavar="PATH",
+            help="Folder to write (default: site); with --single-file, page (default: report.html).",
         ),
     ] = None,
     single_file: Annotated[

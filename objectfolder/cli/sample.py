@@ -13,13 +13,13 @@ from objectfolder.cli.console import App, print_line
 from objectfolder.cli.objectfile import FileArgument
 
 sample_app = App(
-    help="Write random, valid query files: `vision`, `audio` or `touch`; `query` answers them.",
+    help="Write files of random queries: `vision`, `audio` or `touch`. `objectfolder query` answers them.",
 )
 
 _TAP = 0.01, 0.05  # impulses of taps with a small hammer or a finger, N s
 
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT.npy", help="File to write.")]
-CountOption = Annotated[int, typer.Option("-n", "--count", min=1, help="Queries, one per row.")]
+CountOption = Annotated[int, typer.Option("-n", "--count", min=1, help="Number of queries, one per row.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Random seed.")]
 
 
@@ -58,7 +58,7 @@ def audio(
     seed: SeedOption = 0,
     force: Annotated[
         float | None,
-        typer.Option(help="Magnitude of every impulse, N s; default: taps, uniform in 0.01 to 0.05."),
+        typer.Option(help="Size of every impulse, N s; default: taps, random between 0.01 and 0.05."),
     ] = None,
     directions: Annotated[
         str,
@@ -76,7 +76,7 @@ def audio(
 ) -> None:
     """Write strikes, (N, 6): points on the surface (metres), uniform by area, and impulses (N s).
 
-    Then, with `--forces FORCES.npy` for two files of (N, 3), as in the published dataset:
+    The published dataset has points and impulses in two files: `--forces` writes these. Then:
 
     `objectfolder query audio FILE OUT.npy SOUNDS/ --sample-rate 48000 --listener 0.5 0 0.3 --normalize`
     """

@@ -10,12 +10,12 @@ from objectfolder.cli.files import FORMS, object_files
 
 
 def simulate(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE.xml", help="MuJoCo model.")],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.xml", help="MuJoCo scene.")],
     files: Annotated[
         list[Path] | None,
         typer.Argument(
             metavar="[FILE...]",
-            help=f"Object Files of the bodies that their keys name, each a {FORMS}; default: samples.",
+            help=f"Object Files of the bodies named by their keys, each a {FORMS}; default: samples.",
             callback=object_files,
         ),
     ] = None,
@@ -24,14 +24,17 @@ def simulate(
     listener: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
-            metavar="X Y Z", help="Listener position, metres, world frame.", show_default="the camera's"
+            metavar="X Y Z",
+            help="Position of the listener, metres, world frame.",
+            show_default="the camera's",
         ),
     ] = None,
     resolution: Annotated[
-        tuple[int, int], typer.Option(metavar="WIDTH HEIGHT", help="Pixels, even numbers.")
+        tuple[int, int],
+        typer.Option(metavar="WIDTH HEIGHT", help="Size of the frames, pixels; even numbers."),
     ] = (480, 360),
     fps: Annotated[int, typer.Option(help="Frames per second.")] = 25,
-    seed: Annotated[int, typer.Option(help="Random seed of the contact noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of the noise of sliding and rolling.")] = 0,
 ) -> None:
     """Render a MuJoCo scene to video with the contact sounds of its Object Files.
 

@@ -36,18 +36,21 @@ def build(
     jobs: Annotated[
         int | None,
         typer.Option(
-            "--jobs", "-j", min=1, help="Number of cores; default: all (--engine ray: of the cluster)."
+            "--jobs", "-j", min=1, help="Cores to use; default: all (--engine ray: of the cluster)."
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Rerun stages that are up to date.")] = False,
     keep_going: Annotated[
         bool,
-        typer.Option("--keep-going/--fail-fast", help="After a failure, continue with independent stages."),
+        typer.Option(
+            "--keep-going/--fail-fast",
+            help="After a failure, continue with the stages that do not need what failed, or stop.",
+        ),
     ] = True,
     timeout: Annotated[
         float | None,
         typer.Option(
-            min=0, metavar="SECONDS", help="Time limit of each stage; 0: none. Default: hours, by stage."
+            min=0, metavar="SECONDS", help="Time limit of each stage; 0: none; default: hours, by stage."
         ),
     ] = None,
     engine: Annotated[
@@ -61,7 +64,7 @@ def build(
         ),
     ] = None,
     pull: Annotated[
-        bool, typer.Option("--pull", help="Pull available outputs from the default DVC remote first.")
+        bool, typer.Option("--pull", help="First fetch from the default DVC remote what it has.")
     ] = False,
     wait: Annotated[
         bool,
@@ -76,7 +79,7 @@ def build(
         ),
     ] = False,
 ) -> None:
-    """Build outdated stages in parallel, with the graph and cache of DVC.
+    """Build what is out of date: all objects, or the targets. Results are cached by DVC.
 
     Examples: `objectfolder build -j 2`, `objectfolder build mug`, `objectfolder build modal@mug`,
     `objectfolder build --engine ray` (requirements of a cluster: docs/pipeline.md).
@@ -151,7 +154,7 @@ def preset(
     ],
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the changes; change nothing.")] = False,
 ) -> None:
-    """Set params.yaml to a preset: number of views, FEM resolution, training length and more.
+    """Set params.yaml to a preset: number of views, grid sizes, training length and more.
 
     quick is the defaults; params/NAME.yaml holds what differs from them, and may be your own. Objects, seed
     and selected benchmarks are kept. Each setting that changes is printed.

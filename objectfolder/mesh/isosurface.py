@@ -55,7 +55,10 @@ class Isosurface:
         self.grid = grid
         sheets = grid.features is not None and len(grid.features.sheets) > 0
         if not (grid.values.min() < 0 or sheets) or not grid.values.max() > 0:
-            raise ObjectFolderError("the distance grid holds no surface: all samples are on one side of it")
+            raise ObjectFolderError(
+                "the distance grid holds no surface: no sample is inside it, or none outside; build the "
+                "object again"
+            )
 
     @cached_property
     def _mesh(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:

@@ -71,6 +71,10 @@ def rigid_body(file: ObjectFile, hulls: Sequence[trimesh.Trimesh]) -> RigidBody:
     """
     if not hulls:
         raise ObjectFolderError(f"{file.key}: no hulls to collide with; expected at least one")
+    if not all(isinstance(hull, trimesh.Trimesh) for hull in hulls):
+        raise ObjectFolderError(
+            f"{file.key}: hulls is {quoted(hulls)}, expected a list of meshes, such as `cached_hulls` returns"
+        )
     surface = close_holes(file.to_mesh())
     _check_fit(file.key, surface.bounds, hulls)
     if "solid" in file.header:

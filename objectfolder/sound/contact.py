@@ -76,7 +76,9 @@ def _of_package(name: str) -> Striker:
 
 def _read_striker(path: Path) -> Striker:
     if not path.is_file():
-        raise ObjectFolderError(f"striker {path} does not exist; expected a file as those in {_STRIKERS}")
+        raise ObjectFolderError(
+            f"striker {path} does not exist; expected a YAML file like those in {_STRIKERS}"
+        )
     values, known = read_yaml(path), [field.name for field in fields(Striker)]
     if not isinstance(values, dict) or not set(known) - {"speed"} <= values.keys() <= set(known):
         raise ObjectFolderError(f"{path} holds {quoted(values)}, expected {', '.join(known)} by name")

@@ -43,7 +43,10 @@ def match_modes(computed: np.ndarray, heard: np.ndarray) -> Match:
     median of its pairs. Raises ObjectFolderError if fewer than three modes match.
     """
     if not len(computed) or not len(heard):
-        raise ObjectFolderError(f"{len(computed)} computed and {len(heard)} heard modes: nothing to match")
+        raise ObjectFolderError(
+            f"nothing to match: the object has {len(computed)} modes, the recordings {len(heard)}; check "
+            "that they are of this object, or record other taps"
+        )
     far = np.log(heard)[:, None] - np.log(computed)[None]
     ratios = np.exp(np.arange(np.log(RATIOS[0]), np.log(RATIOS[1]), STEP))
     scores = np.array([_pairs(far - shift)[2] for shift in np.log(ratios)])

@@ -84,7 +84,10 @@ class Sound(AnswerModule):
     def __init__(self, sense: ModalSense, surface: ObjectSurface, dtype: torch.dtype):
         super().__init__()
         if not (isinstance(sense, ModalSense) and isinstance(sense.net, GainsNet)):
-            raise ObjectFolderError("gradients of sound need an audio net of kind gains")
+            raise ObjectFolderError(
+                "gradients of sound need an audio net of kind gains; build the object with train_audio.net: "
+                "gains"
+            )
         sense.warn_if_uncertain()
         self._sense, self._surface, self._dtype = sense, surface, dtype
         self.net = copy.deepcopy(sense.net).cpu().to(dtype).requires_grad_(False)

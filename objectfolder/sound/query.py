@@ -194,7 +194,7 @@ def uncertainty_note(audio: dict[str, Any]) -> str | None:
 def no_modes(key: str) -> ObjectFolderError:
     """Return the error of what needs modes, of a file that stores spectrograms."""
     return ObjectFolderError(
-        f"{key}: its audio net stores spectrograms, no modes; train_audio.net: gains stores them"
+        f"{key}: its audio net stores spectrograms, no modes; build the object with train_audio.net: gains"
     )
 
 

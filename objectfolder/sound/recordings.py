@@ -59,7 +59,9 @@ def read_recording(path: Path) -> tuple[np.ndarray, float]:
     sound = loudest_channel(channels, path)
     peak = np.abs(sound).max(initial=0)
     if not peak > MIN_PEAK:
-        raise ObjectFolderError(f"{path} is silent: its peak is {peak:.1g} of full scale")
+        raise ObjectFolderError(
+            f"{path} is silent: its peak is {peak:.1g} of full scale; record it again, or leave it out"
+        )
     full = bounded and _in_a_row(np.abs(sound) > CLIPPING_LEVEL, CLIPPED_RUN)
     if full or _cut_off(sound) or _cut_off(-sound):
         raise ObjectFolderError(f"{path} is clipped: record it again at a lower level, or leave it out")

@@ -193,10 +193,10 @@ class ModalSense(SoundSense):
         low, high = tuning.frequency_bounds  # of another Poisson ratio
         if len(ratio) and max(float(ratio.max()) * high - 1, 1 - float(ratio.min()) * low) > _ALIKE:
             raise ObjectFolderError(
-                f"{key}: the stored radiation does not apply to this material, which has "
-                f"{float(1 / ratio.max()) / high:.2f} to "
-                f"{float(1 / ratio.min()) / low:.2f} times the wavelength; "
-                "build the object in this material to use a listener"
+                f"{key}: a listener hears the object in its own material only, since the stored radiation is "
+                f"of its frequencies; this material has {float(ratio.min()) * low:.2f} to "
+                f"{float(ratio.max()) * high:.2f} times these. Leave listener out, or build the object in "
+                "this material"
             )
 
     def _strengths(self, strikes: Strikes, settings: SoundSettings) -> Iterator[tuple[slice, torch.Tensor]]:
@@ -258,10 +258,10 @@ def _report_inaudible(heard: int, modes: int, nyquist: float, outcome: str = "si
     if modes == 0:
         log.warning("%s: the object has no mode that rings between 20 Hz and 20 kHz", outcome)
     elif heard == 0:
-        beyond = "none of the object's %d modes lies below the Nyquist frequency of %g Hz"
+        beyond = "none of the object's %d modes lies below half the sample rate, %g Hz; raise sample_rate"
         log.warning(f"%s: {beyond}", outcome, modes, nyquist)
     elif heard < modes:
-        log.info("%d of %d modes lie above the Nyquist frequency", modes - heard, modes)
+        log.info("%d of %d modes are left out, above half the sample rate", modes - heard, modes)
 
 
 class SpectrogramSense(SoundSense):
@@ -279,7 +279,7 @@ class SpectrogramSense(SoundSense):
         if settings.material is not None or settings.scale is not None or settings.contact_time:
             raise ObjectFolderError(
                 f"{self._key}: its audio net stores spectrograms; material, scale and contact_time need "
-                "modes, which train_audio.net: gains stores"
+                "modes: build the object with train_audio.net: gains"
             )
         if settings.striker is not None:
             raise ObjectFolderError(
@@ -289,9 +289,9 @@ class SpectrogramSense(SoundSense):
         samples = round(rate * duration) if 0 < duration <= DURATION else 0
         if rate != SAMPLE_RATE or settings.response != "displacement" or samples <= 0:
             raise ObjectFolderError(
-                f"a spectrogram net answers displacement at {SAMPLE_RATE} Hz, up to {DURATION:g} s; "
-                f"asked for {settings.response} at {rate:g} Hz, {duration:g} s. A net of kind gains answers "
-                "that (train_audio.net: gains)"
+                f"a spectrogram net answers displacement at {SAMPLE_RATE} Hz, up to {DURATION:g} s; asked "
+                f"for {settings.response} at {rate:g} Hz, {duration:g} s. To get that, build the object with "
+                "train_audio.net: gains"
             )
         snapped = self._surface.snap(strikes.points, strikes.tolerance)
         places = torch.from_numpy(self._surface.to_unit(snapped))

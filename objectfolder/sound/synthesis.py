@@ -72,7 +72,7 @@ def checked_contact_time(seconds: float) -> float:
     """Return a contact time, or raise ObjectFolderError if it is negative or not a finite number."""
     value = finite_number("contact time", seconds)
     if value < 0:
-        raise ObjectFolderError(f"contact time is {value} s, expected a finite duration or 0")
+        raise ObjectFolderError(f"contact time is {value} s, expected 0 or more")
     return value
 
 

@@ -71,7 +71,9 @@ def retune(
     except (OverflowError, ZeroDivisionError):
         factor = shape_factor = math.inf
     if not (0 < factor < math.inf and shape_factor < math.inf):
-        raise ObjectFolderError(f"{new} of {new_scale:g} m: its modes are beyond the range of numbers")
+        raise ObjectFolderError(
+            f"{new} of {new_scale:g} m: its modes are beyond the range of numbers; check its properties"
+        )
     w, c = damped_frequency.double(), damping.double()
     eigenvalues = (w * w + c * c) * factor
     c = new.damping(eigenvalues)

@@ -81,8 +81,8 @@ class ObjectSurface:
             raise ObjectFolderError(
                 f"{len(far)} of {len(points)} points are off the surface, the first is row {far[0]} at "
                 f"{points[far[0]].round(6).tolist()} m, {distance[far[0]] * self.scale:.3g} m away; expected "
-                f"at most {most * self.scale:.3g} m, {most:g} of the size. Points are in metres, centred on "
-                "the bounding box: ObjectFile.sample_surface gives valid ones"
+                f"at most {most * self.scale:.3g} m, {most:g} of the size. Points are in metres from the "
+                "centre of the bounding box; ObjectFile.nearest moves them to the surface"
             )
         near = distance < slack * surface.grid.spacing
         return np.where(near[:, None], places, snapped)

@@ -35,7 +35,8 @@ def supporting_pressure(
         residual -= step * moved
         before = now
     raise ObjectFolderError(
-        f"the pressure on a gel of {layer} did not converge in {_MAX_ITERATIONS} iterations"
+        f"the pressure on a gel of {layer} did not converge in {_MAX_ITERATIONS} iterations; "
+        "try a smaller depth, or dtype float32"
     )
 
 
@@ -59,4 +60,7 @@ def settle(
         if (changed == active).all():
             return displacement, found
         active = changed
-    raise ObjectFolderError(f"the contact on a gel of {layer} did not settle in {_MAX_SET_CHANGES} rounds")
+    raise ObjectFolderError(
+        f"the contact on a gel of {layer} did not settle in {_MAX_SET_CHANGES} rounds; try a smaller depth, "
+        "or dtype float32"
+    )

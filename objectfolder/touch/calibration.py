@@ -232,7 +232,8 @@ def _solve(
     weakest = np.abs(np.diag(information)[:count]).min()
     if not weakest > 0:
         raise ObjectFolderError(
-            "one of the lights has no effect on the pictures and cannot be fitted; check the profile"
+            f"one of the lights of profile {model.profile.name!r} has no effect on the pictures and cannot "
+            "be fitted; correct or remove it"
         )
     deviation = np.sqrt(variance * np.diag(np.linalg.pinv(information)))
     factors = np.exp(found.x[:count])

@@ -56,7 +56,10 @@ class Touch(AnswerModule):
     def __init__(self, sense: Any, dtype: torch.dtype):
         super().__init__()
         if not isinstance(sense, GeometricSense) or sense.net.renderer != "gel":
-            raise ObjectFolderError("gradients of touch need a touch net of kind geometric and renderer gel")
+            raise ObjectFolderError(
+                "gradients of touch need a touch net of kind geometric and renderer gel; build the object "
+                "with train_touch.net: geometric and render_touch.renderer: gel"
+            )
         self._sense, self._dtype = sense, dtype
         self._optics: dict[SensorProfile, TensorOptics] = {}
 

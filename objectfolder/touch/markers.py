@@ -26,7 +26,8 @@ class Markers:
         radius = finite_number("markers: radius", self.radius)
         if not 0 < 2 * radius < spacing:
             raise ObjectFolderError(
-                f"markers of radius {radius:g} m, {spacing:g} m apart, expected positive and not overlapping"
+                f"markers of radius {radius:g} m, {spacing:g} m apart, expected a radius above 0 and under "
+                "half of the spacing"
             )
 
     def places(self, profile: SensorProfile) -> np.ndarray:

@@ -175,8 +175,8 @@ class TouchSense(ABC):
     def depth_maps(self, contacts: ContactPoses) -> np.ndarray:
         """Return depth maps of the released sensor, metres; (N, 120, 160) float32."""
         raise ObjectFolderError(
-            f"{self.key}: its touch net stores no depth maps, as those of imported 2.0 files; press() gives "
-            "heights"
+            f"{self.key}: its touch net stores no depth maps; only imported 2.0 files do. Use press(): its "
+            "`height` is in metres"
         )
 
 

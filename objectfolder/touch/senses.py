@@ -106,8 +106,8 @@ class ImageSense(TouchSense):
 
     def _images_only(self) -> ObjectFolderError:
         return ObjectFolderError(
-            f"{self.key}: its touch net stores images of one sensor, no shapes or forces; "
-            "train_touch.net: geometric answers with them, and for other sensors"
+            f"{self.key}: its touch net stores images of one sensor, no shapes or forces; for these and for "
+            "other sensors, build the object with train_touch.net: geometric"
         )
 
 

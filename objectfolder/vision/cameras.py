@@ -41,10 +41,12 @@ class Intrinsics:
         if self.focal_y is not None:
             store("focal_y", finite_number("intrinsics: focal_y", self.focal_y))
         if min(self.fx, self.fy) <= 0:
-            raise ObjectFolderError(f"intrinsics {self}: focal lengths must be positive")
+            raise ObjectFolderError(f"intrinsics {self}: focal lengths must be positive, in pixels")
         if self.center is not None:
             if np.shape(self.center) != (2,):
-                raise ObjectFolderError(f"intrinsics {self}: the principal point must be a column and a row")
+                raise ObjectFolderError(
+                    f"intrinsics {self}: center must be the column and row of the principal point"
+                )
             center = (finite_number("intrinsics: principal point", place) for place in self.center)
             store("center", tuple(center))
 

@@ -46,7 +46,10 @@ class View(AnswerModule):
     def __init__(self, sense: Any, dtype: torch.dtype):
         super().__init__()
         if not isinstance(sense, SurfaceSense):
-            raise ObjectFolderError("gradients of views need a vision net of kind surface")
+            raise ObjectFolderError(
+                "gradients of views need a vision net of kind surface; build the object with "
+                "train_vision.net: surface"
+            )
         self._surface, self._dtype = sense.surface, dtype
         self.net = copy.deepcopy(sense.net).cpu().to(dtype).requires_grad_(False)
         baked = sense.baked

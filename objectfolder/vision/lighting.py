@@ -68,7 +68,8 @@ class DistantLight:
         length = math.hypot(*way)
         if not 0 < length < math.inf:
             raise ObjectFolderError(
-                f"direction of a light is {quoted(self.direction)}, expected another length than {length:g}"
+                f"direction of a light is {quoted(self.direction)}, of length {length:g}; expected a finite "
+                "length above 0"
             )
         object.__setattr__(self, "direction", tuple((way / length).tolist()))
         object.__setattr__(self, "color", _color(self.color))

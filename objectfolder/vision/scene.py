@@ -32,7 +32,9 @@ class Scene:
 
     def __post_init__(self) -> None:
         if not len(self.mesh.faces) or not np.isfinite(self.mesh.vertices).all():
-            raise ObjectFolderError("the mesh to render has no faces, or vertices that are not finite")
+            raise ObjectFolderError(
+                "the mesh to render has no faces, or vertices that are not finite; build the object again"
+            )
         if not 0 <= self.ambient < math.inf:
             raise ObjectFolderError(f"ambient light is {self.ambient}, expected a radiance of 0 or more")
 

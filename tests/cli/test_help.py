@@ -36,6 +36,17 @@ def test_help_shows_what_is_typed_instead_of_types(path):
     assert {"-h", "--help"} <= {*text.split()}
 
 
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+def test_eighty_columns_break_no_word_to_be_typed(path, monkeypatch):
+    """What options take is shown whole, as are their names."""
+    monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", 80)
+    text = run(*path, "-h")
+    assert max(map(len, text.splitlines())) <= 80
+    for one in COMMANDS[path].params:
+        words = [*one.opts, *(one.metavar or "").split()] if one.param_type_name == "option" else []
+        assert [word for word in words if word not in text] == []
+
+
 def test_a_place_has_its_numbers_and_a_count_is_n():
     text = run("simulate", "--help")
     assert "SCENE.xml [FILE...]" in text

@@ -197,7 +197,7 @@ def test_another_size_sounds_the_same_at_proportional_places(brick, struck):
         ({"material": "steel"}, "build the object in this material"),
         (
             {"material": AS_FAST_A_BAR},
-            r"0\.90 to 1\.6\d times the wavelength.*build the object in this material",
+            r"0\.6\d to 1\.1\d times these\. Leave listener out, or build the object in this material",
         ),
         ({"delay": 1}, "delay is of type int"),
         (

@@ -145,6 +145,7 @@ def test_hulls_of_another_frame_are_refused(brick):
     for wrong in (hull.copy().apply_scale(10), hull.copy().apply_translation([0.02, 0, 0])):
         refused(r"brick: its hulls reach from .* another object or frame", rigid_body, brick, [wrong])
     refused("brick: no hulls", rigid_body, brick, [])
+    refused("brick: hulls is 'hulls', expected a list of meshes", rigid_body, brick, "hulls")
 
 
 def test_object_without_geometry_has_no_mass(brick):

@@ -72,7 +72,7 @@ def test_marker_that_leaves_the_image_is_not_drawn(digit):
 
 @pytest.mark.parametrize("size", [(1e-3, 6e-4), (0.0, 1e-4), (1e-3, 0.0)])
 def test_markers_that_overlap_are_refused(size):
-    refused("not overlapping", Markers, *size)
+    refused("expected a radius above 0 and under half of the spacing", Markers, *size)
 
 
 @pytest.fixture(scope="module")

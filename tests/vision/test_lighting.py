@@ -346,7 +346,7 @@ def test_lights_are_checked(brick, given, message):
         (PointLight, [(0, 0, 1), (1, 1, -1)], "expected no negative number"),
         (PointLight, [(0, 0, 1), (1e39, 1, 1)], "light is (1e+39, 1.0, 1.0), expected at most 1e+12"),
         (DistantLight, [(0, 0, 1), (1, 2e20, 1)], "light is (1.0, 2e+20, 1.0), expected at most 1e+12"),
-        (DistantLight, [(0, 0, 0)], "expected another length than 0"),
+        (DistantLight, [(0, 0, 0)], "of length 0; expected a finite length above 0"),
     ],
 )
 def test_a_light_is_checked(kind, given, message):

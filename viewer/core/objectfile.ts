@@ -95,12 +95,14 @@ const damaged = (what: string) => new FormatError(`this Object File is damaged: 
 
 function checked(text: string | undefined): Header {
   if (text === undefined)
-    throw new FormatError("this safetensors file is no Object File: its metadata has no entry objectfolder");
+    throw new FormatError(
+      "this safetensors file is not an Object File: its metadata has no entry objectfolder",
+    );
   let header: Header | null;
   try {
     header = JSON.parse(text);
   } catch {
-    throw damaged("is no JSON");
+    throw damaged("is not JSON");
   }
   if (typeof header !== "object" || !header) throw damaged("is empty");
   const major = Number(String(header.format ?? "").split(".")[0]);
@@ -108,7 +110,8 @@ function checked(text: string | undefined): Header {
     throw new FormatError("this Object File is older than format 1.0: rebuild it with objectfolder build");
   if (major !== MAJOR)
     throw new FormatError(`this Object File has format ${header.format}; this page reads ${MAJOR}.x`);
-  if (!(header.scale > 0)) throw new FormatError(`its size is ${header.scale} m`);
+  if (!(header.scale > 0))
+    throw new FormatError(`this Object File is damaged: its size is ${header.scale} m`);
   for (const name of ["key", "material"] as const)
     if (typeof header[name] !== "string") throw damaged(`lacks ${name}`);
   const { geometry } = header;

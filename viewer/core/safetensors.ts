@@ -24,16 +24,19 @@ interface Entry {
 
 /** Split a file into its tensors, without copying them. */
 export function parse(buffer: ArrayBuffer): Container {
-  if (buffer.byteLength < 10) throw new FormatError(`the file has ${buffer.byteLength} bytes only`);
+  if (buffer.byteLength < 10)
+    throw new FormatError(`the file has only ${buffer.byteLength} bytes: download or copy it again`);
   const length = Number(new DataView(buffer).getBigUint64(0, true));
   const start = 8 + length;
   if (length > LONGEST_HEADER || start > buffer.byteLength)
-    throw new FormatError("this is no safetensors file, or only the beginning of one");
+    throw new FormatError(
+      "this is not a safetensors file, or only the beginning of one: download or copy it again",
+    );
   let head: Record<string, unknown>;
   try {
     head = JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(new Uint8Array(buffer, 8, length)));
   } catch {
-    throw new FormatError("this is no safetensors file: its header is not JSON");
+    throw new FormatError("this is not a safetensors file: its header is not JSON");
   }
   const tensors = new Map<string, Tensor>();
   const { __metadata__: metadata, ...entries } = head;
@@ -41,7 +44,7 @@ export function parse(buffer: ArrayBuffer): Container {
     const { dtype, shape, data_offsets: place } = entry as Entry;
     const [from, to] = place ?? [];
     if (!(from >= 0 && to >= from && start + to <= buffer.byteLength))
-      throw new FormatError(`tensor ${name} reaches beyond the end of the file: a part of it is missing`);
+      throw new FormatError(`tensor ${name} reaches beyond the end of the file: download or copy it again`);
     const count = shape.reduce((a, b) => a * b, 1);
     if (SIZES[dtype] && count * SIZES[dtype] !== to - from)
       throw new FormatError(`tensor ${name} has ${to - from} bytes, expected ${count * SIZES[dtype]}`);

@@ -54,7 +54,10 @@ export class View {
     lost: (away: boolean) => void,
   ) {
     const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
-    if (!gl) throw new Error("This browser has no WebGL 2, which the picture needs.");
+    if (!gl)
+      throw new Error(
+        "The picture needs WebGL 2, which this browser lacks: turn on hardware acceleration, or use another browser.",
+      );
     this.gl = gl;
     this.held = held(gl);
     canvas.addEventListener("webglcontextlost", (event) => {
@@ -264,7 +267,10 @@ export class View {
   /** Draw what a shader's mode shows into a square of samples, lowest row first. */
   private samples(wide: number, mode: number): Float32Array {
     const { gl } = this;
-    if (!gl.getExtension("EXT_color_buffer_float")) throw new Error("no pictures of floating-point numbers");
+    if (!gl.getExtension("EXT_color_buffer_float"))
+      throw new Error(
+        "The picture needs WebGL with floating-point textures, which this browser lacks: use another browser.",
+      );
     const frame = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
     const stores = [

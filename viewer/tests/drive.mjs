@@ -196,7 +196,7 @@ async function use(page) {
     buffer: Buffer.from("solid cube of a foreign format"),
   });
   await page.locator("#message").waitFor();
-  assert.match(await page.locator("#message").textContent(), /no safetensors file/);
+  assert.match(await page.locator("#message").textContent(), /not a safetensors file/);
   await page.locator("#message button").click();
   assert.ok(await page.locator("#chooser").isHidden(), "what cannot be shown is not in the menu");
   await answered(page, async () => click(page, ...(await middle(page))));

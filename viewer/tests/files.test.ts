@@ -40,16 +40,16 @@ describe("files", () => {
 
   it("that are not are explained", () => {
     const expected: [ArrayBuffer, string][] = [
-      [new ArrayBuffer(3), "has 3 bytes"],
+      [new ArrayBuffer(3), "has only 3 bytes"],
       [
         new TextEncoder().encode("solid cube of a foreign format").buffer as ArrayBuffer,
-        "no safetensors file",
+        "not a safetensors file",
       ],
-      [file({}), "is no Object File"],
+      [file({}), "is not an Object File"],
       [file({ objectfolder: JSON.stringify({ ...HEADER, format: "2.0" }) }), "this page reads 1.x"],
       [file({ objectfolder: JSON.stringify({ key: "cup" }) }), "older than format 1.0"],
       [file({ objectfolder: JSON.stringify(HEADER) }, 8), "beyond the end of the file"],
-      [file({ objectfolder: "{" }), "its header is no JSON"],
+      [file({ objectfolder: "{" }), "its header is not JSON"],
       [file({ objectfolder: "null" }), "its header is empty"],
       [file({ objectfolder: JSON.stringify({ ...HEADER, key: undefined }) }), "lacks key"],
       [

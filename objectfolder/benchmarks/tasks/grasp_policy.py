@@ -43,7 +43,7 @@ TASK = Task(
     name="grasp_policy",
     help="""Learn to grasp an object by touch: TRPO in ObjectFolder/Grasp-v0.
 
-Success rates over new rollouts of policies that observe touch, only the jaw opening, or neither; next to
+Prints success rates in new episodes of policies that observe touch, only the jaw opening, or neither, next to
 random actions and no action. Training curves, a policy and an animation are written to OUT.
 
 `objectfolder bench grasp-policy --preset quick build/tonic_bottle`""",

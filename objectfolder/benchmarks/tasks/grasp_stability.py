@@ -96,7 +96,7 @@ TASK = Task(
     help="""Predict whether a grasp will hold, from a view of it, the touches of both fingers, or both.
 
 Grasps are simulated first and kept in OUT/grasps. If surface.ply lies beside the Object Files, as after a
-build, the same touches are also simulated on it for comparison (implicit against explicit).
+build, the same touches are also simulated on this mesh, for comparison.
 
 `objectfolder bench grasp-stability --preset quick`""",
     settings=GraspStabilityConfig,

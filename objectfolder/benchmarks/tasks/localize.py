@@ -76,8 +76,8 @@ TASK = Task(
     name="localize",
     help="""Find where a known object was touched or struck: by a touch, a sound, a close view, or several.
 
-Mean errors in percent of the object's longest side, next to the most similar contact of the training, the
-best constant answer and a random one.
+Prints mean errors in percent of the object's longest side, next to those of the most similar training
+contact, the best constant answer and a random one.
 
 `objectfolder bench localize --preset quick build/mug`""",
     settings=LocalizeConfig,

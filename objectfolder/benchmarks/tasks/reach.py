@@ -59,7 +59,7 @@ TASK = Task(
     name="reach",
     help="""Move a gripper to a goal past an object: the reach task of Meta-World, with PPO.
 
-Success rates at the last step and at any time, on goals not used in training; next to a controller,
+Prints success rates at the last step and at any time, on goals not used in training, next to a controller,
 random actions and no action. Training curves, policies and animations are written to OUT.
 
 `objectfolder bench reach --preset quick build/mug build/bell`""",

@@ -160,9 +160,9 @@ TASK = replace(
     name="recognize",
     help="""Recognize an object, or its material, from a view, an impact sound, a touch, or any combination.
 
-Accuracy on held-out observations with its 95 % interval over seeds, next to chance and published figures;
-also of several touches together. The figure OUT/recognize_seen.png
-(OUT/materials_SPLIT.png) shows what is taken for what.
+Prints the accuracy on held-out observations, and on several touches together, with its 95 % interval over
+seeds, next to chance and published figures. The figure OUT/recognize_seen.png (OUT/materials_SPLIT.png) shows
+what is mistaken for what.
 
 `objectfolder bench recognize --preset quick`
 

@@ -79,8 +79,8 @@ TASK = Task(
     name="reconstruct",
     help="""Reconstruct an object's shape from a view, an impact sound, several touches, or several of these.
 
-IoU, Chamfer-L1 and normal consistency, next to the average shape and the paper's Table 4. The model for
-views is kept: `objectfolder reconstruct PHOTO.jpg MESH.ply --model OUT/reconstruct_seen.safetensors`.
+Prints IoU, Chamfer-L1 and normal consistency, next to the average shape and the paper's Table 4. The model
+for views is kept: `objectfolder reconstruct PHOTO.jpg MESH.ply --model OUT/reconstruct_seen.safetensors`.
 
 `objectfolder bench reconstruct --preset quick --split seen`""",
     settings=ReconstructConfig,

@@ -70,7 +70,8 @@ TASK = Task(
     name="retrieve",
     help="""Retrieve observations of the same object in another modality, such as sounds from views.
 
-Mean average precision for all six directions, next to CCA, chance and the paper's Table 3.
+Prints the mean average precision for all six directions, next to canonical correlation analysis (CCA), chance
+and the paper's Table 3.
 
 `objectfolder bench retrieve --preset quick --split unseen`""",
     settings=RetrieveConfig,

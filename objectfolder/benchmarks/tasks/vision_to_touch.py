@@ -63,8 +63,9 @@ TASK = Task(
     name="vision_to_touch",
     help="""Draw the tactile image of a contact from a close view of it.
 
-PSNR and SSIM on held-out contacts of the training objects or of new ones, next to the touch of the most
-similar view and to the mean touch. The figure OUT/vision_to_touch_SPLIT.png shows view, answer and truth.
+Prints PSNR and SSIM on held-out contacts of the training objects or of new ones, next to the touch of the
+most similar view and the mean touch. The figure OUT/vision_to_touch_SPLIT.png shows view, prediction and
+truth.
 
 `objectfolder bench vision-to-touch --preset quick --split unseen`""",
     settings=VisionToTouchConfig,

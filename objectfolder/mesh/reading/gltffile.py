@@ -14,6 +14,7 @@ from PIL import Image
 
 from objectfolder.base.errors import ObjectFolderError, shortened
 from objectfolder.mesh.reading.files import MAX_NAME, find_referenced, read_image, read_referenced
+from objectfolder.mesh.reading.text import CUT_OFF
 
 DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -64,7 +65,8 @@ class GltfFile:
         dtype, columns, count = DTYPES[accessor["componentType"]], WIDTHS[accessor["type"]], accessor["count"]
         if columns != width and (width is not None or columns not in (3, 4)):
             raise ObjectFolderError(
-                f"{self.path}: accessor {index} has {columns} columns, expected {width or '3 or 4'}"
+                f"{self.path}: accessor {index} has {columns} columns, expected {width or '3 or 4'}; "
+                "export the mesh again"
             )
         if expected not in (None, count):
             raise ObjectFolderError(
@@ -116,7 +118,7 @@ class GltfFile:
             where = buffer.get("uri", "its binary chunk")[:80]
             raise ObjectFolderError(
                 f"{self.path} cannot be read as a mesh: {where} holds {len(data)} bytes, expected "
-                f"{buffer['byteLength']}: cut off?"
+                f"{buffer['byteLength']}; {CUT_OFF}"
             )
         return data or b""
 
@@ -135,7 +137,9 @@ class GltfFile:
         start = view.get("byteOffset", 0) + offset
         end = start + (count - 1) * stride + row
         if min(offset, count) < 0 or stride < row or end > view.get("byteOffset", 0) + view["byteLength"]:
-            raise ObjectFolderError(f"{self.path}: an accessor reaches beyond buffer view {index}: cut off?")
+            raise ObjectFolderError(
+                f"{self.path}: an accessor reaches beyond the end of buffer view {index}; {CUT_OFF}"
+            )
         return np.ndarray(
             (count, columns), dtype, self.buffers[view["buffer"]], start, (stride, dtype.itemsize)
         )
@@ -166,7 +170,7 @@ def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
         document = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise ObjectFolderError(
-            f"{path} cannot be read as a mesh: its glTF document is not JSON ({error})"
+            f"{path} cannot be read as a mesh: its glTF document is not JSON ({error}); export it again"
         ) from error
     asset = document.get("asset", {}) if isinstance(document, dict) else {"version": "none"}
     version, least = asset.get("version", "2.0"), asset.get("minVersion", "2.0")
@@ -180,7 +184,9 @@ def read_document(path: Path) -> tuple[dict[str, Any], bytes]:
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
     if data[:4] != b"glTF" or len(data) < 20:
-        raise ObjectFolderError(f"{path} cannot be read as a mesh: it has no binary glTF header")
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: it has no binary glTF header; export it again"
+        )
     version, length, size, kind = struct.unpack("<III4s", data[4:20])
     if version != 2:
         raise ObjectFolderError(
@@ -188,7 +194,8 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
         )
     if len(data) < length or kind != b"JSON" or 20 + size > length:
         raise ObjectFolderError(
-            f"{path} cannot be read as a mesh: it holds {len(data)} bytes, its header says {length}: cut off?"
+            f"{path} cannot be read as a mesh: it holds {len(data)} bytes, its header says {length}; "
+            f"{CUT_OFF}"
         )
     binary = b""
     if 28 + size <= length:

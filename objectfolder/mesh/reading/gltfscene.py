@@ -123,7 +123,9 @@ def _descend(file: GltfFile, roots: list[int]) -> tuple[dict[int, np.ndarray], d
         if index in worlds:
             if reason == OUTSIDE:
                 continue
-            raise ObjectFolderError(f"{file.path}: node {index} has two parents; expected a tree")
+            raise ObjectFolderError(
+                f"{file.path}: node {index} has two parents, expected one; export it again"
+            )
         node = nodes[index]
         worlds[index] = parent @ _transform(node)
         visible = node.get("extensions", {}).get(VISIBILITY, {}).get("visible", True) and not _hides(node)

@@ -75,7 +75,8 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
         raise ObjectFolderError(f"mesh file {path} does not exist; give the path of an existing mesh")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise ObjectFolderError(f"{path}: format {path.suffix!r} is not one of {', '.join(FORMATS)}")
+        formats = ", ".join(FORMATS)
+        raise ObjectFolderError(f"{path}: format {path.suffix!r} is not one of {formats}; convert the mesh")
     if up not in ("y", "z"):
         raise ObjectFolderError(f"{path}: up axis {up!r} is neither 'y' nor 'z'")
     source = _read(path, reader)
@@ -93,9 +94,14 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
         raise ObjectFolderError(f"{path}: {bad.sum()} of its vertices are NaN or infinite; repair the mesh")
     reach, size = np.abs(used).max(), np.ptp(used, axis=0).max()
     if reach > MAX_REACH:
-        raise ObjectFolderError(f"{path}: its vertices reach {reach:.3g}; repair the mesh")
+        raise ObjectFolderError(
+            f"{path}: a coordinate of its vertices is {reach:.3g}, expected at most {MAX_REACH:g}; repair "
+            "the mesh"
+        )
     if size <= 1 / MAX_REACH:
-        raise ObjectFolderError(f"{path}: all of its vertices coincide; expected a solid object")
+        raise ObjectFolderError(
+            f"{path}: all of its vertices coincide; expected a solid object: export it again"
+        )
     appearance = _source_report(parts)
     mesh, notes = join([_finite(part) for part in parts], texture_size, str(path))
     bad = 0.0
@@ -113,7 +119,7 @@ def load_mesh(path: str | Path, up: str = "z", texture_size: int = 1024) -> Text
 
 def _read(path: Path, reader: Callable[[Path], MeshContent]) -> MeshContent:
     if path.stat().st_size == 0:
-        raise ObjectFolderError(f"{path} cannot be read as a mesh: it is empty")
+        raise ObjectFolderError(f"{path} cannot be read as a mesh: it is empty; export it again")
     try:
         with np.errstate(all="ignore"):  # values are checked later
             return reader(path)

@@ -16,6 +16,7 @@ from objectfolder.mesh.reading.parts import (
     split_by_face_color,
 )
 from objectfolder.mesh.reading.text import (
+    CUT_OFF,
     DECIMAL_COMMAS,
     count_words,
     decode_text,
@@ -100,7 +101,7 @@ def _lines(path: Path) -> tuple[re.Match[str], tuple[bytes, np.ndarray], tuple[b
     if len(ends) <= last or not face_count:
         raise ObjectFolderError(
             f"{path} cannot be read as a mesh: it has {len(ends) - 1} lines of vertices and faces, expected "
-            f"{vertex_count} and {face_count}: cut off?"
+            f"{vertex_count} and {face_count}; {CUT_OFF}"
         )
     return (
         header,

@@ -26,6 +26,7 @@ from objectfolder.mesh.reading.parts import (
     split_by_face_color,
 )
 from objectfolder.mesh.reading.text import (
+    CUT_OFF,
     DECIMAL_COMMAS,
     count_words,
     decode_text,
@@ -107,7 +108,9 @@ def read_ply(path: Path) -> MeshContent:
         image = read_image(read_referenced(path, file), path.parent / file, path)
     vertex, face = (elements.get(name, _Element(name, 0)) for name in CARRIERS)
     if not vertex.numbers.keys() >= set("xyz"):
-        raise ObjectFolderError(f"{path} cannot be read as a mesh: its vertices have no x, y and z")
+        raise ObjectFolderError(
+            f"{path} cannot be read as a mesh: its vertices have no x, y and z; export it again"
+        )
     vertices = _stack(vertex, "xyz")
     normals = _stack(vertex, NORMAL) if vertex.numbers.keys() >= set(NORMAL) else None
     corners, triangles, owner = _triangles(elements, vertices)
@@ -169,8 +172,8 @@ def _read_elements(path: Path, data: bytes) -> list[_Element]:
     except WRONG as error:
         where = f" of element {shortened(element.name)} ({element.rows} rows)" if element else ""
         raise ObjectFolderError(
-            f"{path} cannot be read as a mesh: its data end before those{where} that its header tells, or "
-            "have lists of other lengths: cut off?"
+            f"{path} cannot be read as a mesh: its data end before those{where} that its header announces, "
+            f"or have lists of other lengths; {CUT_OFF}"
         ) from error
     return elements
 
@@ -198,7 +201,7 @@ def _parse_header(path: Path, lines: Sequence[str]) -> tuple[list[_Element], str
                 elements[-1].properties.append(_Property(name, item, stored[-1], count))
         except (ValueError, KeyError, IndexError) as error:
             raise ObjectFolderError(
-                f"{path} cannot be read as a mesh: {shortened(line)!r} is no line of the header of a .ply; "
+                f"{path} cannot be read as a mesh: {shortened(line)!r} is not a valid line of a .ply header; "
                 "export it again"
             ) from error
     if order is None:

@@ -11,6 +11,7 @@ from objectfolder.mesh import srgb
 from objectfolder.mesh.polygon import split_loops
 from objectfolder.mesh.reading.parts import MeshContent, MeshPart, SurfaceMaterial
 from objectfolder.mesh.reading.text import (
+    CUT_OFF,
     DECIMAL_COMMAS,
     IS_SPACE,
     between,
@@ -59,7 +60,7 @@ def _read_binary(path: Path, data: bytes, count: int) -> MeshContent:
     if len(data) < HEADER + FACET.itemsize * count or len(data) < HEADER:
         raise ObjectFolderError(
             f"{path} cannot be read as a mesh: it has {len(data)} bytes, expected "
-            f"{HEADER + FACET.itemsize * count} of {count} triangles: cut off?"
+            f"{HEADER + FACET.itemsize * count} for {count} triangles; {CUT_OFF}"
         )
     if held > count:
         notes.append(f"{len(data) - HEADER - FACET.itemsize * count} bytes after the {count} facets left out")
@@ -113,7 +114,7 @@ def _read_text(path: Path, text: bytes) -> MeshContent:
     if not complete.all():
         raise ObjectFolderError(
             f"{path} cannot be read as a mesh: it begins {len(facet)} triangles, of which {complete.sum()} "
-            "are complete: cut off?"
+            f"are complete; {CUT_OFF}"
         )
     vertices = values.reshape(-1, 3)[len(vertex) - sizes.sum() :]
     faces, _ = split_loops(vertices, np.arange(len(vertices)), sizes)

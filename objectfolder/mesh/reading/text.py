@@ -9,6 +9,7 @@ import numpy as np
 #: How C libraries write what is not a number.
 NOT_A_NUMBER = re.compile(rb"[-+]?(?:\d\.#[A-Z0-9]+|nan\([^\s)]*\))", re.I)
 IS_SPACE = np.isin(np.arange(256), list(b" \t\n\v\f\r"))  #: of bytes
+CUT_OFF = "it may be cut off: copy or export it again"
 DECIMAL_COMMAS = "decimal commas: export with points"
 
 

@@ -91,9 +91,8 @@ class FreeVibration:
         values, vectors = self.lowest(lambda found: min(wanted(found) + SPARE_MODES, most))
         if below is not None and int((values < limit).sum()) < wanted(values):
             raise ObjectFolderError(
-                f"{name}: inertia counts at least {wanted(values)} modes below {max_frequency:g} Hz, the "
-                f"solver found {int((values < limit).sum())}; perturb the object's symmetry slightly, or "
-                "report this mesh"
+                f"{name}: the solver found {int((values < limit).sum())} of at least {wanted(values)} modes "
+                f"below {max_frequency:g} Hz; make the mesh slightly less symmetric, or report it"
             )
         alone = np.einsum("i,ij,ij->j", fem.stiffness.diagonal(), vectors, vectors)
         loose = int((values < ZERO_ENERGY * alone).sum())

@@ -91,7 +91,8 @@ class Pardiso:
         )
         if error.value == -4:  # a pivot is zero, or negative in L L^T
             raise ObjectFolderError(
-                "a matrix is not positive definite: elements have no volume or a negative one"
+                "a matrix is not positive definite, since elements have no volume or a negative one; take "
+                "another voxelize.resolutions or voxelize.element"
             )
         if error.value:
             raise PyPardisoError(error.value)

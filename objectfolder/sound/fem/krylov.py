@@ -85,8 +85,9 @@ class LowestModes:
                     return values[:number], basis @ share[:, :number]
                 if self._known + count + _BLOCK > size or count > _MAX_BASIS_RATIO * (number + _BLOCK):
                     raise ObjectFolderError(
-                        f"{number} modes of {size} unknowns do not converge in {count} vectors, as of solids "
-                        "far too small, large, stiff or soft: check the object's scale and material"
+                        f"{number} modes of {size} unknowns do not converge in {count} vectors, which "
+                        "happens if a solid is far too small, large, stiff or soft: check its scale and "
+                        "material"
                     )
             self._extend()
 

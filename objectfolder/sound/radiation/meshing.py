@@ -37,7 +37,8 @@ def even_surface(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> Mes
     kept = kept[area > 1e-6 * area.max(initial=0)]
     if not len(kept):
         raise ObjectFolderError(
-            f"a surface of {len(faces)} triangles has none left at {triangles}; raise radiation.triangles"
+            f"a surface of {len(faces)} triangles, reduced to {triangles} for radiation, has none left; "
+            "raise radiation.triangles"
         )
     return np.asarray(points), kept
 

@@ -539,14 +539,14 @@ def cycle(document, scene):
             "texture image 0 cannot be read",
         ),
         (lambda d, s: d["textures"][0].update(source=None), "texture 0 has no image"),
-        (cut, "reaches beyond buffer view"),
+        (cut, "reaches beyond the end of buffer view"),
         (
             lambda d, s: d["meshes"][0]["primitives"][0]["attributes"].update(
                 COLOR_0=s.accessor(np.ones((16, 2)))
             ),
             "has 2 columns, expected 3 or 4",
         ),
-        (cycle, "node 0 has two parents"),
+        (cycle, "node 0 has two parents, expected one; export it again"),
         (lambda d, s: d["asset"].update(version="1.0"), "glTF version 1.0, expected 2.0"),
         (lambda d, s: d.update(accessors=7), "not valid glTF"),
         (lambda d, s: d["meshes"][0]["primitives"][0].update(mode=0), "holds no faces"),
@@ -572,7 +572,7 @@ def test_a_missing_or_short_buffer_is_named(tmp_path):
     path.write_text(json.dumps(document))
     refused(r"scene\.gltf refers to .*data\.bin, which does not exist", load_mesh, path)
     (tmp_path / "data.bin").write_bytes(b"\0" * 100)
-    refused(r"data\.bin holds 100 bytes, expected \d+: cut off\?", load_mesh, path)
+    refused(r"data\.bin holds 100 bytes, expected \d+; it may be cut off: copy or export", load_mesh, path)
 
 
 def test_a_glb_that_breaks_off_is_refused_at_every_length(tmp_path):

@@ -99,7 +99,7 @@ def test_what_is_not_physical_is_refused(sound, strike):
     silent = replace(sound.material, loss_factor=(), alpha=torch.tensor(0.0), beta=0.0)
     for wrong, message in (
         ({"points": strike[0] + 1}, "off the surface"),
-        ({"contact_time": -0.001}, r"contact time is -0\.001 s, expected a finite duration"),
+        ({"contact_time": -0.001}, r"contact time is -0\.001 s, expected 0 or more"),
         (
             {"contact_time": torch.tensor(1e-3), "striker": "wood"},
             "striker is 'wood', but contact_time says how",
