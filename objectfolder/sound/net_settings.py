@@ -32,6 +32,9 @@ class SpectrogramConfig(PapersNetConfig):
 
     bin_octaves: Octaves = 10
     loud: Share = 0.5  #: of a batch drawn by loudness, weighted to the same mean; the paper's is 0
+    #: paper: values scaled to [0, 1], from which it learns silence; turned: in units of the root mean square,
+    #: over the phases of each bin's loudest mode
+    target: Literal["turned", "paper"] = "turned"
 
 
 @section("train_audio")

@@ -34,6 +34,19 @@ def spectrogram(sounds: torch.Tensor) -> torch.Tensor:
     return torch.stft(sounds, FFT, hop_length=HOP, win_length=WINDOW, window=window, return_complex=True)
 
 
+def phases(hertz: torch.Tensor) -> torch.Tensor:
+    """Return the phases of lasting tones, one for each frequency bin; (257,) Hz -> (257, 201) complex64.
+
+    A mode's spectrogram over these changes slowly: relative to the middle of the window, not its start, the
+    phase has no sign that alternates from bin to bin, and it stands still from frame to frame where the mode
+    has the bin's frequency.
+    """
+    frames = torch.arange(SHAPE[1], dtype=torch.float64, device=hertz.device) * (HOP / SAMPLE_RATE)
+    half_turns = torch.arange(SHAPE[0], dtype=torch.float64, device=hertz.device) / 2
+    turns = (hertz.double()[:, None] * frames + half_turns[:, None]) % 1
+    return torch.polar(torch.ones_like(turns), 2 * torch.pi * turns).to(torch.complex64)
+
+
 def invert_spectrogram(spectra: torch.Tensor) -> torch.Tensor:
     """Return the two-second sounds with the closest spectrograms; (N, 257, 201) -> (N, 32000)."""
     window = torch.hann_window(WINDOW)

@@ -13,7 +13,7 @@ from typing import Any
 
 from objectfolder.base.errors import ObjectFolderError, quoted, shortened
 
-FORMAT = (1, 5)  #: major, minor; a reader accepts every file of its major version
+FORMAT = (1, 6)  #: major, minor; a reader accepts every file of its major version
 MODALITIES = ("vision", "audio", "touch")
 PARTS = ("geometry", *MODALITIES)
 RADIATION = "radiation"  #: part that only sound at a listener needs

@@ -220,7 +220,7 @@ def test_the_papers_audio_net_is_a_choice(built):
     with built.edited(train_audio={"net": "spectrogram"}):
         assert built.build("bell") == {f"{stage}@bell" for stage in ("train_audio", "pack", "evaluate")}
         bell = ObjectFile.load(built.root / "build/bell/ObjectFile.safetensors")
-        assert bell.header["audio"]["kind"] == "spectrogram"
+        assert bell.header["audio"]["kind"] == "turned_spectrogram"
         assert bell.impact(bell.sample_surface(1), [0, 0, 1]).shape == (1, 32000)
         audio = json.loads((built.root / "metrics/bell.json").read_text())["audio"]
         assert audio["psnr"] > audio["baseline_silence"] - 1  # an untrained net is silent

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,7 @@ from objectfolder.nets.fit import Session
 from objectfolder.nets.positional import PointwiseNetwork
 from objectfolder.sound.gains_training import ModeSamples
 from objectfolder.sound.net_settings import SpectrogramConfig
-from objectfolder.sound.spectrogram import SHAPE, invert_spectrogram, spectrogram
+from objectfolder.sound.spectrogram import SHAPE, invert_spectrogram, phases, spectrogram
 from objectfolder.sound.spectrogram_net import SpectrogramNet
 from objectfolder.sound.spectrogram_training import train_spectrogram
 from objectfolder.sound.synthesis import sinusoid_bank
@@ -71,13 +73,47 @@ def test_storing_keeps_the_answer(tmp_path, bar, trained):
     assert back.damped_frequency.tolist() == FREQUENCY.tolist()
 
 
-def test_each_axis_has_its_own_range(bar, trained):
+def test_the_unit_of_an_axis_is_the_root_mean_square_of_its_training_sounds(bar):
+    """Of two modes of nearly one frequency, which share their bins, too."""
+    frequency = 2 * np.pi * np.array([400.0, 400.5])
+    net, _ = train(bar, dataclasses.replace(CONFIG, steps=1), frequency)
+    spectra = spectrogram(sinusoid_bank(torch.from_numpy(frequency), torch.from_numpy(DAMPING)))
+    sounds = torch.einsum("nam,mft->naft", torch.from_numpy(bar[1][:500]).to(spectra.dtype), spectra)
+    rms = (sounds.abs().square().mean((0, 2, 3)) / 2).sqrt().double()  # of real and imaginary parts
+    torch.testing.assert_close(net.range, torch.stack([0 * rms, rms], 1), rtol=1e-4, atol=0)
+
+
+def test_over_the_phases_of_their_bins_lasting_tones_stand_still():
+    hertz = torch.tensor([1950.0, 411.0])
+    tones = torch.cos(2 * torch.pi * hertz[:, None] * torch.arange(32000) / 16000 + 0.4)
+    for tone, spectra in zip(hertz, spectrogram(tones)):
+        peak = int(spectra.abs().sum(1).argmax())
+        inside = spectra[:, 5:-5] / phases(tone.expand(SHAPE[0]))[:, 5:-5]
+        near = inside[peak - 1 : peak + 2]
+        assert (near / near.abs() - torch.polar(torch.ones(()), torch.tensor(0.4))).abs().max() < 0.01
+
+
+def test_the_answer_turns_back_what_is_stored_over_phases(trained):
+    net, points = trained[0], torch.zeros(1, 3)
+    tensors, config = net.to_tensors()
+    older = {name: values for name, values in tensors.items() if name != "turn"}
+    still, whole = (SpectrogramNet.from_tensors(t, config).spectrograms(points) for t in (older, tensors))
+    assert torch.equal(whole, still * phases(net.turn))
+    hertz = torch.tensor(FREQUENCY / (2 * np.pi))
+    assert torch.isin(net.turn, hertz).all()
+    for frequency in hertz:
+        assert net.turn[round(float(frequency) / 16000 * 512)] == frequency
+
+
+def test_of_the_papers_target_each_axis_has_its_own_range(bar):
     """The outputs 0 and 1 are the least and the largest values along it, about a fifth along x and y."""
-    low, high = trained[0].range.unbind(1)
+    net, _ = train(bar, dataclasses.replace(CONFIG, target="paper", steps=1))
+    assert net.turn is None
+    low, high = net.range.unbind(1)
     for axis in (0, 1):
         assert float((high - low)[axis] / (high - low)[2]) == pytest.approx(0.2, rel=1e-5)
     values = torch.stack([low, high], 1)[None].expand(1, 3, 2)
-    torch.testing.assert_close(trained[0].scaled(values)[0], torch.tensor([[0.0, 1]] * 3).double())
+    torch.testing.assert_close(net.scaled(values)[0], torch.tensor([[0.0, 1]] * 3).double())
 
 
 def test_files_with_one_range_for_all_axes_answer_as_before(bar, trained):
