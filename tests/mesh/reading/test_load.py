@@ -152,7 +152,11 @@ def glb_of_nothing():
         ("m.obj", b"", "cannot be read as a mesh: it is empty; export it again"),
         ("m.obj", b"Dear Sir or Madam,\nhere is my mesh.\n", "holds no faces"),
         ("m.obj", b"ply\nformat ascii 1.0\n", "looks like a .ply"),
-        ("m.glb", b"version https://git-lfs.github.com/spec/v1\n", "no binary glTF header; export it again .*Git LFS pointer"),
+        (
+            "m.glb",
+            b"version https://git-lfs.github.com/spec/v1\n",
+            "header; export it again .*Git LFS pointer",
+        ),
         ("m.gltf", b"<!DOCTYPE html>", "not JSON .*looks like XML or HTML"),
         (
             "m.stl",
@@ -181,7 +185,7 @@ def glb_of_nothing():
         ),
         ("m.stl", b"solid\nfacet\nvertex 0 0 0\nvertex 1-2 0 0\nvertex 0 1 0\n", "words that are no numbers"),
         ("m.obj", b"v 0 0 0\n v 1 0\nf 1 1 1\n", "'v 1 0' has words that are no numbers, or too few"),
-        ("m.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1 0\nf 1 2 3\n", r"1e\+200, expected at most 1e\+30; repair the mesh"),
+        ("m.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1 0\nf 1 2 3\n", r"1e\+200, expected at most 1e\+30; repair"),
         ("m.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "1 of its vertices are NaN or infinite"),
         ("m", b"solid", "format '' is not one of"),
         ("m.ply", b"", "cannot be read|no faces"),
@@ -197,7 +201,7 @@ def glb_of_nothing():
         ("m.gltf", b"{", "cannot be read|no faces"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\n", "cannot be read|no faces"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 of its vertices are NaN"),
-        ("m.obj", b"v 1 2 3\nv 1 2 3\nv 1 2 3\nf 1 2 3\n", "vertices coincide; expected a solid object: export it again"),
+        ("m.obj", b"v 1 2 3\nv 1 2 3\nv 1 2 3\nf 1 2 3\n", "coincide; expected a solid object: export"),
         ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "'f 1 2 9' uses a vertex beyond the 3 of"),
         (
             "m.obj",

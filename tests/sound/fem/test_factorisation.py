@@ -60,7 +60,8 @@ def test_negative_pivots_count_the_eigenvalues_below(kind, plate):
 
 @pytest.mark.parametrize("kind", [library(Pardiso)])
 def test_a_matrix_that_is_not_definite_as_said_is_an_error(kind):
-    refused("not positive definite.*voxelize.element", kind, sp.diags([1.0, -1.0, 1.0]).tocsr(), np.arange(3), definite=True)
+    matrix = sp.diags([1.0, -1.0, 1.0]).tocsr()
+    refused("not positive definite.*voxelize.element", kind, matrix, np.arange(3), definite=True)
 
 
 @every

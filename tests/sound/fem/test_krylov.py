@@ -46,7 +46,9 @@ def test_what_does_not_converge_is_refused(strings):
     stiffness, nodal, _, _, vectors = strings
     rng = np.random.default_rng(0)
     search = LowestModes(stiffness, nodal, lambda b: rng.normal(size=b.shape), -1e-5, vectors[:, :3])
-    refused(r"^4 modes of 1200 unknowns do not converge in \d+ vectors.*check its scale and material", search.find, lambda found: 4)
+    refused(
+        r"^4 modes of 1200 unknowns do not converge in \d+ .*check its scale", search.find, lambda found: 4
+    )
 
 
 def test_a_later_request_continues_the_search(strings):
