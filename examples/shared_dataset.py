@@ -30,16 +30,13 @@ def draw_sizes(figure, entries):
     axes = figure.subplots()
     heard = [entry for entry in entries if entry.lowest_hz is not None]
     for material in sorted({entry.material for entry in heard}):
-        some = [entry for entry in heard if entry.material == material]
-        axes.scatter(
-            [100 * entry.size for entry in some], [entry.lowest_hz for entry in some], label=material
-        )
-    for entry in heard:
-        place = 100 * entry.size, entry.lowest_hz
-        axes.annotate(entry.key, place, xytext=(4, 4), textcoords="offset points", fontsize=8)
-    axes.set(xscale="log", yscale="log", xlabel="longest side (cm)", ylabel="lowest mode (Hz)")
+        places = {e.key: (100 * e.size, e.lowest_hz) for e in heard if e.material == material}
+        axes.scatter(*zip(*places.values()), label=material)
+        for key, place in places.items():
+            axes.annotate(key, place, xytext=(4, 4), textcoords="offset points", fontsize=8)
     axes.margins(0.15)
-    axes.grid(which="both", alpha=0.2)
+    axes.set(xlabel="longest side (cm)", ylabel="lowest mode (Hz)", xlim=(0, None), ylim=(0, None))
+    axes.grid(alpha=0.2)
     axes.legend(title="material")
 
 
