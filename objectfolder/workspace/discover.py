@@ -346,7 +346,8 @@ def examine_all(
 
 def examination_table(examinations: Sequence[Examination], up_given: bool) -> Table:
     """Format examinations as a table."""
-    caption = None if up_given else "? guessed"
+    guessed = [shown.refusal is None and not (up_given or shown.candidate.up) for shown in examinations]
+    caption = "? guessed" if any(guessed) else None
     result = Table(box=SIMPLE_HEAD, show_edge=False, padding=0, caption=caption)
     numbers = ("size\nm", "pieces", "volume\ncm³")
     for name in ("object", "material", "size\nm", "up", "pieces", "closed by", "volume\ncm³"):
@@ -355,7 +356,7 @@ def examination_table(examinations: Sequence[Examination], up_given: bool) -> Ta
         result.add_column(
             name, justify="right" if name in numbers else "left", overflow="fold", no_wrap=whole
         )
-    for shown in examinations:
+    for shown, guess in zip(examinations, guessed):
         candidate = shown.candidate
         row: list[str | Text] = [candidate.key, candidate.material or "?"]
         if shown.refusal is not None:
@@ -363,7 +364,7 @@ def examination_table(examinations: Sequence[Examination], up_given: bool) -> Ta
         else:
             row += [
                 _digits(shown.scale),
-                shown.up + ("" if up_given or candidate.up else "?"),
+                shown.up + "?" * guess,
                 str(shown.pieces),
             ]
             row += [CLOSED if shown.rung == "keep" else shown.rung, _digits(shown.volume * 1e6)]

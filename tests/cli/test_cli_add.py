@@ -842,6 +842,21 @@ def test_numbers_of_the_table_stay_whole_in_a_narrow_terminal(width):
         assert {"closed", "already", "thicken", "untangle", "ceramic"} < set(words)
 
 
+@pytest.mark.parametrize(("ups", "guessed"), [(["z", None], ["z", "y?"]), (["z", "y"], ["z", "y"])])
+def test_the_table_says_what_is_guessed_only_if_something_is(ups, guessed):
+    found = [
+        Examination(
+            Candidate("cup", Path("cup.obj"), "ceramic", up=up), 0.1, shown.rstrip("?"), 1, "keep", 1e-4
+        )
+        for up, shown in zip(ups, guessed)
+    ]
+    console = Console(file=io.StringIO(), width=100)
+    console.print(examination_table(found, False))
+    text = console.file.getvalue()
+    assert [line.split()[3] for line in text.splitlines() if line.startswith("cup")] == guessed
+    assert ("? guessed" in text) == ("y?" in guessed)
+
+
 @pytest.mark.usefixtures("coarse")
 def test_a_full_disk_refuses_each_object_and_leaves_nothing(workspace, collection, monkeypatch):
     before = snapshot(workspace)
