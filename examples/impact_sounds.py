@@ -24,7 +24,7 @@ def main(file: Path, out: Path) -> None:
     thing = ObjectFile.load(file)
     points, _ = thing.nearest([*thing.scale / 2 * np.eye(3), *thing.sample_surface(6)])  # object frame, m
     impulses = -IMPULSE * points / np.linalg.norm(points, axis=1, keepdims=True)
-    at, there = (RATE, SECONDS), {"listener": LISTENER}
+    at, there, rng = (RATE, SECONDS), {"listener": LISTENER}, np.random.default_rng(0)
     sounds = dict(zip(("right", "back", "top"), thing.impact(points[:3], impulses[:3], *at, **there)))
     sounds["half"] = thing.impact(points[:1] / 2, impulses[:1], *at, scale=thing.scale / 2, **there)[0]
     for name, peak in ((name, abs(sound).max()) for name, sound in sounds.items()):
@@ -34,7 +34,7 @@ def main(file: Path, out: Path) -> None:
     own = Material(thing.material, **thing.header["material_properties"])
     other = replace(own, youngs_modulus=STIFFER * own.youngs_modulus, loss_factor=[(1000, LOSS)])
     taps = thing.impact(points[3:], impulses[3:], *at, material=other, **there)
-    taps = np.random.default_rng(0).normal(taps, HISS)
+    taps = rng.normal(taps, HISS)
     fit = fit_sound(thing.frequencies, own, taps, RATE, "loss_factor")
     sounds |= {f"tap{number}": tap for number, tap in enumerate(taps, 1)}
     out.mkdir(parents=True, exist_ok=True)
@@ -45,7 +45,7 @@ def main(file: Path, out: Path) -> None:
         place.plot(1000 * np.arange(960) / RATE, sound[:960], linewidth=0.7)
         place.set(title=name, xlabel="time, ms", ylabel="sound pressure, Pa")
     for place, (name, sound) in zip(axes.flat[3:10], sounds.items()):
-        place.specgram(sound / abs(sound).max(), NFFT=512, Fs=RATE, noverlap=384, vmin=-130, vmax=-40)
+        place.specgram(rng.normal(sound / abs(sound).max(), 1e-6), NFFT=512, Fs=RATE, noverlap=384)
         place.set(title=name, xlabel="time, s", ylabel="frequency, Hz", xlim=(0, 0.6), ylim=(0, 20000))
     match, hertz = fit.match, fit.heard.frequency[fit.match.heard]
     axes[3, 1].plot(hertz, hertz / thing.frequencies[match.computed] - 1, "o", hertz, match.residual, ".")
