@@ -24,7 +24,8 @@ from objectfolder.mesh.raycast import RayCaster
 from objectfolder.objectfile.dataset import INDEX, IndexEntry
 from objectfolder.objectfile.samples import sample_path
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FOLDERS = ("docs", "docs/tutorials")
+PAGES = [ROOT / "README.md", *sorted(page for folder in FOLDERS for page in (ROOT / folder).glob("*.md"))]
 MODULES = ["objectfolder", "objectfolder.objectfile.file", "objectfolder.objectfile.query_files"]
 #: A comment that begins with a shape: ``(N, 160, 120, 3) uint8``.
 SHAPE = re.compile(r"#\s*\(((?:\w+,\s*)*\w*)\)")
