@@ -5,7 +5,7 @@ from collections import defaultdict
 
 from own_workspace import ROOT
 
-FOLDERS = ("objectfolder", "stages", "perf", "fuzz", "docs", "tests")
+FOLDERS = ("objectfolder", "stages", "examples", "perf", "fuzz", "docs", "tests")
 PACKAGE = ROOT / "objectfolder"
 TRAINING = "train"
 ENTRY_POINT = "main"  # of a process: the command line, the supervisor, Blender's script
