@@ -1,6 +1,6 @@
 """Check a release of Object Files and draw a sheet of its objects: docs/tutorials/dataset.md.
 
-python CLONE/examples/shared_dataset.py https://HOST/PATH sheet     # or a folder, or hf://OWNER/NAME
+python CLONE/examples/shared_dataset.py https://HOST/kitchen sheet
 """
 
 import sys
