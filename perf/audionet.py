@@ -69,7 +69,7 @@ def measure(folder: str, target: str, steps: str) -> dict:
     train, val, test = (np.flatnonzero(modes["split"] == part) for part in range(3))
     session = Session(torch_generator(values.get("seed", 0), key, "train_audio"))
     start = time.process_time()
-    net, curve = train_spectrogram(
+    net, _ = train_spectrogram(
         ModeSamples(modes["points"], modes["shapes"], *tuning, train, val), config, session
     )
     row = {"object": key, "target": target, "modes": len(tuning[0]), "steps": config.steps}
@@ -81,7 +81,7 @@ def measure(folder: str, target: str, steps: str) -> dict:
         tensors, header = read_safetensors(path)
     stored = SpectrogramNet.from_tensors(tensors, header["net"])
     row |= above_silence(stored, modes, UnitStrikes.random(test, IMPACTS, numpy_generator(0, key, "strikes")))
-    return row | {"curve": [[point.step, point.val_loss] for point in curve]}
+    return row
 
 
 def above_silence(

@@ -28,7 +28,7 @@ train_vision: {table_bits: 10, levels: 4, finest: 64, width: 16, point_steps: 20
 train_audio: {sizes: [{modes: 100, resolution: 6, channels: 4, width: 32, features: 32, most_features: 32,
   frequency: 6.0, steps: 60, learning_rate: 0.005, grid_rate: 3.0}], spectrogram: {width: 16,
   depth: 2, point_octaves: 1, bin_octaves: 3, steps: 40, batch: 256, learning_rate: 0.001,
-  final_rate: 0.01, loud: 0.5, precision: float32}}
+  final_rate: 0.01, loud: 0.5, target: turned, precision: float32}}
 train_touch: {rounds: 1, contacts: 2, image: {width: 16, depth: 2, point_octaves: 2, pixel_octaves: 2,
   steps: 60, batch: 512, learning_rate: 0.005, final_rate: 0.01, precision: float32}}
 evaluate: {impacts: 4}

@@ -30,7 +30,7 @@ similar touch and to the mean view. The figure OUT/touch_to_vision_SPLIT.png sho
 
 `objectfolder bench touch-to-vision --preset quick --split unseen`""",
     settings=TouchToVisionConfig,
-    training="objectfolder.benchmarks.tasks.vision_to_touch_training:touch_to_vision",
+    training="objectfolder.benchmarks.tasks.touch_to_vision_training:touch_to_vision",
     columns=("seed", "epoch", "train_loss", "val_psnr"),  # pooled PSNR
     table=_table,
     page="Vision from touch",

@@ -1,4 +1,4 @@
-"""A touch from a close view, or the view from a touch (ObjectFolder Benchmark, CVPR 2023)."""
+"""Imagine a touch from a close view (visuo-tactile generation of the ObjectFolder Benchmark, CVPR 2023)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +19,6 @@ from objectfolder.benchmarks.models.training import EpochPoint, Objective, count
 from objectfolder.benchmarks.models.translator import Translator
 from objectfolder.benchmarks.scoring.scores import over_seeds
 from objectfolder.benchmarks.tasks.job import CHUNK, Job, in_chunks
-from objectfolder.benchmarks.tasks.touch_to_vision import TouchToVisionConfig
 from objectfolder.benchmarks.tasks.vision_to_touch import TranslationConfig, VisionToTouchConfig
 
 ROUNDING = 1 / 12 / 255**2  #: mean squared error of rounding to grey levels; 59 dB
@@ -30,7 +29,7 @@ Batch = tuple[torch.Tensor, torch.Tensor]  #: pictures given and asked for, both
 
 
 @dataclass(frozen=True)
-class _Direction:
+class Translation:
     """Which picture of a contact is given, and which is asked for."""
 
     name: str  #: of the task
@@ -38,27 +37,14 @@ class _Direction:
     target: str
 
 
-_TO_TOUCH = _Direction("vision_to_touch", "view", "touch")
-_TO_VISION = _Direction("touch_to_vision", "touch", "view")
-
-
 def vision_to_touch(job: Job[VisionToTouchConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
-    """Train and score a net that draws the tactile image of what a close view shows; see `_translate`."""
+    """Train and score a net that draws the tactile image of what a close view shows; see `translate`."""
     job, counts = job.without_duplicates(("view",))
-    return _translate(job, _TO_TOUCH, counts)
+    return translate(job, Translation("vision_to_touch", "view", "touch"), counts)
 
 
-def touch_to_vision(job: Job[TouchToVisionConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
-    """Train and score a net that draws the close view of what a tactile image shows; see `_translate`.
-
-    Flat spots feel alike, so a test row is left out only if its view repeats as well.
-    """
-    job, counts = job.without_duplicates(("touch", "view"))
-    return _translate(job, _TO_VISION, counts)
-
-
-def _translate(
-    job: Job[Any], way: _Direction, counts: dict[str, Any]
+def translate(
+    job: Job[Any], way: Translation, counts: dict[str, Any]
 ) -> tuple[dict[str, Any], list[list[Any]]]:
     """Train and score a net that draws one picture of a contact from the other.
 
@@ -100,14 +86,14 @@ def score_answers(answers: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     }
 
 
-def _mean(job: Job[Any], way: _Direction) -> np.ndarray:
+def _mean(job: Job[Any], way: Translation) -> np.ndarray:
     """Return the mean answer of the training rows, (H, W, 3) uint8."""
     parts = np.array_split(job.split.train, -(-len(job.split.train) // CHUNK))
     total = sum(job.observations.read(way.target, part).sum(0, dtype=np.int64) for part in parts)
     return np.round(total / len(job.split.train)).astype(np.uint8)
 
 
-def _nearest(job: Job[Any], way: _Direction) -> np.ndarray:
+def _nearest(job: Job[Any], way: Translation) -> np.ndarray:
     """Return the training row whose given picture is most similar, for each test row."""
 
     def pooled(rows: np.ndarray) -> np.ndarray:
@@ -117,7 +103,7 @@ def _nearest(job: Job[Any], way: _Direction) -> np.ndarray:
     return job.split.train[cKDTree(pooled(job.split.train)).query(pooled(job.split.test))[1]]
 
 
-def _train_once(job: Job[Any], way: _Direction, run: int) -> dict[str, Any]:
+def _train_once(job: Job[Any], way: Translation, run: int) -> dict[str, Any]:
     """Return the scores of one net, trained unless finished earlier."""
     checkpoint, sheet = job.progress / f"{run}.pt", job.progress / "0.png"
 
@@ -134,7 +120,9 @@ def _train_once(job: Job[Any], way: _Direction, run: int) -> dict[str, Any]:
     return result
 
 
-def _train(job: Job[Any], way: _Direction, run: int, checkpoint: Path) -> tuple[Translator, list[EpochPoint]]:
+def _train(
+    job: Job[Any], way: Translation, run: int, checkpoint: Path
+) -> tuple[Translator, list[EpochPoint]]:
     params: TranslationConfig = job.params
     train, val = job.split.train, job.split.val
     purpose = (way.name, job.split.name, str(run))
@@ -167,7 +155,7 @@ def _train(job: Job[Any], way: _Direction, run: int, checkpoint: Path) -> tuple[
 
 @torch.no_grad()
 def _answers(
-    job: Job[Any], way: _Direction, net: Translator, blank: torch.Tensor, rows: np.ndarray
+    job: Job[Any], way: Translation, net: Translator, blank: torch.Tensor, rows: np.ndarray
 ) -> np.ndarray:
     """Return the pictures that a net draws, (N, H, W, 3) uint8."""
 
@@ -177,7 +165,7 @@ def _answers(
     return in_chunks(draw, rows).permute(0, 2, 3, 1).cpu().numpy()
 
 
-def _blank(job: Job[Any], way: _Direction) -> torch.Tensor:
+def _blank(job: Job[Any], way: Translation) -> torch.Tensor:
     """Return the mean answer as (3, H, W) in [0, 1]."""
     return torch.from_numpy(_mean(job, way)).permute(2, 0, 1).float().to(job.device) / 255
 
@@ -188,7 +176,7 @@ def _tensor(job: Job[Any], name: str, rows: np.ndarray) -> torch.Tensor:
     return images.permute(0, 3, 1, 2).float() / 255
 
 
-def _sheet(job: Job[Any], way: _Direction, answers: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def _sheet(job: Job[Any], way: Translation, answers: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Draw some test rows as columns: the picture given, the net's answer, the true one."""
     rows = np.unique(np.linspace(0, len(truth) - 1, SHOWN).round().astype(int))
     given = job.observations.read(way.source, job.split.test[rows])

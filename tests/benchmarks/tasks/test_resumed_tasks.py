@@ -17,7 +17,8 @@ from objectfolder.benchmarks.tasks.localize_training import localize
 from objectfolder.benchmarks.tasks.recognize_training import recognize
 from objectfolder.benchmarks.tasks.reconstruct_training import reconstruct
 from objectfolder.benchmarks.tasks.retrieve_training import retrieve
-from objectfolder.benchmarks.tasks.vision_to_touch_training import touch_to_vision, vision_to_touch
+from objectfolder.benchmarks.tasks.touch_to_vision_training import touch_to_vision
+from objectfolder.benchmarks.tasks.vision_to_touch_training import vision_to_touch
 
 occupancy = reconstructing.occupancy
 #: Sizes 16 and 40; the first net of a seed is trained alone, the last from several.

@@ -11,12 +11,9 @@ from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import vision_to_touch_training as task
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.touch_to_vision import TouchToVisionConfig
+from objectfolder.benchmarks.tasks.touch_to_vision_training import touch_to_vision
 from objectfolder.benchmarks.tasks.vision_to_touch import TASK, VisionToTouchConfig
-from objectfolder.benchmarks.tasks.vision_to_touch_training import (
-    score_answers,
-    touch_to_vision,
-    vision_to_touch,
-)
+from objectfolder.benchmarks.tasks.vision_to_touch_training import score_answers, vision_to_touch
 
 SIZE = (16, 12)
 

@@ -223,7 +223,7 @@ def many_colors(scene, primitive):
     ("change", "message", "most"),
     [
         (sparse_of_many, "has 5000000 values, more than the", 10e6),
-        (stride_of_zero, "reaches beyond buffer view 0", 10e6),
+        (stride_of_zero, "reaches beyond the end of buffer view 0", 10e6),
         (many_colors, r"accessor \d has 100000 values for 3 vertices", 20e6),
     ],
 )
