@@ -399,7 +399,7 @@ def _summary_of(obj: "ObjectFile", part: str) -> str:
     error = described.get("frequency_uncertainty")
     certain = ""
     if error is not None and error > MAX_UNWARNED_ERROR:
-        certain = f", uncertain: the lowest ten may be {error:.0%} wrong"
+        certain = f", the lowest ten may be {error:.0%} wrong"
     elif error is not None:
         certain = ", lowest ten within " + ("0.1%" if error < 1e-3 else f"about {error:.1%}")
     if described.get("frequency_uncertainty_unknown"):

@@ -118,7 +118,7 @@ def test_the_frequency_above_which_modes_are_not_stored_is_shown(brick, tmp_path
     [
         (3e-4, {}, "lowest ten within 0.1%"),
         (0.017, {}, "lowest ten within about 1.7%"),
-        (2.22, {}, "uncertain: the lowest ten may be 222% wrong"),
+        (2.22, {}, "Hz, the lowest ten may be 222% wrong"),
         (0.48, {"uncertain": True}, "may be 48% wrong; the sound is marked uncertain"),
     ],
 )

@@ -129,7 +129,7 @@ for entry in dataset.filter(material={json.dumps(entries[0].material)}).entries:
     print(entry.key, entry.size, "m")
 item = dataset[{json.dumps(entries[0].key)}]
 image = item.view([2.0, 1.0, 1.2], lights="studio")
-sound = item.impact(item.sample_surface(1), [0, 0, 1.0])
+sound = item.impact(item.sample_surface(1), [0, 0, 0.02])
 touch = item.touch(item.sample_surface(1), depth=0.001)
 ```
 
