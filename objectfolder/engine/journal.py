@@ -1,4 +1,4 @@
-"""How far a build is, in a file that `objectfolder status` reads without DVC's lock, from any terminal."""
+"""How far a build is, in a file that ``objectfolder status`` reads without DVC's lock, from any terminal."""
 
 import json
 import os

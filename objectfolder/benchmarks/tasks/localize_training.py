@@ -46,7 +46,7 @@ def localize(job: Job[LocalizeConfig], letters: str = "TAV") -> tuple[dict[str, 
     nets'; how much each but the last counts in it is chosen on the validation contacts. ``together`` are the
     answers after `TOGETHER` contacts with known moves between them. Letters are the senses that there are.
 
-    Returns scores: errors as shares of the longest side. By those of `SENSES` that there are: ``net`` and
+    Returns scores: errors as shares of the longest side. By those of ``SENSES`` that there are: ``net`` and
     ``nearest`` (the training contact with the most similar input), each with ``mean``, ``median`` and
     ``together``, and ``interval_95`` and ``seeds`` of the net's mean; of several also ``weights``, by seed.
     ``random``: a random place; ``constant``: the place with the least mean distance to the training contacts.
