@@ -100,7 +100,8 @@ def add(
 
     In a folder, each mesh file and each subfolder with a mesh is an object. Options apply to all;
     materials.csv in the folder overrides them by object: its first line names its columns, any of `name`,
-    `material`, `size`, `up`, `wall`, `mass`, `licence` and `author`.
+    `material`, `size`, `up`, `wall`, `mass`, `licence`, `author` and `source`. A SOURCE.txt beside a mesh
+    is copied with it.
     """
     from objectfolder.workspace.discover import Candidate, discover
 
@@ -260,7 +261,7 @@ def _add_examined(finding: "Examination", options: dict[str, Any]) -> dict[str, 
     candidate = finding.candidate
     with TemporaryDirectory() as scratch:
         notice = Path(scratch, SOURCE)
-        if text := notice_text(candidate.licence, candidate.author):
+        if text := notice_text(candidate.mesh, candidate.licence, candidate.author, candidate.source):
             notice.write_text(text, encoding="utf-8")
         return add_mesh(
             candidate.mesh,

@@ -79,7 +79,7 @@ def require_pads(file: ObjectFile) -> None:
         raise ObjectFolderError(f"{file.key}: the Object File holds no touch; build it whole")
     if isinstance(file.touch_sense, DepthMapSense):
         raise ObjectFolderError(
-            f"{file.key}: the touch net of an imported 2.0 file knows no rotated sensor, as on fingers; "
+            f"{file.key}: the touch net of an imported 2.0 file cannot turn the sensor, as fingers do; "
             "leave the object out, or build it from its mesh"
         )
 

@@ -117,13 +117,24 @@ class ModalSense(SoundSense):
     ) -> np.ndarray:
         tuning, bank = self._bank(settings)
         if strikes.listeners is None:
-            _report_inaudible(len(bank.heard), len(tuning.modes), bank.sample_rate / 2)
+            self._report_inaudible(bank, len(tuning.modes))
             sounds = np.empty((len(strikes.points), bank.samples), np.float32)
             for part, strengths in self._strengths(strikes, settings):
                 sounds[part] = bank.mix(strengths)
         else:
             sounds = self._pressures(strikes, strikes.listeners, settings, read_radiation)
         return finite_sounds(sounds, strikes.impulses)
+
+    def _report_inaudible(self, bank: Bank, modes: int, outcome: str = "silent") -> None:
+        heard, nyquist = len(bank.heard), bank.sample_rate / 2
+        if modes == 0:
+            log.warning("%s: %s: no mode rings between 20 Hz and 20 kHz", self._key, outcome)
+        elif heard == 0:
+            beyond = "none of its %d modes lies below half the sample rate, %g Hz; raise sample_rate"
+            log.warning(f"%s: %s: {beyond}", self._key, outcome, modes, nyquist)
+        elif heard < modes:
+            text = "%s: %d of %d modes are left out, above half the sample rate"
+            log.info(text, self._key, modes - heard, modes)
 
     def _pressures(
         self,
@@ -136,8 +147,7 @@ class ModalSense(SoundSense):
         stuff, size = self.struck(settings.material, settings.scale)
         radiation = read_radiation()
         radiation.check_outside(listeners, size)
-        outcome = "only the recoil is heard"
-        _report_inaudible(len(bank.heard), len(tuning.modes), bank.sample_rate / 2, outcome)
+        self._report_inaudible(bank, len(tuning.modes), "only the recoil is heard")
         self._check_wavelengths(radiation, tuning, size)
         s = torch.complex(-tuning.damping, tuning.damped_frequency)[bank.heard].to(torch.complex128)
         lag = radiation.lag(listeners, size, SOUND_SPEED) * strikes.delay
@@ -252,16 +262,6 @@ def _press(
         force, change = half_sine(since, contact_time)
         part += (by_force * force + by_change * change).numpy()
         first += len(piece)
-
-
-def _report_inaudible(heard: int, modes: int, nyquist: float, outcome: str = "silent") -> None:
-    if modes == 0:
-        log.warning("%s: the object has no mode that rings between 20 Hz and 20 kHz", outcome)
-    elif heard == 0:
-        beyond = "none of the object's %d modes lies below half the sample rate, %g Hz; raise sample_rate"
-        log.warning(f"%s: {beyond}", outcome, modes, nyquist)
-    elif heard < modes:
-        log.info("%d of %d modes are left out, above half the sample rate", modes - heard, modes)
 
 
 class SpectrogramSense(SoundSense):

@@ -80,8 +80,8 @@ def contact_normals(distance: Callable[[Array], Array], points: Array, radius: f
     lost = np.flatnonzero(~np.asarray(length > 1e-9 * radius))
     if lost.size:
         raise ObjectFolderError(
-            f"no contact normal at {points[lost[0]]} ({lost.size} of {len(points)} points): the surface is "
-            f"alike in opposite directions within {radius:g} of it; press elsewhere, or use a smaller radius"
+            f"no contact normal at {points[lost[0]]} ({lost.size} of {len(points)} points): the surface "
+            f"faces opposite ways alike within {radius:g} of it; press elsewhere, or use a smaller radius"
         )
     return gradient / length[:, None]
 

@@ -81,6 +81,7 @@ class Candidate:
     mass: float | None = None  #: of the real object, kg
     licence: str = ""  #: of the mesh
     author: str = ""
+    source: str = ""  #: title and address of the mesh
 
 
 @dataclass(frozen=True)

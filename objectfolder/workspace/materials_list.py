@@ -23,6 +23,7 @@ COLUMNS = {
     "mass": "kilograms above 0, such as 0.118, or nothing",
     "licence": "a licence such as CC-BY-4.0",
     "author": "who is to be named",
+    "source": "title and address of the mesh",
 }
 
 
@@ -105,7 +106,7 @@ def _columns(cells: Sequence[str], where: str) -> list[str]:
 
 def _cell(column: str, text: str, where: str) -> str | float:
     """Return the value of a cell that is not empty."""
-    if column in ("material", "licence", "author"):
+    if column in ("material", "licence", "author", "source"):
         return one_line(where, text, 1000)
     with suppress(ValueError):
         if (column == "up" and text in ("y", "z")) or (column != "up" and 0 < float(text) < inf):

@@ -422,6 +422,19 @@ def test_a_table_gives_each_object_its_size_up_axis_wall_licence_and_author(work
 
 
 @pytest.mark.usefixtures("coarse")
+def test_a_notice_beside_a_mesh_is_kept_and_a_table_comes_first(workspace, collection):
+    beside = "Blue Mug\n  Licence: CC-BY-4.0\n  Attribution: Smith, A.\n"
+    (collection / "025_Mug (blue)" / "SOURCE.txt").write_text(beside)
+    address = "Blue Mug, https://example.org/mug"
+    table = f'name,material,source,author\n025_Mug (blue),ceramic,"{address}",Jones\nbrick,iron\n'
+    (collection / "materials.csv").write_text(table)
+    run(collection, "--material", "wood")
+    notice = read_notice(Path(params.read()["objects"]["mug_blue"]["mesh"]))
+    assert (notice.licence, notice.attribution, notice.source) == ("CC-BY-4.0", "Jones", address)
+    assert notice.path.read_text().endswith(beside)
+
+
+@pytest.mark.usefixtures("coarse")
 def test_a_mass_is_entered_with_the_mesh(workspace, box):
     crate = (box, "--name", "crate", "--material", "wood", "--mass")
     before = snapshot(workspace)

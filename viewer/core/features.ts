@@ -1,7 +1,7 @@
 /** Places that are stored beside the grid where the surface has sharp edges or thin walls. */
 
 import type { ObjectFile } from "./objectfile.ts";
-import { FormatError } from "./safetensors.ts";
+import { damaged } from "./safetensors.ts";
 import { unxz } from "./xz.ts";
 
 const STEPS = 255;
@@ -81,7 +81,7 @@ function numbers(raw: Uint8Array, start: number, count: number, end: number): nu
       raw[start + 3 * count + n] * 2 ** 24;
     sum += step;
     if (sum >= end || (n > 0 && step === 0))
-      throw new FormatError("features of the geometry are out of order, or outside the grid");
+      throw damaged("its surface features are out of order, or outside the grid");
     found.push(sum);
   }
   return found;

@@ -117,7 +117,7 @@ function solve(
     moved.set(next);
     if (work > 0) step = Math.min(Math.max((-step * gained) / work, STEPS[0]), STEPS[1]);
   }
-  throw new Error("the contact did not converge");
+  throw new Error("the contact of the gel did not converge; press elsewhere, or less deep");
 }
 
 /** Return the pressure after one step along the preconditioned residual, not below 0. */

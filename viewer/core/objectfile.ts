@@ -2,7 +2,7 @@
 
 import type { Material } from "./materials.ts";
 import type { RadiationConfig } from "./radiation.ts";
-import { type Container, FormatError, parse, type Tensor } from "./safetensors.ts";
+import { type Container, damaged, FormatError, parse, type Tensor } from "./safetensors.ts";
 import type { Profile } from "./sensor.ts";
 
 export const MAJOR = 1;
@@ -86,12 +86,10 @@ export class ObjectFile {
 
   tensor(name: string): Tensor {
     const found = this.tensors.get(name);
-    if (!found) throw new FormatError(`the Object File lacks the tensor ${name}`);
+    if (!found) throw damaged(`it lacks the tensor ${name}`);
     return found;
   }
 }
-
-const damaged = (what: string) => new FormatError(`this Object File is damaged: its header ${what}`);
 
 function checked(text: string | undefined): Header {
   if (text === undefined)
@@ -102,18 +100,17 @@ function checked(text: string | undefined): Header {
   try {
     header = JSON.parse(text);
   } catch {
-    throw damaged("is not JSON");
+    throw damaged("its header is not JSON");
   }
-  if (typeof header !== "object" || !header) throw damaged("is empty");
+  if (typeof header !== "object" || !header) throw damaged("its header is empty");
   const major = Number(String(header.format ?? "").split(".")[0]);
   if (!header.format)
     throw new FormatError("this Object File is older than format 1.0: rebuild it with objectfolder build");
   if (major !== MAJOR)
     throw new FormatError(`this Object File has format ${header.format}; this page reads ${MAJOR}.x`);
-  if (!(header.scale > 0))
-    throw new FormatError(`this Object File is damaged: its size is ${header.scale} m`);
+  if (!(header.scale > 0)) throw damaged(`its size is ${header.scale} m`);
   for (const name of ["key", "material"] as const)
-    if (typeof header[name] !== "string") throw damaged(`lacks ${name}`);
+    if (typeof header[name] !== "string") throw damaged(`its header lacks ${name}`);
   const { geometry } = header;
   if (geometry?.kind === "distance_grid" && !(geometry.resolution >= 2 && geometry.resolution <= FINEST))
     throw damaged(`gives the grid ${geometry.resolution} points a side, not 2 to ${FINEST}`);

@@ -16,6 +16,9 @@ const LONGEST_HEADER = 100e6;
 
 export class FormatError extends Error {}
 
+export const damaged = (how: string) =>
+  new FormatError(`this Object File is damaged (${how}): download or copy it again`);
+
 interface Entry {
   dtype: string;
   shape: number[];
@@ -44,10 +47,10 @@ export function parse(buffer: ArrayBuffer): Container {
     const { dtype, shape, data_offsets: place } = entry as Entry;
     const [from, to] = place ?? [];
     if (!(from >= 0 && to >= from && start + to <= buffer.byteLength))
-      throw new FormatError(`tensor ${name} reaches beyond the end of the file: download or copy it again`);
+      throw damaged(`tensor ${name} ends beyond the file`);
     const count = shape.reduce((a, b) => a * b, 1);
     if (SIZES[dtype] && count * SIZES[dtype] !== to - from)
-      throw new FormatError(`tensor ${name} has ${to - from} bytes, expected ${count * SIZES[dtype]}`);
+      throw damaged(`tensor ${name} has ${to - from} bytes, expected ${count * SIZES[dtype]}`);
     tensors.set(name, { dtype, shape, bytes: new Uint8Array(buffer, start + from, to - from) });
   }
   return { metadata: (metadata ?? {}) as Record<string, string>, tensors };
@@ -67,17 +70,17 @@ export function floats(tensor: Tensor): Float32Array {
   const bytes = tensor.bytes.slice().buffer;
   if (tensor.dtype === "F16") return Float32Array.from(new Uint16Array(bytes), half);
   if (tensor.dtype === "F32") return new Float32Array(bytes);
-  throw new FormatError(`a tensor has type ${tensor.dtype}, expected F16 or F32`);
+  throw damaged(`a tensor has type ${tensor.dtype}, expected F16 or F32`);
 }
 
 /** Values of a tensor of double precision. */
 export function doubles(tensor: Tensor): Float64Array {
-  if (tensor.dtype !== "F64") throw new FormatError(`a tensor has type ${tensor.dtype}, expected F64`);
+  if (tensor.dtype !== "F64") throw damaged(`a tensor has type ${tensor.dtype}, expected F64`);
   return new Float64Array(tensor.bytes.slice().buffer);
 }
 
 /** Values of a tensor of signed bytes. */
 export function signedBytes(tensor: Tensor): Int8Array {
-  if (tensor.dtype !== "I8") throw new FormatError(`a tensor has type ${tensor.dtype}, expected I8`);
+  if (tensor.dtype !== "I8") throw damaged(`a tensor has type ${tensor.dtype}, expected I8`);
   return new Int8Array(tensor.bytes.slice().buffer);
 }

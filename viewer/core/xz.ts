@@ -1,6 +1,6 @@
 /** Decoder of xz streams with LZMA2 and no other filter. Browsers have none. Checksums are not compared. */
 
-import { FormatError } from "./safetensors.ts";
+import { damaged } from "./safetensors.ts";
 
 const TOP = 1 << 24;
 const CHECK_BYTES = [0, 4, 4, 4, 8, 8, 8, 16, 16, 16, 32, 32, 32, 64, 64, 64];
@@ -8,14 +8,14 @@ const CHECK_BYTES = [0, 4, 4, 4, 8, 8, 8, 16, 16, 16, 32, 32, 32, 64, 64, 64];
 /** Unpack a stream that holds a known number of bytes. */
 export function unxz(source: Uint8Array, size: number): Uint8Array {
   if (source[0] !== 0xfd || source[1] !== 0x37 || source[2] !== 0x7a)
-    throw new FormatError("a compressed tensor is no xz stream");
+    throw damaged("a compressed tensor is not an xz stream");
   const check = CHECK_BYTES[source[7] & 15];
   const out = new Uint8Array(size);
   const decoder = new Lzma2(source, out);
   let place = 12;
   let at = 0;
   while (source[place] !== 0) {
-    if (place >= source.length) throw new FormatError("an xz stream ends early");
+    if (place >= source.length) throw damaged("an xz stream ends early");
     const end = place + (source[place] + 1) * 4;
     let p = place + 1;
     const flags = source[p++];
@@ -30,13 +30,12 @@ export function unxz(source: Uint8Array, size: number): Uint8Array {
     };
     if (flags & 0x40) number();
     if (flags & 0x80) number();
-    if ((flags & 3) !== 0 || number() !== 0x21)
-      throw new FormatError("an xz stream has a filter other than LZMA2");
+    if ((flags & 3) !== 0 || number() !== 0x21) throw damaged("an xz stream is not packed by LZMA2 alone");
     [place, at] = decoder.block(end, at);
     while (place & 3) place++;
     place += check;
   }
-  if (at !== size) throw new FormatError(`an xz stream holds ${at} bytes, expected ${size}`);
+  if (at !== size) throw damaged(`an xz stream holds ${at} bytes, expected ${size}`);
   return out;
 }
 
@@ -74,12 +73,12 @@ class Lzma2 {
     let place = from;
     let at = to;
     for (;;) {
-      if (place >= source.length) throw new FormatError("an xz stream ends early");
+      if (place >= source.length) throw damaged("an xz stream ends early");
       const control = source[place++];
       if (control === 0) return [place, at];
       if (control < 0x80) {
         const count = (source[place] << 8) + source[place + 1] + 1;
-        if (at + count > out.length) throw new FormatError("an xz stream is too long");
+        if (at + count > out.length) throw damaged("an xz stream is too long");
         out.set(source.subarray(place + 2, place + 2 + count), at);
         place += 2 + count;
         at += count;
@@ -102,7 +101,7 @@ class Lzma2 {
         this.state = 0;
         this.repeats.fill(0);
       }
-      if (at + size > out.length) throw new FormatError("an xz stream is too long");
+      if (at + size > out.length) throw damaged("an xz stream is too long");
       this.coder[0] = 0xffffffff;
       this.coder[1] =
         ((source[place + 1] << 24) |
@@ -247,7 +246,7 @@ class Lzma2 {
         state = state < 7 ? 8 : 11;
       }
       const back = repeats[0] + 1;
-      if (back > at || at + length > end) throw new FormatError("an xz stream is damaged");
+      if (back > at || at + length > end) throw damaged("an xz stream is damaged");
       if (back === 1) out.fill(out[at - 1], at, at + length);
       else if (back >= length) out.copyWithin(at, at - back, at - back + length);
       else for (let i = 0; i < length; i++) out[at + i] = out[at + i - back];

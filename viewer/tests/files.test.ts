@@ -25,7 +25,7 @@ describe("xz", () => {
   it("refuses damaged, cut and foreign streams", () => {
     expect(() => unxz(stream, BYTES.length + 1)).toThrow("expected");
     expect(() => unxz(stream, BYTES.length - 1)).toThrow("too long");
-    expect(() => unxz(new Uint8Array(50), 10)).toThrow("no xz stream");
+    expect(() => unxz(new Uint8Array(50), 10)).toThrow("not an xz stream");
     for (let cut = 13; cut < stream.length - 40; cut += 97)
       expect(() => unxz(stream.subarray(0, cut), BYTES.length)).toThrow();
   });
@@ -48,7 +48,7 @@ describe("files", () => {
       [file({}), "is not an Object File"],
       [file({ objectfolder: JSON.stringify({ ...HEADER, format: "2.0" }) }), "this page reads 1.x"],
       [file({ objectfolder: JSON.stringify({ key: "cup" }) }), "older than format 1.0"],
-      [file({ objectfolder: JSON.stringify(HEADER) }, 8), "beyond the end of the file"],
+      [file({ objectfolder: JSON.stringify(HEADER) }, 8), "ends beyond the file"],
       [file({ objectfolder: "{" }), "its header is not JSON"],
       [file({ objectfolder: "null" }), "its header is empty"],
       [file({ objectfolder: JSON.stringify({ ...HEADER, key: undefined }) }), "lacks key"],

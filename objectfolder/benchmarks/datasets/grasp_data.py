@@ -309,7 +309,7 @@ def _digest(surface: Surface) -> str:
 def _truth(file: ObjectFile, surface: Surface) -> fingers.TrueSurface:
     if file.fixed_contact is not None:
         raise ObjectFolderError(
-            f"{file.key}: its touch net knows one press alone, with which the true surface cannot be "
+            f"{file.key}: its touch net stores a single press, with which the true surface cannot be "
             "compared; collect without the surface"
         )
     vertices, faces = surface

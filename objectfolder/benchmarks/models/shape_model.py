@@ -124,7 +124,7 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> ShapeMod
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ObjectFolderError(
             f"{path} holds no reconstruction model of this version; train one with `objectfolder bench "
-            "reconstruction`"
+            "reconstruct`"
         )
     try:
         setup = _setup(header)

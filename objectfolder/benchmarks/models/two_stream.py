@@ -7,7 +7,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.errors import ObjectFolderError, plural
 
 
 class TwoStream(nn.Module):
@@ -70,7 +70,7 @@ def paired_batches(
     objects, counts = np.unique(labels, return_counts=True)
     if len(objects) < 2 or batch < 3:
         raise ObjectFolderError(
-            f"{len(objects)} object(s) to train on, in batches of {batch}; expected two objects and batches "
+            f"{plural(len(objects), 'object')} to train on, in batches of {batch}; expected two objects and batches "
             "of three at least, because each batch needs negatives"
         )
     if np.ptp(counts):

@@ -77,10 +77,15 @@ def read_notice(mesh: Path) -> Notice | None:
     return Notice(path, **found)
 
 
-def notice_text(licence: str, author: str) -> str:
-    """Return the notice of a mesh whose licence and author are known; empty if neither is."""
-    lines = {"Licence": licence, "Attribution": author}
-    return "".join(f"{title}: {text}\n" for title, text in lines.items() if text)
+def notice_text(mesh: Path, licence: str, author: str, source: str) -> str:
+    """Return the notice of a mesh: what is given, then what a notice beside it says; empty if nothing is.
+
+    The first line of a kind counts. Raises ObjectFolderError as `read_notice` does.
+    """
+    lines = {"Licence": licence, "Attribution": author, "Mesh and textures": source}
+    text = "".join(f"{title}: {text}\n" for title, text in lines.items() if text)
+    beside = read_notice(mesh)
+    return text + (beside.path.read_text(encoding="utf-8", errors="replace") if beside else "")
 
 
 def licence_name(text: str) -> str:

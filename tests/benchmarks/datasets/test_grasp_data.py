@@ -140,7 +140,7 @@ def without_touch(brick):
         ),
         (lambda brick: felt_by(brick, "tacto_digit"), None, "the gel of sensor 'tacto_digit' is rigid and"),
         (lambda brick: brick, [2, 0, 1], "the true surface reaches .* another object or build"),
-        (lambda brick: with_images(brick, 0.001, 0.0), [0, 1, 2], "its touch net knows one press alone"),
+        (lambda brick: with_images(brick, 0.001, 0.0), [0, 1, 2], "its touch net stores a single press"),
     ],
     ids=["no touch", "rigid gel", "another surface", "a net of images"],
 )
