@@ -29,12 +29,13 @@ def draw_sizes(figure, entries):
     """Draw the lowest frequency of each object against its size, by material; from the index alone."""
     axes = figure.subplots()
     heard = [entry for entry in entries if entry.lowest_hz is not None]
+    middle = 50 * max((entry.size for entry in heard), default=0)
     for material in sorted({entry.material for entry in heard}):
         places = {e.key: (100 * e.size, e.lowest_hz) for e in heard if e.material == material}
         axes.scatter(*zip(*places.values()), label=material)
         for key, place in places.items():
-            axes.annotate(key, place, xytext=(4, 4), textcoords="offset points", fontsize=8)
-    axes.margins(0.15)
+            side = {"xytext": (-4, 4), "ha": "right"} if place[0] > middle else {"xytext": (4, 4)}
+            axes.annotate(key, place, textcoords="offset points", fontsize=8, **side)
     axes.set(xlabel="longest side (cm)", ylabel="lowest mode (Hz)", xlim=(0, None), ylim=(0, None))
     axes.grid(alpha=0.2)
     axes.legend(title="material")

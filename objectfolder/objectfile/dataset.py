@@ -16,7 +16,7 @@ import torch
 
 from objectfolder.base.arrays import MAX_BYTES
 from objectfolder.base.checks import is_web_address
-from objectfolder.base.errors import ObjectFolderError, quoted, shortened
+from objectfolder.base.errors import ObjectFolderError, plural, quoted, shortened
 from objectfolder.base.io import content_hint, file_digest
 from objectfolder.base.text import from_csv, visible
 from objectfolder.objectfile.file import Device, ObjectFile
@@ -203,7 +203,7 @@ class Dataset(Sequence[ObjectFile]):
 
     def __repr__(self) -> str:
         place = self._published.address if self._published else str(self.folder)
-        return f"Dataset({place!r}): {len(self)} objects"
+        return f"Dataset({place!r}): {plural(len(self), 'object')}"
 
     def entry(self, which: int | str) -> IndexEntry:
         """Return what the index says of an object, by number or key."""

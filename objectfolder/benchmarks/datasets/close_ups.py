@@ -39,8 +39,7 @@ def close_up_request(file: ObjectFile, count: int, size: tuple[int, int], seed: 
     samples.require_parts(file, ("geometry", "vision", "touch"), "close views and touches")
     if file.fixed_contact is not None:
         raise ObjectFolderError(
-            f"{file.key}: its touch net stores one depth of press; leave the object out, or rebuild "
-            "it"
+            f"{file.key}: its touch net stores one depth of press; leave the object out, or rebuild it"
         )
     largest = (file.sensor_profile.height, file.sensor_profile.width)
     if min(size) < SMALLEST or any(side > limit for side, limit in zip(size, largest, strict=True)):

@@ -70,8 +70,8 @@ def paired_batches(
     objects, counts = np.unique(labels, return_counts=True)
     if len(objects) < 2 or batch < 3:
         raise ObjectFolderError(
-            f"{plural(len(objects), 'object')} to train on, in batches of {batch}; expected two objects and batches "
-            "of three at least, because each batch needs negatives"
+            f"{plural(len(objects), 'object')} to train on, in batches of {batch}; expected two objects and "
+            "batches of three at least, because each batch needs negatives"
         )
     if np.ptp(counts):
         raise ObjectFolderError(

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from objectfolder.base.errors import plural
 from objectfolder.base.text import in_markdown
 from objectfolder.base.yamlfile import yaml_text
 from objectfolder.hub.release.notices import Notice, attributions, hub_licence
@@ -74,9 +75,9 @@ def describe_release(
     """Describe a release."""
     sizes = sorted(entry.size for entry in entries)
     summary = (
-        f"{len(entries)} Object Files: implicit representations that answer how an object looks from any "
-        "camera under any light, how it sounds when struck anywhere, and what a tactile sensor feels "
-        f"anywhere on it. Materials: {count_values(entry.material for entry in entries)}. "
+        f"{plural(len(entries), 'Object File')}, each an implicit representation that answers how an object "
+        "looks from any camera under any light, how it sounds when struck anywhere, and what a tactile sensor "
+        f"feels anywhere on it. Materials: {count_values(entry.material for entry in entries)}. "
         f"Sizes: {sizes[0]:.2g} to {sizes[-1]:.2g} m."
     )
     return Words(name=name, summary=summary, creator=creator, version=version, date=date, url=url)
