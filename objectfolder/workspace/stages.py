@@ -100,6 +100,7 @@ STAGES = {
         "listed", f"{_TASKS}.reconstruct:ReconstructConfig", TRAINING, task=True, splits=_BOTH
     ),
     "localize": Stage("listed", f"{_TASKS}.localize:LocalizeConfig", TRAINING, task=True),
+    "slide": Stage("listed", f"{_TASKS}.slide:SlideConfig", TRAINING, task=True),
     "vision_to_touch": Stage(
         "listed", f"{_TASKS}.vision_to_touch:VisionToTouchConfig", TRAINING, task=True, splits=_BOTH
     ),

@@ -15,17 +15,12 @@ from objectfolder.base.io import write_json
 from objectfolder.base.locks import exclusive
 from objectfolder.benchmarks.datasets import samples
 from objectfolder.benchmarks.datasets.observations import CLOSE_UP_ARRAYS, CLOSE_UP_RECORD
+from objectfolder.objectfile.close_views import camera_distances, close_views
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.touch.contact import sensor_frames
-from objectfolder.vision.cameras import Intrinsics
-from objectfolder.vision.lighting import DistantLight
 from objectfolder.workspace.code_digests import code_digest
 
 DEPTH = 0.001  #: of all presses, metres
-FARTHEST, NEAREST = 0.1, 0.01  #: of the camera from the point, metres
-CLEAR = 0.9  #: of the way along the contact normal to the next surface, at most
-SLANT = (0.7, 0.5)  #: of the light, up and to the left in the view, relative to the normal
-LIFT = 1e-3  #: unit frame, above the surface, where free ways are measured from
+NEAREST = 0.01  #: of the camera to the point, metres
 CHUNK = 50  #: contacts pressed at once
 SMALLEST = 11  #: side of an image, pixels: the window of SSIM
 
@@ -92,37 +87,3 @@ def open_points(file: ObjectFile, count: int, seed: int) -> tuple[np.ndarray, np
             f"camera, expected {count}: leave the object out"
         )
     return drawn[chosen], distances[chosen]
-
-
-def camera_distances(file: ObjectFile, points: np.ndarray) -> np.ndarray:
-    """Return how far from points (N, 3) a camera has room along the normal, at most `FARTHEST`; metres."""
-    place = (points / file.scale).astype(np.float32)
-    normals = file.contact_normals(points).astype(np.float32)
-    free, _ = file.surface.caster.first_hit(place + LIFT * normals, normals)
-    return np.minimum(CLEAR * file.scale * free.astype(np.float64), FARTHEST)
-
-
-def close_views(
-    file: ObjectFile, points: np.ndarray, distances: np.ndarray, size: tuple[int, int]
-) -> np.ndarray:
-    """Look at points (N, 3), from distances (N,) along their contact normals, at what the sensor covers.
-
-    Both are in metres. Returns (N, H, W, 3) uint8; the size is (H, W).
-    """
-    profile = file.sensor_profile
-    place = (points / file.scale).astype(np.float32)
-    frames = sensor_frames(file.contact_normals(points), np.zeros(len(points)))
-    inward, left, up = np.moveaxis(frames, 2, 0)
-    poses = np.tile(np.eye(4), (len(points), 1, 1))
-    poses[:, :3, :3] = np.stack([-left, up, -inward], 2)
-    poses[:, :3, 3] = place - (distances / file.scale)[:, None] * inward
-    lights = -inward + SLANT[0] * up + SLANT[1] * left
-    # Half the height and half the width that the gel covers, metres.
-    tall, wide = np.multiply(profile.half_extent, profile.camera_to_gel)
-    height, width = size
-    views = []
-    for pose, light, distance in zip(poses, lights, distances, strict=True):
-        focal_x, focal_y = width / 2 * distance / wide, height / 2 * distance / tall
-        lens = Intrinsics(width, height, focal_x, focal_y=focal_y)
-        views.append(file.view(pose, intrinsics=lens, supersample=False, lights=[DistantLight(light)])[0])
-    return np.round(np.stack(views) * 255).astype(np.uint8)

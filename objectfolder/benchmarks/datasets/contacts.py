@@ -3,9 +3,9 @@
 import numpy as np
 
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.benchmarks.datasets.close_ups import camera_distances, close_views
 from objectfolder.benchmarks.datasets.samples import Samples, has_uncertain_sound, object_digest
 from objectfolder.benchmarks.datasets.splits import TEN, Split
+from objectfolder.objectfile.close_views import camera_distances, close_views
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.query_files import sample_depths, sample_strikes
 from objectfolder.sound.spectrogram import DURATION, SAMPLE_RATE

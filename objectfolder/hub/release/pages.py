@@ -76,8 +76,8 @@ def describe_release(
     sizes = sorted(entry.size for entry in entries)
     summary = (
         f"{plural(len(entries), 'Object File')}, each an implicit representation that answers how an object "
-        "looks from any camera under any light, how it sounds when struck anywhere, and what a tactile sensor "
-        f"feels anywhere on it. Materials: {count_values(entry.material for entry in entries)}. "
+        "looks from any camera under any light, how it sounds when struck anywhere, and what a tactile "
+        f"sensor feels anywhere on it. Materials: {count_values(entry.material for entry in entries)}. "
         f"Sizes: {sizes[0]:.2g} to {sizes[-1]:.2g} m."
     )
     return Words(name=name, summary=summary, creator=creator, version=version, date=date, url=url)

@@ -7,12 +7,13 @@ from refusals import refused
 from objectfolder.benchmarks.datasets import close_ups
 from objectfolder.benchmarks.datasets.close_ups import (
     close_up_request,
-    close_views,
     has_close_ups,
     open_points,
     sample_close_ups,
 )
 from objectfolder.benchmarks.datasets.observations import CloseUps
+from objectfolder.objectfile import close_views as looking
+from objectfolder.objectfile.close_views import close_views
 from objectfolder.objectfile.file import ObjectFile
 
 SIZE = (16, 12)
@@ -77,9 +78,9 @@ def test_cameras_stand_where_the_gel_comes_from(bell, monkeypatch):
     assert (outward * surface).sum(1).min() < 0.999
     place = (points / bell.scale).astype(np.float32)
     free, _ = bell.surface.caster.first_hit(
-        (place + close_ups.LIFT * outward).astype(np.float32), outward.astype(np.float32)
+        (place + looking.LIFT * outward).astype(np.float32), outward.astype(np.float32)
     )
-    expected = np.minimum(close_ups.CLEAR * bell.scale * free, close_ups.FARTHEST)
+    expected = np.minimum(looking.CLEAR * bell.scale * free, looking.FARTHEST)
     np.testing.assert_allclose(distances, expected, atol=1e-4)
     seen = []
 
@@ -95,8 +96,8 @@ def test_cameras_stand_where_the_gel_comes_from(bell, monkeypatch):
         cameras[:, :3, 3] * bell.scale - points, distances[:, None] * outward, atol=1e-6
     )
     assert distances.min() >= close_ups.NEAREST
-    assert distances.max() <= close_ups.FARTHEST
-    assert distances.min() < 0.6 * close_ups.FARTHEST  # inside the bell
+    assert distances.max() <= looking.FARTHEST
+    assert distances.min() < 0.6 * looking.FARTHEST  # inside the bell
 
 
 def test_an_object_without_room_is_refused(bell, monkeypatch):
