@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from objectfolder.base.checks import one_of, whole_number
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim import calls
 from objectfolder.sim.game import Game
@@ -62,7 +63,10 @@ class SlideEnv(Game):
         self.file, self.limit = calls.object_file(file), whole_number("limit", limit, 1)
         self.slide = SLIDES[one_of("task", task, tuple(SLIDES))]
         given = [senses] if isinstance(senses, str) else senses
-        self.senses = [name for name in SENSES if name in [one_of("senses", one, SENSES) for one in given]]
+        named = [one_of("senses", one, SENSES) for one in given]
+        if not named:
+            raise ObjectFolderError(f"senses is empty, expected {', '.join(SENSES)} or both")
+        self.senses = [name for name in SENSES if name in named]
         require_sliding(self.file, self.senses)
         self._size, self._episode, self._steps = calls.check_resolution(size), {}, 0
         self._arguments = (self.file, task, tuple(self.senses), limit, self._size)

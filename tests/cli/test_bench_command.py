@@ -35,6 +35,7 @@ TINY = {
     "recognize": {"seeds": 2, "epochs": 2, "fusion_epochs": 1, "batch": 8},
     "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 4},
     "localize": {"seeds": 1, "contacts": 80, "epochs": 1, "batch": 16},
+    "slide": {"seeds": 1, "contacts": 80, "episodes": 2, "epochs": 1, "batch": 16, "width": 2},
     "vision_to_touch": {"seeds": 1, "contacts": 10, "epochs": 1, "batch": 8, "width": 2},
     "touch_to_vision": {"seeds": 1, "epochs": 1, "batch": 8, "width": 2},
     "reconstruct": {
@@ -144,6 +145,16 @@ def test_two_objects_at_a_time_are_localized_as_one_after_another(files, workspa
     written = [path.name for path in Path("first").glob("localize_*.json") if "_machine" not in path.name]
     assert len(written) == 2
     bench("localize", files, "--out", "second", "--jobs", "2", "--threads", "2")
+    assert results(Path("first")) == results(Path("second"))
+
+
+@pytest.mark.slow
+def test_a_sensor_slides_to_contacts(files, workspace):
+    output = bench("slide", files, "--out", "first")
+    assert "pixel descent" in output
+    assert "2 episodes of each way, of at most 15 steps; 80 contacts to learn from" in output
+    assert len(list(Path("first").glob("slide_*.png"))) == 2
+    bench("slide", files, "--out", "second", "--jobs", "2", "--threads", "2")
     assert results(Path("first")) == results(Path("second"))
 
 

@@ -18,6 +18,7 @@ from objectfolder.sim.explore import AZIMUTHS, HEIGHTS, ExploreEnv
 from objectfolder.sim.grasp import GraspEnv, GraspVectorEnv
 from objectfolder.sim.hulls import cached_hulls
 from objectfolder.sim.reach import ReachEnv
+from objectfolder.sim.slide import SlideEnv
 from objectfolder.sim.tap import TapEnv
 
 
@@ -32,17 +33,18 @@ def make(brick_path, brick, hulls):
         "drop": partial(DropEnv, objects=[brick], materials=["plastic"], seconds=0.03),
         "tap": partial(TapEnv, objects=[brick], seconds=0.03, count=3, limit=6),
         "explore": partial(ExploreEnv, objects=[brick]),
+        "slide": partial(SlideEnv, brick, size=(16, 12)),
     }
     return lambda name, **given: made[name](**given)
 
 
 PLACES = AZIMUTHS * HEIGHTS
-SINGLE, GAMES = ("grasp", "reach"), ("drop", "tap", "explore")
+SINGLE, GAMES = ("grasp", "reach"), ("drop", "tap", "explore", "slide")
 EVERY = pytest.mark.parametrize("name", [*SINGLE, "grasps", *GAMES])
 WRONG = {
     "NaN": lambda good: good * np.nan,
     "infinite": lambda good: good + np.inf,
-    "short": lambda good: good[..., :3],
+    "short": lambda good: good[..., :2],
     "scalar": lambda good: 0.0,
     "more rows": lambda good: np.stack([good, good]),
     "text": lambda good: "up",
@@ -52,13 +54,13 @@ WRONG = {
 
 
 @pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
-@pytest.mark.parametrize("name", [*SINGLE, "grasps"])
+@pytest.mark.parametrize("name", [*SINGLE, "grasps", "slide"])
 def test_a_wrong_action_is_refused_and_changes_nothing(make, name, wrong):
     env, twin = make(name), make(name)
     env.reset(seed=0)
     twin.reset(seed=0)
     good = np.full(env.action_space.shape, 0.25)
-    refused(r"action is .* 4 finite numbers in \[-1, 1\]", env.step, wrong(good))
+    refused(r"action is .* [34] finite numbers in \[-1, 1\]", env.step, wrong(good))
     assert observed(env.step(good)) == observed(twin.step(good))
 
 
@@ -149,12 +151,13 @@ def test_the_right_answer_is_rewarded_and_ends_the_episode(make, name, given, an
     refused("was not reset", env.step, np.array(answer(info, 0)))
 
 
-@pytest.mark.parametrize("name", ["tap", "explore"])
+@pytest.mark.parametrize("name", ["tap", "explore", "slide"])
 def test_the_last_try_truncates_the_episode(make, name):
     env = make(name, limit=3)
     env.reset(seed=0)
-    assert [env.step(k)[3] for k in range(3)] == [False, False, True]
-    refused("was not reset", env.step, 0)
+    actions = np.zeros((3, 3)) if name == "slide" else range(3)
+    assert [env.step(action)[3] for action in actions] == [False, False, True]
+    refused("was not reset", env.step, actions[0])
 
 
 @pytest.mark.parametrize("name", GAMES)
@@ -182,10 +185,12 @@ DRAWN = {"render_mode": "rgb_array"}
         ("Drop", {"seconds": 0.03}, [check_env]),
         ("Tap", {"seconds": 0.03}, [check_env]),
         ("Explore", {}, [check_env]),
+        ("Slide", {"senses": ("touch", "vision"), "size": (16, 12)}, [check_env]),
     ],
 )
 def test_the_checkers_pass_with_what_is_made_by_name(brick, hulls, name, given, checks):
     thing = {"objects": [brick]} if name.lower() in GAMES else {"file": brick, "hulls": hulls}
+    thing = {"file": brick} if name == "Slide" else thing
     env = gymnasium.make(f"ObjectFolder/{name}-v0", **thing, **given).unwrapped
     for check in checks:
         check(env)
@@ -225,6 +230,10 @@ def test_wrong_actions_of_games_are_refused(make, name, actions, message):
         ("explore", {"limit": 0}, "limit is 0, expected a whole number of at least 1"),
         ("explore", {"reduction": 0}, "reduction is 0, expected a whole number of at least 1"),
         ("explore", {"reduction": 200}, "reduction is 200, expected 120 at most for digit"),
+        ("slide", {"task": "roll"}, "task 'roll' is not one of refine, traverse"),
+        ("slide", {"senses": ["smell"]}, "senses 'smell' is not one of touch, vision"),
+        ("slide", {"senses": []}, "senses is empty, expected touch, vision or both"),
+        ("slide", {"limit": 0}, "limit is 0, expected a whole number of at least 1"),
     ],
 )
 def test_wrong_arguments_of_games_are_refused(make, name, given, message):

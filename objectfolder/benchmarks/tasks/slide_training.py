@@ -217,7 +217,7 @@ def _learned(job: Job[SlideConfig], way: _Way, net: DisplacementNet, letters: st
 def _descend(way: _Way, letters: str) -> dict[str, float]:
     """Score pixel descent: along an axis while the reading becomes more like the goal's, else the next.
 
-    Once no direction helps, motions are halved.
+    Once no axis helps, motions are halved.
     """
     axes = 3 if np.isfinite(way.slide.turned) else 2
     tried = SHARE * np.concatenate([np.eye(3)[:axes], -np.eye(3)[:axes]]) * way.slide.steps
@@ -229,7 +229,7 @@ def _descend(way: _Way, letters: str) -> dict[str, float]:
         difference = abs(way.sense(letters, poses) - aims[rows]).mean((1, 2, 3))
         worse = difference >= best[rows]
         which[rows] = (which[rows] + worse) % len(tried)
-        failed[rows] += worse
+        failed[rows] = np.where(worse, failed[rows] + 1, failed[rows] // len(tried) * len(tried))
         new = tried[which[rows]] * 0.5 ** (failed[rows] // len(tried))[:, None]
         motions = new - np.where(worse[:, None], last[rows], 0)
         best[rows], last[rows] = np.minimum(best[rows], difference), new
