@@ -220,7 +220,9 @@ def test_an_object_whose_sound_is_uncertain_is_localized_without_it(marked, work
     assert scores["uncertain"]
     assert "T" in scores
     assert not {"A", "TA", "TVA"} & scores.keys()
+    assert 1 <= scores["diameter"] <= 3**0.5
     heard = {"T": scores["T"], "A": scores["T"], "TA": scores["T"], "constant": 1.0, "random": 1.0}
+    heard["diameter"] = 1.0
     [table] = find_task("localize").tables(
         {"flimsy": scores, "other": heard | {"contacts": scores["contacts"]}}
     )

@@ -9,13 +9,14 @@ from annotated_types import Ge, MultipleOf
 
 from objectfolder.base.settings import Count, NonNegative, Positive, section
 from objectfolder.benchmarks.models.settings import TrainingConfig
+from objectfolder.benchmarks.reporting.published import LOCALIZATION
 from objectfolder.benchmarks.reporting.tables import Table, format_interval
 from objectfolder.benchmarks.tasks.task import Task
 
 #: Senses that contacts are localized by. The last letter's belief counts in full beside those of others.
 SENSES = {
     **{"T": "touch", "A": "sound", "V": "close view", "TA": "touch + sound", "TV": "touch + close view"},
-    "TVA": "touch + close view + sound",
+    **{"VA": "close view + sound", "TVA": "touch + close view + sound"},
 }
 
 
@@ -49,6 +50,7 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
                     *(f"{100 * value:.1f}" for value in (net["median"], net["together"])),
                     *(f"{100 * nearest[kind]:.1f}" for kind in ("mean", "together")),
                     *(f"{100 * scores[key][kind]:.1f}" for kind in ("constant", "random")),
+                    f"{100 * net['mean'] / scores[key]['diameter']:.1f}",
                 )
             )
         if len(found) > 1:
@@ -56,18 +58,31 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
                 *(fmean(one["net"][kind] for one in found) for kind in ("mean", "median", "together")),
                 *(fmean(one["nearest"][kind] for one in found) for kind in ("mean", "together")),
                 *(fmean(scores[key][kind] for key in heard) for kind in ("constant", "random")),
+                fmean(scores[key][senses]["net"]["mean"] / scores[key]["diameter"] for key in heard),
             ]
             rows.append((name, f"mean of {len(found)}", *(f"{100 * value:.1f}" for value in means)))
     contacts = next(iter(scores.values()))["contacts"]
     silent = [key for key, score in scores.items() if score.get("uncertain")]
     return Table(
         "Localization of contacts: mean error in % of the longest side",
-        ("from", "object", "net", "median", "eight", "nearest", "eight nearest", "constant", "random"),
+        (
+            "from",
+            "object",
+            "net",
+            "median",
+            "eight",
+            "nearest",
+            "eight nearest",
+            "constant",
+            "random",
+            "normalized",
+        ),
         rows,
         f"{contacts['train']} contacts to train with, {contacts['val']} for validation, "
         f"{contacts['test']} for the test. Eight: after eight contacts with known moves between them. "
         "Nearest: the training contact with the most similar input, for eight a belief by similarity. "
-        "Constant: the best single answer."
+        "Constant: the best single answer. Normalized: the net's, in % of the greatest distance between two "
+        "points of the object."
         + (f" Without sound, since theirs is marked uncertain: {', '.join(silent)}." if silent else ""),
     )
 
@@ -84,6 +99,7 @@ contact, the best constant answer and a random one.
     training="objectfolder.benchmarks.tasks.localize_training:localize_object",
     columns=("seed", "senses", "epoch", "train_loss", "val_score"),  # minus the mean error, sides
     table=_table,
+    published=(LOCALIZATION,),
     page="Localization",
     encodes=("touch", "audio", "vision"),
     former=("localization",),

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.distance import cdist
 from torch.nn import functional as F
 
@@ -236,7 +236,10 @@ def _belief(setting: _Setting, net: Localizer, letter: str, rows: np.ndarray) ->
 
 
 def localize_object(job: ObjectJob[LocalizeConfig]) -> tuple[dict[str, Any], list[list[Any]]]:
-    """Touch, strike and look at an object, and `localize` these contacts; scores also hold its ``scale``.
+    """Touch, strike and look at an object, and `localize` these contacts.
+
+    Scores also hold its ``scale``, m, and ``diameter``, the greatest distance between two of its points over
+    its longest side.
 
     If its sound is marked uncertain, contacts are localized without it, and scores say so: ``uncertain``.
 
@@ -252,4 +255,11 @@ def localize_object(job: ObjectJob[LocalizeConfig]) -> tuple[dict[str, Any], lis
     lacking = {"A": marked, "V": "vision" not in job.file.header}
     letters = "".join(letter for letter in LETTERS if not lacking.get(letter))
     scores, curve = localize(Job(contacts, split, *given), letters)
-    return scores | {"scale": job.file.scale} | ({"uncertain": True} if marked else {}), curve
+    scores |= {"scale": job.file.scale, "diameter": _diameter(job.file.surface.vertices)}
+    return scores | ({"uncertain": True} if marked else {}), curve
+
+
+def _diameter(points: np.ndarray) -> float:
+    """Return the greatest distance between two points (N, 3)."""
+    hull = points[ConvexHull(points).vertices]
+    return max(float(cdist(part, hull).max()) for part in np.array_split(hull, -(-len(hull) // 1000)))

@@ -101,6 +101,19 @@ def test_two_senses_find_what_one_leaves_open(learnt):
     json.dumps(scores, allow_nan=False)
 
 
+def test_the_normalized_error_is_of_the_diameter(learnt):
+    scores = learnt[0] | {
+        "diameter": localize_training._diameter(np.random.default_rng(0).normal(size=(4, 3)))
+    }
+    [table] = TASK.tables({"square": scores})
+    rows = {row[0]: dict(zip(table.columns, row)) for row in table.rows}
+    expected = 100 * scores["VA"]["net"]["mean"] / scores["diameter"]
+    assert rows["close view + sound"]["normalized"] == f"{expected:.1f}"
+    assert rows["close view + sound"]["ObjectFolder Benchmark"] == "1.76"
+    corners = np.array(np.meshgrid([0, 1], [0, 2], [0, 2], indexing="ij")).reshape(3, 8).T
+    assert localize_training._diameter(corners) == pytest.approx(3)
+
+
 def test_silence_tells_nothing(tmp_path):
     scores, _ = localize(job(tmp_path, square(sounds=False), epochs=4))
     assert scores["A"]["net"]["mean"] == pytest.approx(scores["constant"], rel=0.1)
