@@ -44,20 +44,37 @@ class Strikes:
     tolerance: float  #: greatest distance of a point from the surface, fraction of the size
     listeners: np.ndarray | None = None  #: (N, 3) metres; None for sounds without a listener
     delay: bool = False  #: whether sounds start when they arrive, rather than with the strikes
+    pickups: np.ndarray | None = None  #: (N, 3) metres, where contact microphones are; None without them
+    axes: np.ndarray | None = None  #: (N, 3) unit vectors that these measure along; None: outward normals
 
     @classmethod
     def checked(
-        cls, points: Rows, forces: Rows, listener: Rows | None, delay: bool, tolerance: float
+        cls,
+        points: Rows,
+        forces: Rows,
+        listener: Rows | None,
+        delay: bool,
+        tolerance: float,
+        pickup: Rows | None = None,
+        axis: Rows | None = None,
     ) -> "Strikes":
         """Check the arguments of a query; a single row of one serves all rows of the others.
 
-        Raises ObjectFolderError if shapes do not fit, values are not finite, or there is a delay without a
-        listener.
+        Raises ObjectFolderError if shapes do not fit, values are not finite, an axis is zero, there is a
+        delay without a listener, an axis without a pickup, or both a listener and a pickup.
         """
         places = finite_rows("points", points, 3)
         longer = "points" if len(places) > 1 else "forces"
         places, impulses = broadcast_rows("points", places, "forces", finite_rows("forces", forces, 3))
         late = true_or_false("delay", delay)
+        if axis is not None and pickup is None:
+            raise ObjectFolderError("axis is the direction of a pickup; give pickup, or leave axis out")
+        if pickup is not None:
+            if listener is not None:
+                raise ObjectFolderError("listener and pickup are both given; a sound is heard at one of them")
+            places, spots = broadcast_rows(longer, places, "pickup", finite_rows("pickup", pickup, 3))
+            places, impulses = broadcast_rows("points", places, "forces", impulses)
+            return cls(places, impulses, tolerance, pickups=spots, axes=_unit_rows(axis, len(places)))
         if listener is None:
             if late:
                 raise ObjectFolderError("delay=True needs a listener; give listener, or leave delay out")
@@ -65,6 +82,17 @@ class Strikes:
         places, ears = broadcast_rows(longer, places, "listener", finite_rows("listener", listener, 3))
         places, impulses = broadcast_rows("points", places, "forces", impulses)
         return cls(places, impulses, tolerance, ears, late)
+
+
+def _unit_rows(axis: Rows | None, count: int) -> np.ndarray | None:
+    """Return directions as unit vectors, (count, 3)."""
+    if axis is None:
+        return None
+    _, rows = broadcast_rows("points", np.zeros((count, 3)), "axis", finite_rows("axis", axis, 3))
+    length = np.linalg.norm(rows, axis=1, keepdims=True)
+    if not length.all():
+        raise ObjectFolderError("axis: a row is zero, expected a direction")
+    return rows / length
 
 
 @dataclass(frozen=True)
@@ -243,6 +271,8 @@ class SoundQueries(StoredObject):
         striker: str | Striker | None = None,
         listener: Rows | None = None,
         delay: bool = False,
+        pickup: Rows | None = None,
+        axis: Rows | None = None,
     ) -> Answer:
         """Strike the object, or one of its shape, with impulses; see docs/sound.md.
 
@@ -257,7 +287,8 @@ class SoundQueries(StoredObject):
         duration : float
             Seconds.
         response : {"displacement", "velocity", "acceleration"}
-            Of the modes, summed: m kg^1/2 and its time derivatives.
+            Of the modes, summed: m kg^1/2 and its time derivatives. At a pickup, of the surface: m, m/s or
+            m/s^2.
         tolerance : float
             Greatest distance of a point from the surface, fraction of the size.
         contact_time : float, optional
@@ -278,6 +309,12 @@ class SoundQueries(StoredObject):
             recoil of the object as a whole.
         delay : bool
             Whether sounds reach a listener after the time that they need, rather than with the strikes.
+        pickup : (N, 3) array, optional
+            Where contact microphones are on the struck object, object frame, metres; snapped to the surface.
+            The answer is then the vibration of the surface there; a piezo measures its ``acceleration``. The
+            motion of the object as a whole is left out.
+        axis : (N, 3) array, optional
+            Direction that a contact microphone measures along. Default: the outward normal.
 
         Returns
         -------
@@ -289,9 +326,9 @@ class SoundQueries(StoredObject):
             If shapes do not fit, values are not finite or too large, a point is off the surface, the sounds
             do not fit into memory, the file does not say how the struck object sounds at a listener, or it
             does not say how long a given striker touches. If the material is undamped, both a striker and a
-            contact time are given, or a delay without a listener.
+            contact time or both a listener and a pickup are given, or a delay without a listener.
         """
-        strikes = Strikes.checked(points, forces, listener, delay, tolerance)
+        strikes = Strikes.checked(points, forces, listener, delay, tolerance, pickup, axis)
         played = sample_rate, duration, response, contact_time, material, scale, striker, listener is not None
         settings = SoundSettings(*played).checked(len(strikes.points))
         sense: SoundSense = self._parts.audio

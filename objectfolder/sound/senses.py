@@ -120,10 +120,26 @@ class ModalSense(SoundSense):
             self._report_inaudible(bank, len(tuning.modes))
             sounds = np.empty((len(strikes.points), bank.samples), np.float32)
             for part, strengths in self._strengths(strikes, settings):
-                sounds[part] = bank.mix(strengths)
+                moved = (
+                    strengths
+                    if strikes.pickups is None
+                    else strengths * self._picked(strikes, settings, part)
+                )
+                sounds[part] = bank.mix(moved)
         else:
             sounds = self._pressures(strikes, strikes.listeners, settings, read_radiation)
         return finite_sounds(sounds, strikes.impulses)
+
+    def _picked(self, strikes: Strikes, settings: SoundSettings, part: slice) -> torch.Tensor:
+        """Return how far the surface moves at pickups, along their axes, as modes do; (rows, H), kg^-1/2."""
+        tuning, bank = self._bank(settings)
+        surface = self._surface.resized(settings.scale)
+        assert strikes.pickups is not None
+        places = torch.from_numpy(surface.to_unit(surface.snap(strikes.pickups[part], strikes.tolerance)))
+        axes = surface.read().grid.normals(places) if strikes.axes is None else strikes.axes[part]
+        shapes = self.net.shapes(places)[..., tuning.modes[bank.heard]]
+        along = torch.as_tensor(axes, dtype=shapes.dtype, device=shapes.device)
+        return (shapes * along[:, :, None]).sum(1) * tuning.shape_factor
 
     def _report_inaudible(self, bank: Bank, modes: int, outcome: str = "silent") -> None:
         heard, nyquist = len(bank.heard), bank.sample_rate / 2
@@ -274,7 +290,7 @@ class SpectrogramSense(SoundSense):
     def impact(
         self, strikes: Strikes, settings: SoundSettings, read_radiation: Callable[[], Radiation]
     ) -> np.ndarray:
-        if strikes.listeners is not None:
+        if strikes.listeners is not None or strikes.pickups is not None:
             raise no_modes(self._key)
         if settings.material is not None or settings.scale is not None or settings.contact_time:
             raise ObjectFolderError(
