@@ -91,7 +91,7 @@ sbom: .venv-supply/.tools .venv-lock/.installed
 	.venv-supply/bin/cyclonedx-py environment --output-reproducible --pyproject pyproject.toml -o build/sbom.json \
 	  .venv-lock
 
-# docs/licences.md
+# docs/licences.csv
 licences: .venv/.dev
 	$(BIN)/python docs/licences.py
 

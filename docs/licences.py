@@ -1,15 +1,16 @@
-"""Writes the table of docs/licences.md: packages, their licences, and the extras that bring them.
+"""Writes docs/licences.csv: packages, their licences, and the extras that bring them.
 
 Usage: ``make licences``; it lists what is installed of constraints.txt.
 """
 
+import csv
 from importlib.metadata import PackageMetadata, PackageNotFoundError, metadata, requires
 from pathlib import Path
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-PAGE = Path(__file__).with_suffix(".md")
+TABLE = Path(__file__).with_suffix(".csv")
 USERS = ("build", "inspect", "bench", "rl", "hub", "ray", "s3")  # extras that make test installs
 
 
@@ -45,8 +46,8 @@ def licence(package: PackageMetadata) -> str:
     return "see its file LICENSE" if "\n" in stated else stated
 
 
-def table() -> str:
-    """Markdown rows, sorted by name."""
+def table() -> list[tuple[str, str, str, str]]:
+    """Rows, sorted by name."""
     base = dependencies("objectfolder")
     build = dependencies("objectfolder", "build") - base
     brought = {name: ["base"] for name in base} | {name: ["build"] for name in build}
@@ -55,14 +56,14 @@ def table() -> str:
             brought.setdefault(name, []).append(extra)
     for name in dependencies("objectfolder", "dev") - {"objectfolder"}:
         brought.setdefault(name, ["dev"])
-    rows = ["| package | version | licence | for |", "|---|---|---|---|"]
+    rows = []
     for name in sorted(brought):
         about = metadata(name)
         version = about["Version"].partition("+")[0]
-        rows.append(f"| {name} | {version} | {licence(about)} | {', '.join(brought[name])} |")
-    return "\n".join(rows) + "\n"
+        rows.append((name, version, licence(about), ", ".join(brought[name])))
+    return rows
 
 
 if __name__ == "__main__":
-    text = PAGE.read_text()
-    PAGE.write_text(text[: text.rindex("| package |")] + table())
+    with TABLE.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([("package", "version", "licence", "for"), *table()])

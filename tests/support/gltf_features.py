@@ -1,4 +1,4 @@
-"""A glTF file for each row of the table of features in docs/meshes.md, and what checks the loaded mesh."""
+"""A glTF file for each row of docs/formats.csv about glTF, and what checks the loaded mesh."""
 
 import base64
 import io

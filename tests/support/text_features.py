@@ -1,4 +1,4 @@
-"""A file for each row of the table of features in docs/meshes.md about OBJ, MTL, STL, PLY and OFF."""
+"""A file for each row of docs/formats.csv about OBJ, MTL, STL, PLY and OFF."""
 
 import struct
 import unicodedata

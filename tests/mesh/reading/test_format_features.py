@@ -1,5 +1,6 @@
-"""The table of docs/meshes.md: what each format may contain and what becomes of it, a file per row."""
+"""The table docs/formats.csv: what each format may contain and what becomes of it, a file per row."""
 
+import csv
 import re
 from pathlib import Path
 
@@ -11,14 +12,11 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.reading.load import default_up, load_mesh
 
 ROWS = gltf_features.ROWS | text_features.ROWS
-PAGE = Path(__file__).parents[3] / "docs" / "meshes.md"
-SECTION = (
-    PAGE.read_text(encoding="utf-8").partition("### What each format may contain")[2].partition("\n#")[0]
-)
 TABLE = [
-    tuple(cell.strip() for cell in line.strip("|").split(" | "))
-    for line in SECTION.splitlines()
-    if line.startswith("| ") and not line.startswith("| format")
+    (row["format"], row["may contain"], row["what becomes of it"])
+    for row in csv.DictReader(
+        (Path(__file__).parents[3] / "docs" / "formats.csv").read_text(encoding="utf-8").splitlines()
+    )
 ]
 
 
