@@ -35,7 +35,7 @@ TINY = {
     "recognize": {"seeds": 2, "epochs": 2, "fusion_epochs": 1, "batch": 8},
     "retrieve": {"seeds": 1, "epochs": 2, "batch": 8, "embedding": 4},
     "localize": {"seeds": 1, "contacts": 80, "epochs": 1, "batch": 16},
-    "slide": {"seeds": 1, "contacts": 80, "episodes": 2, "epochs": 1, "batch": 16, "width": 2},
+    "slide": {"seeds": 1, "contacts": 80, "episodes": 2, "epochs": 1, "batch": 16},
     "vision_to_touch": {"seeds": 1, "contacts": 10, "epochs": 1, "batch": 8, "width": 2},
     "touch_to_vision": {"seeds": 1, "epochs": 1, "batch": 8, "width": 2},
     "reconstruct": {

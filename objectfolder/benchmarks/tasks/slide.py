@@ -28,7 +28,6 @@ class SlideConfig(TrainingConfig):
     patience: Count = 20
     contacts: Annotated[int, Ge(40), MultipleOf(40)] = 800  #: of each way, nine tenths to train with
     episodes: Count = 50  #: of each way
-    width: Count = 16  #: channels of the net's first layer
 
 
 def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:

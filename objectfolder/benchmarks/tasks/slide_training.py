@@ -19,7 +19,7 @@ from objectfolder.base.figures import tile
 from objectfolder.base.seeding import numpy_generator, seeded
 from objectfolder.benchmarks.datasets.samples import Samples, object_digest
 from objectfolder.benchmarks.datasets.splits import Split
-from objectfolder.benchmarks.models.displacement import DisplacementNet
+from objectfolder.benchmarks.models.displacement import DisplacementNet, compared
 from objectfolder.benchmarks.models.training import EpochPoint, Objective, count_batches, shuffle
 from objectfolder.benchmarks.scoring.scores import over_seeds
 from objectfolder.benchmarks.tasks.job import Job, ObjectJob, in_chunks
@@ -34,7 +34,7 @@ TENTH = 10  #: every tenth cluster is for validation
 SHARE = 0.5  #: of the greatest step, that the pixel descent first moves by
 SHOWN = 7  #: poses of an episode in the figure
 
-Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  #: first and second pictures, motions in steps
+Batch = tuple[torch.Tensor, torch.Tensor]  #: what was compared, and motions in steps
 
 
 @dataclass(frozen=True)
@@ -175,25 +175,27 @@ def _train(
     params, purpose = job.params, ("slide", way.file.key, way.slide.name, str(run), letters)
     pictures = _tensor(job, way, letters, way.pictures[..., CHANNELS[letters]])
     motions = torch.from_numpy(way.motions).to(job.device)
+
+    def compare(rows: np.ndarray) -> torch.Tensor:
+        first, second = way.pairs[rows].T
+        return compared(pictures[first], pictures[second])
+
+    inputs = in_chunks(compare, np.arange(len(way.pairs)))
     with seeded(job.seed, *purpose):
-        net = DisplacementNet(pictures.shape[1], tuple(pictures.shape[2:]), params.width)
+        net = DisplacementNet(inputs.shape[1])
 
     def epoch_batches(epoch: int) -> Iterator[Batch]:
         rng = numpy_generator(job.seed, *purpose, f"epoch {epoch}")
-        for rows in shuffle(job.split.train, params.batch, rng):
-            first, second = way.pairs[rows].T
-            yield pictures[first], pictures[second], motions[rows]
+        with seeded(job.seed, *purpose, f"epoch {epoch}"):  # of what is dropped
+            for rows in shuffle(job.split.train, params.batch, rng):
+                yield inputs[rows], motions[rows]
 
     def batch_loss(batch: Batch) -> torch.Tensor:
-        first, second, asked = batch
-        return F.smooth_l1_loss(net(first, second).float(), asked)
+        given, asked = batch
+        return F.smooth_l1_loss(net(given).float(), asked)
 
     def val_score() -> float:
-        def answers(rows: np.ndarray) -> torch.Tensor:
-            first, second = way.pairs[rows].T
-            return net(pictures[first], pictures[second]).float()
-
-        return -float((in_chunks(answers, job.split.val) - motions[job.split.val]).abs().mean())
+        return -float((net(inputs[job.split.val]).float() - motions[job.split.val]).abs().mean())
 
     curve = job.train(
         f"{way.slide.name} by {SENSES[letters]}, seed {run + 1} of {params.seeds}",
@@ -211,7 +213,7 @@ def _learned(job: Job[SlideConfig], way: _Way, net: DisplacementNet, letters: st
     @torch.no_grad()
     def choose(step: int, rows: np.ndarray, poses: Poses) -> np.ndarray:
         present = _tensor(job, way, letters, way.sense(letters, poses))
-        return net(present, aims[rows]).double().cpu().numpy() * way.slide.steps
+        return net(compared(present, aims[rows])).double().cpu().numpy() * way.slide.steps
 
     return choose
 

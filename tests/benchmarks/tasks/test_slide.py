@@ -7,7 +7,7 @@ import torch
 from brick import without
 from encoding import encoding
 
-from objectfolder.benchmarks.models.displacement import DisplacementNet
+from objectfolder.benchmarks.models.displacement import SHIFT, compared, matches
 from objectfolder.benchmarks.models.settings import InputSizes
 from objectfolder.benchmarks.tasks import slide_training
 from objectfolder.benchmarks.tasks.job import ObjectJob
@@ -20,7 +20,7 @@ SIZES = InputSizes(8, (16, 8), (20, 15))
 
 
 def job(file, progress, **changed):
-    values = {"contacts": 80, "episodes": 4, "epochs": 1, "batch": 32, "width": 2, "patience": 9}
+    values = {"contacts": 80, "episodes": 4, "epochs": 1, "batch": 32, "patience": 9}
     settings = SlideConfig(**(values | changed))
     return ObjectJob("slide", file, None, settings, 0, progress, encode=encoding("linear", SIZES))
 
@@ -74,37 +74,31 @@ def test_pairs_are_of_neighbours_and_motions_lead_from_one_to_the_other(brick, t
     assert lengths.max() <= 2.02 * sliding.REFINE.distance[1] / sliding.REFINE.step
 
 
-def test_a_net_learns_to_compare_pictures():
-    """Spots that move right and up by so many pixels."""
-    torch.manual_seed(0)
-    net = DisplacementNet(1, (16, 16), 8)
-    axis, rng = torch.arange(16.0), np.random.default_rng(0)
+def scene(shift=(0, 0), turn=0.0):
+    """A picture of 40 x 30 pixels of a pattern that is shifted, right and down, and turned about the middle."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:40, :30] + 0.5 - np.array([20, 15])[:, None, None]
+    cos, sin = np.cos(turn), np.sin(turn)
+    u, v = cos * x - sin * y - shift[0], sin * x + cos * y - shift[1]
+    waves = rng.normal(size=(20, 2)) / 4
+    picture = sum(np.sin(a * u + b * v + k) for k, (a, b) in enumerate(waves))
+    return torch.from_numpy(np.repeat(picture[None, None], 3, 1)).float()
 
-    def spot(place):
-        x, y = place[:, :1], place[:, 1:]
-        return torch.exp(-((axis - x)[:, None, :] ** 2 + (axis - y)[:, :, None] ** 2) / 4)[:, None]
 
-    def drawn(count):
-        first, second = (torch.from_numpy(rng.uniform(4, 12, (count, 2))).float() for _ in range(2))
-        motion = torch.cat([second - first, torch.zeros(count, 1)], 1)
-        return spot(first), spot(second), motion
-
-    optimizer = torch.optim.Adam(net.parameters(), 0.01)
-    for _ in range(300):
-        first, second, motion = drawn(64)
-        optimizer.zero_grad()
-        torch.nn.functional.smooth_l1_loss(net(first, second), motion).backward()
-        optimizer.step()
-    net.eval()
-    with torch.no_grad():
-        first, second, motion = drawn(200)
-        assert (net(first, second) - motion).abs().mean() < 0.3
-    assert motion.abs().mean() > 1.5
+def test_pictures_match_best_where_they_are_alike():
+    here = scene()
+    [[found]] = matches(here, here)
+    assert np.unravel_index(found.argmax(), found.shape) == (3, SHIFT, SHIFT)
+    [[found]] = matches(scene(), scene((-4, 6)))  # pixels; of halved pictures 2 to the left and 3 down
+    assert np.unravel_index(found.argmax(), found.shape) == (3, SHIFT - 3, SHIFT + 2)
+    turns = [matches(here, scene(turn=angle))[0, 0].amax((1, 2)).argmax() for angle in (-0.35, 0.35)]
+    assert sorted(int(turn) for turn in turns) == [1, 5]  # of 20 degrees either way
+    assert compared(torch.cat([here, here], 1), torch.cat([here, here], 1)).isfinite().all()
 
 
 @pytest.mark.slow
 def test_by_sight_more_goals_are_reached_than_without_learning(tmp_path):
-    settings = {"contacts": 1600, "episodes": 40, "epochs": 20, "batch": 64, "width": 16}
+    settings = {"contacts": 1600, "episodes": 40, "epochs": 20, "batch": 64}
     wide = encoding("linear", InputSizes(8, (16, 8), (80, 60)))
     asked = job(ObjectFile.sample("mug"), tmp_path, **settings)
     scores, _ = slide_object(replace(asked, encode=wide))
