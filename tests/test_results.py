@@ -1,11 +1,13 @@
-"""Pages of results are what their templates and the committed records give."""
+"""Pages and tables of results are what their templates and the committed records give."""
 
+import csv
 import json
 import re
 import runpy
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import harness
 import pytest
@@ -140,7 +142,34 @@ def test_the_first_page_is_short_and_lists_all_that_is_missed():
     assert len(page.splitlines()) <= 250
     records = [read_json(path) for path in results.RECORDS.glob("*.json")]
     assert sum(bool(record.get("missed")) for record in records) > 10
-    assert not [text for record in records for text in record.get("missed", []) if text not in page]
+    listed = page.partition("## What is missed")[2]
+    for missed in filter(None, (record.get("missed") for record in records)):
+        assert results.few(missed) in listed
+    elsewhere = "".join((DOCS / name).read_text() for name in results.PAGES if name != "results.md")
+    assert not [text for record in records for text in record.get("missed", []) if text not in elsewhere]
+
+
+def test_many_figures_that_missed_are_counted():
+    assert results.few(["a", "b", "c"]) == "a; b; c"
+    assert results.few(["a " * 40, "b", "c", "d"]) == "4 figures, such as b"
+
+
+@pytest.mark.parametrize("table", [page for page in results.PAGES if page.endswith(".csv")])
+def test_rows_of_a_table_have_all_its_columns_and_pages_show_it(table):
+    heads, *rows = csv.reader(results.render(table).splitlines())
+    assert {len(row) for row in rows} == {len(heads)}
+    (page,) = (text for text in map(Path.read_text, DOCS.glob("*.md")) if f":file: {table}\n" in text)
+    assert f"[{table}]({table})" in page
+
+
+def test_failures_stand_in_one_cell_of_a_table(repository):
+    path = results.RECORDS / "catalogue.json"
+    record = read_json(path)
+    record["rows"][0] = {"object": "cup", "failed": 'no "solid", no sound'}
+    rewrite(path, record)
+    heads, first, *_ = csv.reader(results.render("catalogue_objects.csv", results.RECORDS).splitlines())
+    assert first[:2] == ["cup", 'failed: no "solid", no sound']
+    assert len(first) == len(heads)
 
 
 def test_a_failed_object_is_printed_with_its_reason_in_every_table(repository):
