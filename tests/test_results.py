@@ -193,7 +193,7 @@ def test_what_missed_its_target_is_printed(repository):
     page = results.render("measurements/sound.md", results.RECORDS)
     assert "Targets: 1 %. **Missed**: mug: 2 %; die: 3 %." in page
     first = results.render("results.md", results.RECORDS)
-    assert "sound.md#audionet-gains): mug: 2 %; die: 3 %. *Why*:" in first
+    assert "sound.md#audionet-gains): mug: 2 %; die: 3 %." in first
 
 
 def test_a_run_is_recorded_and_printed(repository, monkeypatch):
