@@ -196,8 +196,8 @@ def quoted(text: str) -> str:
 
 
 def few(missed: Sequence[str]) -> str:
-    """Return what missed its target: all of at most three figures, else their number and a short one."""
-    if len(missed) <= 3:
+    """Return what missed its target: all of at most two figures, else their number and a short one."""
+    if len(missed) <= 2:
         return "; ".join(missed)
     return f"{len(missed)} figures, such as {next((text for text in missed if len(text) < 60), missed[0])}"
 
