@@ -1,9 +1,10 @@
 """Render the pages of results, docs/results.md and others: `python perf/results.py [--collect [DIR]]`.
 
-The pages are perf/pages/**/*.md.j2, filled with the records in docs/results/. Most records are the `--json`
-output of another script in perf/. With `--collect`, the scores that `objectfolder build` and `objectfolder
-bench` left in metrics/ and benchmarks/ of a workspace, by default the repository, update the records scores
-and robots first. `perf/benchmarks.py` records the benchmarks of a hundred objects.
+The pages, and the tables of objects (.csv), are perf/pages/**/*.j2, filled with the records in
+docs/results/. Most records are the `--json` output of another script in perf/. With `--collect`, the scores
+that `objectfolder build` and `objectfolder bench` left in metrics/ and benchmarks/ of a workspace, by default
+the repository, update the records scores and robots first. `perf/benchmarks.py` records the benchmarks of a
+hundred objects.
 """
 
 import argparse
@@ -33,11 +34,11 @@ from objectfolder.workspace.stages import BENCHMARKS
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "docs" / "results"
 TEMPLATES = ROOT / "perf" / "pages"
-#: Pages that are left out as long as there is no such record.
-OPTIONAL = {"real.md": "real.json", "real_objects.md": "real.json"}
+#: What is left out as long as there is no such record.
+OPTIONAL = {"real.md": "real.json", "real_objects.csv": "real.json"}
 PAGES = [
     page
-    for page in sorted(path.relative_to(TEMPLATES).as_posix()[:-3] for path in TEMPLATES.rglob("*.md.j2"))
+    for page in sorted(path.relative_to(TEMPLATES).as_posix()[:-3] for path in TEMPLATES.rglob("*.*.j2"))
     if page not in OPTIONAL or (RECORDS / OPTIONAL[page]).is_file()
 ]
 PRESETS = ("quick", "laptop", "standard", "faithful", "faithful-small")
@@ -85,7 +86,7 @@ def bench_commands() -> dict[str, tuple[Task, str, str]]:
 
 
 def render(page: str, records: Path = RECORDS) -> str:
-    """Return a page, one of `PAGES`: paths in docs/."""
+    """Return a page or a table, one of `PAGES`: paths in docs/."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
         undefined=StrictUndefined,
@@ -96,10 +97,12 @@ def render(page: str, records: Path = RECORDS) -> str:
     environment.filters |= {
         "by_commit": by_commit,
         "cell": cell,
+        "few": few,
         "measured": lambda rows: [row for row in rows if "failed" not in row],
         "number": number,
         "over_objects": over_objects,
-        "percent": lambda value, spec: number(None if value is None else 100 * value, spec),
+        "percent": percent,
+        "quoted": quoted,
         "spread": spread,
         "rule": lambda columns: "|---" * len(columns) + "|",
         "score": score,
@@ -180,6 +183,23 @@ def number(value: Any, spec: str, missing: str = "-") -> str:
     if value is None or isinstance(value, Undefined):
         return missing
     return format(value, spec)
+
+
+def percent(value: float | None, spec: str, missing: str = "-") -> str:
+    """Format a share in percent."""
+    return number(None if value is None else 100 * value, spec, missing)
+
+
+def quoted(text: str) -> str:
+    """Return a cell of a CSV file that may hold commas and quotes."""
+    return '"' + text.replace('"', '""') + '"'
+
+
+def few(missed: Sequence[str]) -> str:
+    """Return what missed its target: all of at most two figures, else their number and a short one."""
+    if len(missed) <= 2:
+        return "; ".join(missed)
+    return f"{len(missed)} figures, such as {next((text for text in missed if len(text) < 60), missed[0])}"
 
 
 def score(value: Any) -> str:
