@@ -1,6 +1,6 @@
 """Strike an object, and fit its material to recordings that are made up here: docs/tutorials/sounds.md.
 
-python CLONE/examples/impact_sounds.py build/red_mug/ObjectFile.safetensors sounds
+python CLONE/examples/impact_sounds.py build/red_mug/ObjectFile.safetensors out/sounds
 """
 
 import sys

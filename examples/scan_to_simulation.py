@@ -1,6 +1,6 @@
 """Drop an object onto a tactile sensor in MuJoCo; hear it, feel it, draw both: docs/tutorials/scan.md.
 
-python CLONE/examples/scan_to_simulation.py build/red_mug/ObjectFile.safetensors drop
+python CLONE/examples/scan_to_simulation.py build/red_mug/ObjectFile.safetensors out/drop
 """
 
 import copy

@@ -32,6 +32,10 @@ class Published:
         found = self.figures.get(row)
         return ("-",) * len(self.heads) if found is None else tuple(f"{x:{self.digits}}" for x in found)
 
+    def listed(self) -> str:
+        """List all rows and their figures."""
+        return ", ".join(f"{row} {' / '.join(self.cells(row))}" for row in self.figures)
+
     def cited(self) -> str:
         """Say what the figures are, and where they are printed."""
         return f"{self.metric}, {self.data} ({self.source})"
@@ -40,8 +44,7 @@ class Published:
 def beside(table: Table, published: Published, tested: int | None) -> Table:
     """Add published figures to a table; only to its note unless as many objects were tested here."""
     if tested != published.tested:
-        listed = ", ".join(f"{row} {' / '.join(published.cells(row))}" for row in published.figures)
-        told = f"The {published.by} has {listed}, not comparable with {tested} test objects here"
+        told = f"The {published.by} has {published.listed()}, not comparable with {tested} test objects here"
         return replace(table, note=f"{table.note} {told}: {published.cited()}.")
     rows = [(*row, *published.cells(row[published.key])) for row in table.rows]
     note = f"{table.note} From the {published.by}: {published.cited()}."
@@ -127,9 +130,10 @@ UNSEEN_RETRIEVAL = Published(
 )
 LOCALIZATION = Published(
     by="ObjectFolder Benchmark",
-    metric="normalized distance in % of MCR, its better method on all senses",
-    data="50 objects with rich surface features, contacts drawn mostly where the curvature is unusual; "
-    "random places have 47.32",
+    metric="distance in % of a size of each object that its repository does not state, of MCR, its better "
+    "method on all senses",
+    data="50 objects with rich surface features, contacts mostly where the curvature is unusual; random "
+    "places have 47.32",
     source="objectfolder/contact-localization, README.md at 4bb002f of 2024-07-26",
     figures={
         "touch": (23.59,),

@@ -82,7 +82,8 @@ def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         f"{contacts['test']} for the test. Eight: after eight contacts with known moves between them. "
         "Nearest: the training contact with the most similar input, for eight a belief by similarity. "
         "Constant: the best single answer. Normalized: the net's, in % of the greatest distance between two "
-        "points of the object."
+        "points of the object. "
+        f"The {LOCALIZATION.by} has {LOCALIZATION.listed()}, not comparable: {LOCALIZATION.cited()}."
         + (f" Without sound, since theirs is marked uncertain: {', '.join(silent)}." if silent else ""),
     )
 
@@ -99,7 +100,6 @@ contact, the best constant answer and a random one.
     training="objectfolder.benchmarks.tasks.localize_training:localize_object",
     columns=("seed", "senses", "epoch", "train_loss", "val_score"),  # minus the mean error, sides
     table=_table,
-    published=(LOCALIZATION,),
     page="Localization",
     encodes=("touch", "audio", "vision"),
     former=("localization",),
