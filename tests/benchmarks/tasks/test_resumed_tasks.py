@@ -8,6 +8,7 @@ import test_localize as localizing
 import test_recognize as recognizing
 import test_reconstruct as reconstructing
 import test_retrieve as retrieving
+import test_slide as sliding
 import test_vision_to_touch as translating
 
 from objectfolder.benchmarks.tasks import job as jobs
@@ -17,8 +18,10 @@ from objectfolder.benchmarks.tasks.localize_training import localize
 from objectfolder.benchmarks.tasks.recognize_training import recognize
 from objectfolder.benchmarks.tasks.reconstruct_training import reconstruct
 from objectfolder.benchmarks.tasks.retrieve_training import retrieve
+from objectfolder.benchmarks.tasks.slide_training import slide_object
 from objectfolder.benchmarks.tasks.touch_to_vision_training import touch_to_vision
 from objectfolder.benchmarks.tasks.vision_to_touch_training import vision_to_touch
+from objectfolder.objectfile.file import ObjectFile
 
 occupancy = reconstructing.occupancy
 #: Sizes 16 and 40; the first net of a seed is trained alone, the last from several.
@@ -46,6 +49,9 @@ def shapes(folder, pretrain_epochs):
         ),
         (reconstruct, lambda folder: shapes(folder, 0)),
         pytest.param(reconstruct, lambda folder: shapes(folder, 2), marks=SLOW),
+        pytest.param(
+            slide_object, lambda folder: sliding.job(ObjectFile.sample("bell"), folder, epochs=2), marks=SLOW
+        ),
     ],
     ids=lambda value: value.__name__ if value.__name__ != "<lambda>" else "",
 )

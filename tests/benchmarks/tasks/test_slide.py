@@ -75,21 +75,23 @@ def test_pairs_are_of_neighbours_and_motions_lead_from_one_to_the_other(brick, t
 
 
 def scene(shift=(0, 0), turn=0.0):
-    """A picture of 40 x 30 pixels of a pattern that is shifted, right and down, and turned about the middle."""
+    """40 x 30 pixels of a pattern that is shifted, right and down, and turned about the middle."""
     rng = np.random.default_rng(0)
     y, x = np.mgrid[:40, :30] + 0.5 - np.array([20, 15])[:, None, None]
     cos, sin = np.cos(turn), np.sin(turn)
     u, v = cos * x - sin * y - shift[0], sin * x + cos * y - shift[1]
-    waves = rng.normal(size=(20, 2)) / 4
+    waves = rng.normal(size=(200, 2)) / 2
     picture = sum(np.sin(a * u + b * v + k) for k, (a, b) in enumerate(waves))
     return torch.from_numpy(np.repeat(picture[None, None], 3, 1)).float()
 
 
 def test_pictures_match_best_where_they_are_alike():
     here = scene()
-    [[found]] = matches(here, here)
+    [[found]] = matches(here, here).numpy()
     assert np.unravel_index(found.argmax(), found.shape) == (3, SHIFT, SHIFT)
-    [[found]] = matches(scene(), scene((-4, 6)))  # pixels; of halved pictures 2 to the left and 3 down
+    [[found]] = matches(
+        scene(), scene((-4, 6))
+    ).numpy()  # pixels; of halved pictures 2 to the left and 3 down
     assert np.unravel_index(found.argmax(), found.shape) == (3, SHIFT - 3, SHIFT + 2)
     turns = [matches(here, scene(turn=angle))[0, 0].amax((1, 2)).argmax() for angle in (-0.35, 0.35)]
     assert sorted(int(turn) for turn in turns) == [1, 5]  # of 20 degrees either way
