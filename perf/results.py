@@ -60,6 +60,7 @@ FITTED = ("ycb_mug", "ycb_power_drill", "polyhaven_teapot", "ycb_wood_block")
 #: What is trained with every seed, of the scores of a task on single objects.
 TRAINED: dict[str, Callable[[dict], dict]] = {
     "localize": lambda scores: scores["TA"]["net"],
+    "slide": lambda scores: scores["refine"]["net"]["T"],
     "grasp_policy": itemgetter("touch"),
     "reach": itemgetter("ppo"),
     "metaworld_reach": itemgetter("ppo"),

@@ -130,15 +130,16 @@ def limited(motions: np.ndarray, slide: Slide) -> np.ndarray:
 
 
 def strayed(
-    file: ObjectFile, slide: Slide, goals: Poses, rng: np.random.Generator, least: float | None = None
+    file: ObjectFile, slide: Slide, goals: Poses, rng: np.random.Generator, near: bool = False
 ) -> Poses:
     """Slide away from goals in random directions, and turn: starts of episodes.
 
-    ``least`` replaces the least distance, m.
+    ``near`` ones are at any distance down to 0, most of them close to their goals.
     """
     count = len(goals.points)
     low, high = slide.distance
-    distance, heading = rng.uniform(low if least is None else least, high, count), rng.uniform(size=count)
+    heading, share = rng.uniform(size=count), rng.uniform(size=count)
+    distance, turned = (high * share**2, share**2) if near else (low + (high - low) * share, 1.0)
     parts = ceil(high / slide.step)
     motions = np.zeros((count, 3))
     motions[:, 0], motions[:, 1] = np.cos(2 * np.pi * heading), np.sin(2 * np.pi * heading)
@@ -146,7 +147,7 @@ def strayed(
     for _ in range(parts):
         poses = moved(file, poses, motions * distance[:, None] / parts)
     turns = np.zeros((count, 3))
-    turns[:, 2] = rng.uniform(-slide.turn, slide.turn, count)
+    turns[:, 2] = turned * rng.uniform(-slide.turn, slide.turn, count)
     return moved(file, poses, turns)
 
 
@@ -211,4 +212,5 @@ def run_episodes(
 
 def is_reached(slide: Slide, poses: Poses, goals: Poses) -> np.ndarray:
     """Return whether sensors are at their goals, (N,)."""
-    return (errors(poses, goals) <= [slide.near, slide.turned]).all(1)
+    reached: np.ndarray = (errors(poses, goals) <= [slide.near, slide.turned]).all(1)
+    return reached

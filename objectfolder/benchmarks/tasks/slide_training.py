@@ -54,12 +54,10 @@ class _Way:
     @classmethod
     def of(cls, job: ObjectJob[SlideConfig], slide: Slide, senses: tuple[str, ...]) -> "_Way":
         assert job.encode is not None
-        file, count = job.file, job.params.contacts
-        height, width = job.encode.touch
-        size = height // 2, width // 2  # half a millimetre a pixel; learning takes a quarter of the time
+        file, count, size = job.file, job.params.contacts, job.encode.touch
         rng = numpy_generator(job.seed, "slide", file.key, slide.name)
         centres = sliding.random_poses(file, count // CLUSTER, rng)
-        around = [sliding.strayed(file, slide, centres, rng, 0.0) for _ in range(CLUSTER - 1)]
+        around = [sliding.strayed(file, slide, centres, rng, near=True) for _ in range(CLUSTER - 1)]
         parts = ([getattr(one, name) for one in (centres, *around)] for name in ("points", "normals", "up"))
         contacts = Poses(*(np.stack(part, 1).reshape(-1, 3) for part in parts))
         first = np.arange(0, count, CLUSTER)[:, None]
@@ -113,7 +111,7 @@ def _run_way(job: ObjectJob[SlideConfig], way: _Way) -> tuple[dict[str, Any], li
     name, count = way.slide.name, len(way.pictures)
     samples = Samples({way.file.key: {"count": count, "object": object_digest(way.file)}}, {})
     validated = way.pairs[:, 0] // CLUSTER % TENTH == TENTH - 1
-    split = Split(name, *(np.flatnonzero(part) for part in (~validated, validated)), np.arange(0))
+    split = Split(name, np.flatnonzero(~validated), np.flatnonzero(validated), np.arange(0))
     given = job.params, job.encode, job.seed, job.progress, job.weights, job.device, job.report
     trained: Job[SlideConfig] = Job(samples, split, *given)
     used = [*SENSES] if "vision" in way.senses else ["T"]
