@@ -5,7 +5,9 @@ import numpy as np
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.vision.cameras import Intrinsics
+from objectfolder.vision.environment import gather_lamps
 from objectfolder.vision.lighting import DistantLight
+from objectfolder.vision.query import LitCameras, view_images
 
 FARTHEST = 0.1  #: of the camera from the point, metres
 CLEAR = 0.9  #: of the way along the contact normal to the next surface, at most
@@ -44,9 +46,10 @@ def close_views(
     # Half the height and half the width that the gel covers, metres.
     tall, wide = np.multiply(profile.half_extent, profile.camera_to_gel)
     height, width = size
-    views = []
+    drawer, views = file.vision_sense.drawer(False), []
     for pose, light, distance in zip(poses, lights, distances, strict=True):
         focal_x, focal_y = width / 2 * distance / wide, height / 2 * distance / tall
         lens = Intrinsics(width, height, focal_x, focal_y=focal_y)
-        views.append(file.view(pose, intrinsics=lens, supersample=False, lights=[DistantLight(light)])[0])
+        cameras = LitCameras.checked(pose, None, gather_lamps([DistantLight(light)], None), lens)
+        views.append(view_images(drawer, cameras)[0])  # `view` warns of cameras that are so near
     return np.round(np.stack(views) * 255).astype(np.uint8)

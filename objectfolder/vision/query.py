@@ -122,6 +122,13 @@ class VisionQueries(StoredObject):
         sense: VisionSense = self._parts.vision
         return sense.base_colors
 
+    @property
+    @usual_modes()
+    def vision_sense(self) -> VisionSense:
+        """What asks the vision net."""
+        sense: VisionSense = self._parts.vision
+        return sense
+
     @usual_modes()
     def view(
         self,

@@ -84,13 +84,13 @@ def test_cameras_stand_where_the_gel_comes_from(bell, monkeypatch):
     np.testing.assert_allclose(distances, expected, atol=1e-4)
     seen = []
 
-    def view(file, camera, **options):
-        seen.append(camera)
+    def drawn(drawer, cameras):
+        seen.append(cameras.poses)
         return np.zeros((1, 16, 12, 3))
 
-    monkeypatch.setattr(ObjectFile, "view", view)
+    monkeypatch.setattr(looking, "view_images", drawn)
     close_views(bell, points, distances, SIZE)
-    cameras = np.stack(seen)
+    cameras = np.concatenate(seen)
     np.testing.assert_allclose(cameras[:, :3, 2], outward, atol=1e-6)
     np.testing.assert_allclose(
         cameras[:, :3, 3] * bell.scale - points, distances[:, None] * outward, atol=1e-6
