@@ -53,8 +53,6 @@ class SlideEnv(Game):
     """
 
     _changing = ("_episode", "_steps", "_poses", "_goals", "_shown")
-    _poses: Poses
-    _goals: Poses
 
     def __init__(
         self, file: "str | ObjectFile" = "mug", task: str = "refine", senses: Sequence[str] = ("touch",),
@@ -69,6 +67,8 @@ class SlideEnv(Game):
         self.senses = [name for name in SENSES if name in named]
         require_sliding(self.file, self.senses)
         self._size, self._episode, self._steps = calls.check_resolution(size), {}, 0
+        self._poses = self._goals = Poses(*np.zeros((3, 1, 3)))
+        self._shown: dict[str, np.ndarray] = {}
         self._arguments = (self.file, task, tuple(self.senses), limit, self._size)
         image = spaces.Box(0, 255, (*self._size, 3), np.uint8)
         names = [goal + name for name in self.senses for goal in ("", "goal_")]
@@ -80,7 +80,7 @@ class SlideEnv(Game):
         self._poses = strayed(self.file, self.slide, self._goals, rng)
         self._shown = self._read("goal_", self._goals)
         self._steps, self._episode = 0, self._info()
-        return self._read("", self._poses) | self._shown, dict(self._episode)
+        return self._observation(), dict(self._episode)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Slide, and feel and look there."""
@@ -93,7 +93,10 @@ class SlideEnv(Game):
         cut, info = not reached and self._steps >= self.limit, self._info()
         self._episode = {} if reached or cut else info
         reward = before - self._away() + reached
-        return self._read("", self._poses) | self._shown, reward, reached, cut, dict(info)
+        return self._observation(), reward, reached, cut, dict(info)
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        return self._read("", self._poses) | {name: shown.copy() for name, shown in self._shown.items()}
 
     def _read(self, prefix: str, poses: Poses) -> dict[str, np.ndarray]:
         pictures = observe(self.file, poses, self.senses, self._size)[0]
