@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import fmean
 from typing import Annotated, Any
 
 from annotated_types import Ge, MultipleOf
@@ -14,6 +15,12 @@ from objectfolder.benchmarks.tasks.task import Task
 #: What a learned policy and the pixel descent compare with the goal's.
 SENSES = {"T": "touch", "V": "close view", "TV": "touch + close view"}
 TITLES = {"refine": "refinement", "traverse": "traversal"}
+#: Policies of the table, with the senses that they use, if any, and their names.
+POLICIES = (
+    *(("net", letters, f"net, {words}") for letters, words in SENSES.items()),
+    *(("descent", letters, f"pixel descent, {words}") for letters, words in SENSES.items()),
+    *((name, "", name) for name in ("still", "random", "oracle")),
+)
 
 
 @section("slide")
@@ -32,16 +39,19 @@ class SlideConfig(TrainingConfig):
 
 def _table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
     """Lay out the scores of `objectfolder.benchmarks.tasks.slide_training.slide_object` by way and object."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for way, title in TITLES.items():
-        for policy in ("net", "descent"):
-            for senses, words in SENSES.items():
-                for key, score in scores.items():
-                    if senses in score[way][policy]:
-                        name = f"{'net' if policy == 'net' else 'pixel descent'}, {words}"
-                        rows.append((title, name, key, *_figures(score[way][policy][senses])))
-        for policy in ("still", "random", "oracle"):
-            rows += [(title, policy, key, *_figures(score[way][policy])) for key, score in scores.items()]
+        for policy, senses, name in POLICIES:
+            found = {
+                key: score[way][policy][senses] if senses else score[way][policy]
+                for key, score in scores.items()
+                if not senses or senses in score[way][policy]
+            }
+            rows += [(title, name, key, *_figures(one)) for key, one in found.items()]
+            if len(found) > 1:
+                kinds = ("success", "distance", "degrees")
+                mean = {kind: fmean(one[kind] for one in found.values()) for kind in kinds}
+                rows.append((title, name, f"mean of {len(found)}", *_figures(mean)))
     first = next(iter(scores.values()))
     return Table(
         "Sliding to a contact: success in %, and what is left",
