@@ -190,7 +190,7 @@ def require_sliding(file: ObjectFile, senses: Sequence[str]) -> None:
 Policy = Callable[[int, np.ndarray, Poses], np.ndarray]
 
 
-def run_episodes(
+def follow_policy(
     file: ObjectFile, slide: Slide, starts: Poses, goals: Poses, policy: Policy
 ) -> tuple[Poses, np.ndarray, list[Poses]]:
     """Slide sensors by a policy until they reach their goals, for `STEPS` at most.

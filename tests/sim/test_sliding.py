@@ -20,7 +20,7 @@ from objectfolder.sim.sliding import (
     offsets,
     random_poses,
     require_sliding,
-    run_episodes,
+    follow_policy,
     strayed,
     transported,
 )
@@ -86,13 +86,13 @@ def test_starts_are_away_as_told_and_who_knows_the_goal_gets_there(slide):
     assert distance.max() <= 1.02 * high
     assert np.median(distance) > (low + high) / 3  # straight, or around the mug
     assert slide is TRAVERSE or angle.max() <= 1.02 * slide.turn
-    last, reached, way = run_episodes(
+    last, reached, way = follow_policy(
         mug, slide, starts, goals, lambda step, rows, poses: offsets(poses, goals.take(rows))
     )
     assert reached.mean() >= 0.95  # not where the way leads over the rim of a wall
     assert (is_reached(slide, last, goals) == reached).all()
     assert len(way) <= STEPS + 1
-    still, reached, way = run_episodes(
+    still, reached, way = follow_policy(
         mug, slide, starts, goals, lambda step, rows, poses: np.zeros((len(rows), 3))
     )
     assert reached.mean() < 0.1

@@ -77,7 +77,7 @@ class _Way:
 
     def scores(self, policy: sliding.Policy) -> tuple[dict[str, float], list[Poses]]:
         """Run the episodes; return the scores and the poses by step."""
-        last, reached, poses = sliding.run_episodes(self.file, self.slide, self.starts, self.goals, policy)
+        last, reached, poses = sliding.follow_policy(self.file, self.slide, self.starts, self.goals, policy)
         left = sliding.errors(last, self.goals).mean(0)
         found = {"success": reached.mean(), "distance": left[0], "degrees": np.degrees(left[1])}
         return {name: float(value) for name, value in found.items()}, poses
