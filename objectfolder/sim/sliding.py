@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from math import ceil, radians
 
 import numpy as np
+import torch
+from torch.nn.functional import adaptive_avg_pool2d
 
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.objectfile.close_views import camera_distances, close_views
@@ -157,9 +159,6 @@ def observe(file: ObjectFile, poses: Poses, senses: Sequence[str], size: tuple[i
     ``touch`` is the tactile image, averaged to the size; ``vision`` the close view of what the gel covers,
     its camera as far away as there is room for.
     """
-    import torch
-    from torch.nn.functional import adaptive_avg_pool2d
-
     found = []
     for rows in np.array_split(np.arange(len(poses.points)), -(-len(poses.points) // CHUNK)):
         some, parts = poses.take(rows), []

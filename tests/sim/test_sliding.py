@@ -13,6 +13,7 @@ from objectfolder.sim.sliding import (
     TRAVERSE,
     Poses,
     errors,
+    follow_policy,
     is_reached,
     limited,
     moved,
@@ -20,7 +21,6 @@ from objectfolder.sim.sliding import (
     offsets,
     random_poses,
     require_sliding,
-    follow_policy,
     strayed,
     transported,
 )
