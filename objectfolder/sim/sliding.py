@@ -42,7 +42,9 @@ class Slide:
         return np.array([self.step, self.step, self.step_turn])
 
 
+#: Contact refinement.
 REFINE = Slide("refine", (0.0, 0.003), radians(15), 0.0005, radians(1), 0.001, radians(5))
+#: Surface traversal.
 TRAVERSE = Slide("traverse", (0.005, 0.015), 0.0, 0.001, np.inf, 0.002, radians(5))
 SLIDES = {slide.name: slide for slide in (REFINE, TRAVERSE)}
 
