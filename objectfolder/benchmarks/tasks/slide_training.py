@@ -88,9 +88,9 @@ def slide_object(job: ObjectJob[SlideConfig]) -> tuple[dict[str, Any], list[list
 
     Returns scores: by way (``refine``, ``traverse``) and policy, the ``success`` as a share of the episodes,
     and the mean ``distance`` (m) and angle (``degrees``) left at the end. ``net`` and ``descent`` are by the
-    letters of `objectfolder.benchmarks.tasks.slide.SENSES`; the net's success has ``interval_95`` and ``seeds``. ``still``: nothing moves;
-    ``random``: motions of up to a step; ``oracle``: it knows where the goal is. Also ``contacts``,
-    ``episodes``, ``steps``, and ``seconds``.
+    letters of `objectfolder.benchmarks.tasks.slide.SENSES`; the net's success has ``interval_95`` and
+    ``seeds``. ``still``: nothing moves; ``random``: motions of up to a step; ``oracle``: it knows where the
+    goal is. Also ``contacts``, ``episodes``, ``steps``, and ``seconds``.
 
     Raises ObjectFolderError if the object cannot be felt wherever a sensor slides.
     """
