@@ -215,7 +215,7 @@ def test_an_object_whose_sound_is_uncertain_is_localized_without_it(marked, work
     output = bench("localize", marked / "flimsy", "--out", "first")
     assert "flimsy: its sound is marked uncertain, so contacts are localized without it" in output
     assert "Without sound, since theirs is marked uncertain: flimsy." in output
-    assert "touch + sound" not in output
+    assert "│ touch + sound" not in output
     scores = json.loads(Path("first/localize_flimsy.json").read_text())
     assert scores["uncertain"]
     assert "T" in scores
