@@ -213,5 +213,4 @@ def follow_policy(
 
 def is_reached(slide: Slide, poses: Poses, goals: Poses) -> np.ndarray:
     """Return whether sensors are at their goals, (N,)."""
-    reached: np.ndarray = (errors(poses, goals) <= [slide.near, slide.turned]).all(1)
-    return reached
+    return np.all(errors(poses, goals) <= [slide.near, slide.turned], axis=1)
