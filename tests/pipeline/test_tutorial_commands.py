@@ -52,6 +52,6 @@ def test_the_commands_run_in_their_order(tmp_path):
         assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
         built = built or (command == "objectfolder build -j 2" and ObjectFile.load(folder / FILE))
     assert (folder / "out" / "drop" / "drop.wav").stat().st_size > 100_000
-    assert len([*(folder / "out" / "batch").iterdir()]) == 100
+    assert len([*(folder / "out" / "tap").iterdir()]) == 100
     fitted = ObjectFile.load(folder / FILE)
     assert fitted.frequencies / built.frequencies == pytest.approx(1.015**0.5, rel=1e-3)
