@@ -3,14 +3,16 @@
 Trains the net of row T of `objectfolder bench recognize --preset laptop`, one seed, on fewer and on more
 touches of each object and for fewer and more steps, on the same validation and test touches. DIR is the
 benchmark's: observations are taken from it; touches beyond them are sampled with two processes, and only
-learnt from. An interrupted call goes on when repeated; other objects, settings or code begin anew.
+learnt from. With `--depth`, all presses are so deep; observations of another depth in DIR are touched again,
+so give a copy of it. An interrupted call goes on when repeated; other objects, settings or code begin anew.
 """
 
 import argparse
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -22,50 +24,70 @@ from torch.nn import functional as F
 
 from objectfolder.base.arrays import write_npz
 from objectfolder.base.seeding import numpy_generator, seeded
-from objectfolder.benchmarks.datasets.observations import Observations
+from objectfolder.benchmarks.datasets.observations import Observations, certain_observations
 from objectfolder.benchmarks.datasets.sampling import ask, draw_queries
 from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.models.classifier import Classifier
 from objectfolder.benchmarks.models.inputs import encoder_inputs, shift_each
 from objectfolder.benchmarks.models.settings import InputSizes
+from objectfolder.benchmarks.models.touch_frame import gel_inputs, mirror_each, own_shapes
 from objectfolder.benchmarks.models.training import Objective
 from objectfolder.benchmarks.run import BenchmarkOptions, LoadedFile, collect_samples, load_object_files
+from objectfolder.benchmarks.scoring.together import accuracy_together
 from objectfolder.benchmarks.tasks.job import Job
 from objectfolder.benchmarks.tasks.recognize import TASK, RecognizeConfig
 from objectfolder.benchmarks.tasks.recognize_training import FLAT, recognize
 from objectfolder.benchmarks.tasks.running import Run
+from objectfolder.benchmarks.tasks.touch_shapes import in_touch_frame
 from objectfolder.engine.process import in_processes
 from objectfolder.objectfile.file import ObjectFile
+from objectfolder.touch.inverse import PhotometricInverse
 from objectfolder.workspace import params as workspace
 
 #: Touches of an object to learn from, and steps in thousands.
 RUNS = ((320, 8), (1520, 8), (80, 8), (160, 8), (320, 2), (320, 4), (1520, 24))
-MOST = max(touches for touches, _ in RUNS)
+TOUCHES = (1, 2, 4, 8, 16)  #: that answer together
 ROUND = 500  #: steps between two looks at the validation touches
 CHUNK = 100  #: touches at once
 Batch = tuple[torch.Tensor, torch.Tensor]  #: inputs, classes
 
 
-def sample_more(path: Path, first: int, count: int, size: tuple[int, int], seed: int, to: Path) -> None:
-    """Write the encoder inputs of an object's touches from the ``first`` on: those that hit something."""
+@dataclass(frozen=True)
+class Form:
+    """What is kept of a touch: its pooled image, or the shape of the gel in its own frame."""
+
+    size: tuple[int, int]
+    inverse: PhotometricInverse | None
+
+    def of(self, images: np.ndarray) -> np.ndarray:
+        """(B, H, W, 3) uint8 -> (B, 3 or 1, h, w) float16."""
+        if self.inverse is None:
+            return encoder_inputs("touch", images, InputSizes((0, 0), (0, 0), self.size)).half().numpy()
+        return own_shapes(images, self.inverse).half().numpy()[:, None]
+
+
+def sample_more(
+    path: Path, first: int, count: int, depth: float | None, form: "Form", seed: int, to: Path
+) -> None:
+    """Write the forms of an object's touches from the ``first`` on: those that hit something."""
     torch.set_num_threads(1)
     file = ObjectFile.load(path)
-    queries = {name: rows[first:] for name, rows in draw_queries(file, first + count, seed).items()}
-    sizes, found = InputSizes((0, 0), (0, 0), size), []
+    drawn = draw_queries(file, first + count, seed, depth)
+    queries, found = {name: rows[first:] for name, rows in drawn.items()}, []
     for start in range(0, count, CHUNK):
         rows = {name: values[start : start + CHUNK] for name, values in queries.items()}
         images, missed = ask(file, rows, "touch", 0)
-        found.append(encoder_inputs("touch", images[~missed], sizes).half().numpy())
+        found.append(form.of(images[~missed]))
     write_npz(to, touches=np.concatenate(found))
 
 
 def more_touches(
-    sources: dict[str, LoadedFile], job: Job[RecognizeConfig], each: int, folder: Path
+    sources: dict[str, LoadedFile], job: Job[RecognizeConfig], each: int, depth: float | None, folder: Path
 ) -> dict[str, Path]:
     """Sample further touches of each object unless that was done; return the files by key."""
-    first = len(job.observations) // len(sources)
-    files = {key: folder / f"{key}_{first}_{each}.npz" for key in sources}
-    asked = (first, each, job.sizes.touch, job.seed)
+    first = job.observations.count
+    files = {key: folder / f"{key}_{first}_{each}.npz" for key in job.observations.keys}
+    asked = (first, each, depth, form_of(job), job.seed)
     new = [(sources[key].path, *asked, path) for key, path in files.items() if not path.is_file()]
     for _ in track(in_processes(sample_more, new, 2) if new else (), "touching", total=len(new)):
         pass
@@ -76,20 +98,21 @@ class Learnt:
     """The touches to learn from: of each object those of the training rows, then further ones."""
 
     def __init__(self, job: Job[RecognizeConfig], more: dict[str, Path], most: int):
-        self.job, train = job, job.split.train
-        height, width = job.sizes.touch
-        self._inputs = np.empty((most * len(more), 3, height, width), np.float16)
+        self.job, train, form = job, job.split.train, form_of(job)
+        channels = 3 if form.inverse is None else 1
+        self._inputs = np.empty((most * len(job.observations.keys), channels, *form.size), np.float16)
         self._rows = []
         end = 0
         for label, key in enumerate(job.observations.keys):
             own, start = train[job.observations.labels[train] == label][:most], end
             for some in np.array_split(own, -(-len(own) // CHUNK)):
-                self._inputs[end : end + len(some)] = plain_inputs(job, some)
+                self._inputs[end : end + len(some)] = form.of(job.observations.read("touch", some))
                 end += len(some)
-            with np.load(more[key], allow_pickle=False) as stored:
-                further = stored["touches"][: most - len(own)]
-            self._inputs[end : end + len(further)] = further
-            end += len(further)
+            if key in more:
+                with np.load(more[key], allow_pickle=False) as stored:
+                    further = stored["touches"][: most - len(own)]
+                self._inputs[end : end + len(further)] = further
+                end += len(further)
             self._rows.append(np.arange(start, end))
 
     def batches(self, each: int, steps: int, batch: int, purpose: tuple[str, ...]) -> Iterator[Batch]:
@@ -100,21 +123,22 @@ class Learnt:
         rounds = -(-steps * batch // len(rows))
         order = np.concatenate([rng.permutation(len(rows)) for _ in range(rounds)])
         for some in np.split(order[: steps * batch], steps):
-            plain = torch.from_numpy(self._inputs[rows[some]]).float()
-            yield (
-                shift_each(self.job.ground.subtracted(plain), self.job.encode.shift, rng),
-                torch.from_numpy(labels[some]),
-            )
+            kept = torch.from_numpy(self._inputs[rows[some]]).float()
+            if self.job.inverse is None:
+                given = self.job.ground.subtracted(kept)
+            else:
+                given = mirror_each(gel_inputs(kept[:, 0]), rng)
+            yield shift_each(given, self.job.encode.shift, rng), torch.from_numpy(labels[some])
 
 
-def plain_inputs(job: Job[RecognizeConfig], rows: np.ndarray) -> np.ndarray:
-    """Return encoder inputs of observed touches, nothing subtracted."""
-    return encoder_inputs("touch", job.observations.read("touch", rows), job.sizes).half().numpy()
+def form_of(job: Job[RecognizeConfig]) -> Form:
+    """Return what a job keeps of touches."""
+    return Form(job.sizes.touch, job.inverse)
 
 
 def trained(
     job: Job[RecognizeConfig], learnt: Learnt, each: int, thousands: int, say: Callable[[str], None]
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """Train one net and score it."""
     labels, rounds = job.observations.labels, 1000 * thousands // ROUND
     purpose = ("touch curve", str(each), str(thousands))
@@ -122,10 +146,13 @@ def trained(
         net = Classifier({"T": job.make_encoder("touch")}, len(job.observations.keys))
 
     @torch.no_grad()
-    def right(rows: np.ndarray) -> np.ndarray:
+    def answers(rows: np.ndarray) -> np.ndarray:
         parts = np.array_split(rows, -(-len(rows) // CHUNK))
-        answers = [net({"T": job.inputs("touch", some)}).argmax(1).numpy() for some in parts]
-        return np.concatenate(answers) == labels[rows]
+        logits = torch.cat([net({"T": job.inputs("touch", some)}) for some in parts])
+        return logits.double().log_softmax(1).numpy()
+
+    def right(rows: np.ndarray) -> np.ndarray:
+        return answers(rows).argmax(1) == labels[rows]
 
     def batch_loss(batch: Batch) -> torch.Tensor:
         given, expected = batch
@@ -144,14 +171,17 @@ def trained(
         rounds,
         cycle=rounds * ROUND,
     )
-    test = job.split.test
-    known, flat = right(test), job.observations.relief(test) < FLAT
-    flat |= job.observations.untouched(test)
+    test, observations = job.split.test, cast(Observations, job.observations)
+    answered, of = answers(test), labels[test]
+    known = answered.argmax(1) == of
+    flat = (observations.relief(test) < FLAT) | observations.untouched(test)
+    rng = numpy_generator(job.seed, *purpose, "together")
     return {
         "touches": each,
         "steps": 1000 * thousands,
         "accuracy": float(known.mean()),
         "not_flat": float(known[~flat].mean()),
+        "together": {str(n): accuracy_together(answered, of, of, n, rng) for n in TOUCHES},
         "validation": max(point.val_score for point in curve),
         "train_loss": curve[-1].train_loss,
         "seconds": sum(point.seconds for point in curve),
@@ -163,6 +193,8 @@ def main() -> None:
     parser.add_argument("build", type=Path, help="folder KEY/ObjectFile.safetensors")
     parser.add_argument("--out", type=Path, required=True, help="folder of the benchmark, with observations")
     parser.add_argument("--runs", type=int, default=len(RUNS), help="of the list, so many from the start")
+    parser.add_argument("--frame", choices=("sensor", "own"), default="sensor", help="recognize.touch_frame")
+    parser.add_argument("--depth", type=float, help="of all presses, m; default: at random")
     parser.add_argument("--json", type=Path, help="file for the figures")
     given = parsed(parser)
     torch.set_num_threads(1)
@@ -170,30 +202,35 @@ def main() -> None:
     options = BenchmarkOptions(files=[given.build], preset="laptop", out=given.out)
     values, path = options.values()
     params = options.params(TASK, values, path)
+    params = replace(params, settings=replace(params.settings, touch_frame=given.frame))
     sources = load_object_files(options.files)
-    observe = workspace.settings(ObserveConfig, values, path)
-    asked = (observe.observations, observe.resolution, params.seed)
-    folders = collect_samples("observations", sources, asked, options.folder, 2, track)
+    observe = replace(workspace.settings(ObserveConfig, values, path), depth=given.depth)
+    folders = collect_samples("observations", sources, (observe, params.seed), options.folder, 2, track)
     whole = Run(
-        **{"task": TASK, "training": recognize, "part": "seen", "inputs": Observations(folders)},
+        **{"task": TASK, "training": recognize, "part": "seen", "inputs": certain_observations(folders)},
         **{"params": params, "folder": options.folder, "device": "cpu"},
     )
     progress = options.folder.progress("touch_curve", "seen", whole.identity())
     progress.mkdir(parents=True, exist_ok=True)
     job = whole.job(progress, console.print)
-    job = job.without_repeats(job.repeats(["touch"]), ["touch"])
-    first = len(job.split.train) // len(sources)
+    job = in_touch_frame(job.without_repeats(job.repeats(["touch"]), ["touch"]))
+    first = len(job.split.train) // len(job.observations.keys)
     runs = RUNS[: given.runs]
-    more = more_touches(sources, job, MOST - first, progress)
-    learnt = Learnt(job, more, max(each for each, _ in runs))
-    rows: list[dict[str, float]] = []
+    most = max(each for each, _ in runs)
+    more = more_touches(sources, job, most - first, given.depth, progress) if most > first else {}
+    learnt = Learnt(job, more, most)
+    rows: list[dict[str, Any]] = []
     for run in runs:
         name = "_".join(map(str, run))
-        rows.append(job.compute_once(name, partial(trained, job, learnt, *run, console.print)))
+        found = job.compute_once(name, partial(trained, job, learnt, *run, console.print))
+        rows.append(found | {"frame": given.frame, "depth": given.depth, "objects": len(job.observations.keys)})
         write_record(given.json, rows)
-    table = Table("touches of an object", "steps", "accuracy, %", "not flat, %", "min", title="Touch")
+    together = [f"{n} together, %" for n in TOUCHES[1:]]
+    columns = ("touches of an object", "steps", "accuracy, %", "not flat, %", *together, "min")
+    table = Table(*columns, title=f"Touch, frame {given.frame}, {len(job.observations.keys)} objects")
     for row in sorted(rows, key=lambda row: (row["touches"], row["steps"])):
-        shares = (f"{100 * row[name]:.1f}" for name in ("accuracy", "not_flat"))
+        groups = [row["together"][str(n)] for n in TOUCHES[1:]]
+        shares = (f"{100 * share:.1f}" for share in (row["accuracy"], row["not_flat"], *groups))
         table.add_row(str(row["touches"]), str(row["steps"]), *shares, f"{row['seconds'] / 60:.0f}")
     console.print(table)
 

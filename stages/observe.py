@@ -12,7 +12,7 @@ def main(key: str) -> None:
     params = stage_params(ObserveConfig, key)
     file = load_placed(Build(key).object_file)
     folder = Benchmarks().observations(key)
-    sample_observations(file, params.settings.observations, params.settings.resolution, params.seed, folder)
+    sample_observations(file, params.settings, params.seed, folder)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from objectfolder.benchmarks.datasets.lerobot import write_lerobot
 from objectfolder.benchmarks.datasets.nerfstudio import write_nerfstudio
 from objectfolder.benchmarks.datasets.observations import Observations, find_folders
 from objectfolder.benchmarks.datasets.sampling import sample_observations
+from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import named_split
 from objectfolder.benchmarks.reporting.film import write_gif
 from objectfolder.benchmarks.tasks.photograph import write_mesh
@@ -269,6 +270,7 @@ def exported(write):
     return written
 
 
+OBSERVED = ObserveConfig(observations=10, resolution=8)
 HULL = trimesh.creation.box((0.1, 0.06, 0.03))
 SMALL = {"a": np.zeros(2)}
 WRITERS = {
@@ -312,7 +314,7 @@ WRITERS = {
     "checkpoint": lambda given: Checkpoint(Path("a.pt"), "x").save({}),
     "results": results,
     "workspace": lambda given: create_workspace(Path("new"), lambda root: None),
-    "observations": lambda given: sample_observations(given.brick, 10, 8, 0, "out"),
+    "observations": lambda given: sample_observations(given.brick, OBSERVED, 0, "out"),
     "webdataset": exported(write_webdataset),
     "datasets": exported(write_datasets),
     "lerobot": lambda given: write_lerobot([given.brick], "out", 1, 0.2, 25),
@@ -337,7 +339,7 @@ def given(brick, brick_path, tmp_path_factory):
     folder = tmp_path_factory.mktemp("observed")
     for key in ("brick", "other"):
         file = ObjectFile(brick.header | {"key": key}, brick.tensors)
-        sample_observations(file, 10, 8, 0, folder / key)
+        sample_observations(file, OBSERVED, 0, folder / key)
     return Given(brick, brick_path, folder)
 
 

@@ -130,8 +130,8 @@ def run_task(task: Task, options: BenchmarkOptions, report: Report, track: Track
     sources, folder, threads = load_object_files(options.files), options.folder, options.threads or cores()
     given: dict[str, Any]
     if task.splits:
-        asked = _sample_settings(task, params, values, path)
-        parts = _possible_splits(task, options, wanted, sources, asked[0], report)
+        count, asked = _sample_settings(task, params, values, path)
+        parts = _possible_splits(task, options, wanted, sources, count, report)
         if task.samples == "grasps":
             folders = collect_all_grasps(sources, asked, folder, threads, track, report)
         else:
@@ -195,17 +195,18 @@ def _possible_splits(
 
 def _sample_settings(
     task: Task, params: TaskParams[Any], values: dict[str, Any], path: Path
-) -> tuple[Any, ...]:
-    """Return what a task's samples depend on besides the object, first their number of each."""
+) -> tuple[int, tuple[Any, ...]]:
+    """Return how many samples of each object a task has, and what they depend on besides the object."""
     if task.samples == "close_ups":
         assert params.encode is not None
         contacts = workspace.settings(VisionToTouchConfig, values, path).contacts
-        return contacts, params.encode.touch, params.seed
+        return contacts, (contacts, params.encode.touch, params.seed)
     if task.samples == "grasps":
         wanted = workspace.settings(GraspDataConfig, values, path)
-        return wanted.grasps, wanted, params.seed, workspace.settings(DecomposeConfig, values, path).hulls
+        hulls = workspace.settings(DecomposeConfig, values, path).hulls
+        return wanted.grasps, (wanted.grasps, wanted, params.seed, hulls)
     observe = workspace.settings(ObserveConfig, values, path)
-    return observe.observations, observe.resolution, params.seed
+    return observe.observations, (observe, params.seed)
 
 
 def _call_all(call: Callable[..., str | None], attempts: list[tuple[Any, ...]], jobs: int) -> None:

@@ -17,6 +17,7 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.benchmarks import run
 from objectfolder.benchmarks.datasets.observations import certain_observations
 from objectfolder.benchmarks.datasets.sampling import sample_observations
+from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import object_split
 from objectfolder.benchmarks.tasks import recognize, retrieve
 from objectfolder.benchmarks.tasks.task import find_task
@@ -74,7 +75,12 @@ def observed(files, tmp_path_factory):
     """Their observations; what the same call draws twice is another file's test."""
     folder = Benchmarks(tmp_path_factory.mktemp("observed"))
     for path in files.glob("*/ObjectFile.safetensors"):
-        sample_observations(ObjectFile.load(path), 10, 12, 0, folder.observations(path.parent.name))
+        sample_observations(
+            ObjectFile.load(path),
+            ObserveConfig(observations=10, resolution=12),
+            0,
+            folder.observations(path.parent.name),
+        )
     return folder.dir
 
 

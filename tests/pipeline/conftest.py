@@ -32,7 +32,7 @@ train_audio: {sizes: [{modes: 100, resolution: 6, channels: 4, width: 32, featur
 train_touch: {rounds: 1, contacts: 2, image: {width: 16, depth: 2, point_octaves: 2, pixel_octaves: 2,
   steps: 60, batch: 512, learning_rate: 0.005, final_rate: 0.01, precision: float32}}
 evaluate: {impacts: 4}
-observe: {observations: 10, resolution: 32}
+observe: {observations: 10, resolution: 32, depth: null}
 encode: {image: 28, spectrogram: [33, 26], touch: [40, 30], subtract: true, shift: 1, flip: true}
 recognize: {seeds: 1, epochs: 1, fusion_epochs: 1, batch: 8, schedule: one_cycle}
 retrieve: {seeds: 1, epochs: 2, batch: 8, embedding: 16}

@@ -24,6 +24,7 @@ from objectfolder.benchmarks.datasets.samples import (
     read_stored,
     require_parts,
 )
+from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import TEN, check_count
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.objectfile.file import ObjectFile
@@ -50,8 +51,7 @@ Queries = dict[str, np.ndarray]
 
 def sample_observations(
     file: ObjectFile,
-    count: int,
-    resolution: int,
+    wanted: ObserveConfig,
     seed: int,
     folder: str | Path,
     report: Callable[[str, int], None] = lambda modality, done: None,
@@ -59,29 +59,33 @@ def sample_observations(
     """Sample views, impact sounds and touches of an object and write them to a folder.
 
     An interrupted call resumes at the modality it was writing. A complete folder is left alone. Observations
-    of another Object File, count, resolution or seed are replaced.
+    of another Object File, seed or settings are replaced; with another depth, touches alone.
 
     Raises ObjectFolderError as `observation_request`, or if a query fails, or the disk is full.
 
-    The first n observations do not depend on the count. Views have ``resolution`` pixels a side. The folder,
-    of this object alone, receives ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json`` that
-    identifies it; ``queries.npz``, see `draw_queries`; ``relief.npy``, the `surface_relief` under each touch;
+    The first n observations do not depend on their number. The folder, of this object alone, receives
+    ``vision.npy``, ``audio.npy`` and ``touch.npy``, each with a ``.json`` that identifies it;
+    ``queries.npz``, see `draw_queries`; ``relief.npy``, the `surface_relief` under each touch;
     ``untouched.npy``, which touches miss; the Object File; and finally ``observations.json``. ``report`` is
     called with a modality and the number of its observations written so far.
     """
-    folder, request = Path(folder), observation_request(file, count, resolution, seed)
+    folder, request = Path(folder), observation_request(file, wanted, seed)
     with exclusive(folder):  # of two benchmarks that start together, one samples
         if not is_sampled(request, folder):
-            _sample(file, request, folder, report)
+            _sample(file, wanted, request, folder, report)
 
 
 def _sample(
-    file: ObjectFile, request: dict[str, Any], folder: Path, report: Callable[[str, int], None]
+    file: ObjectFile,
+    wanted: ObserveConfig,
+    request: dict[str, Any],
+    folder: Path,
+    report: Callable[[str, int], None],
 ) -> None:
-    count, resolution, seed = (request[name] for name in ("count", "resolution", "seed"))
+    count, resolution = wanted.observations, wanted.resolution
     arrays = {modality: _find_written(folder, modality, request) for modality in MODALITIES}
     (folder / RECORD).unlink(missing_ok=True)
-    queries = draw_queries(file, count, seed)
+    queries = draw_queries(file, count, request["seed"], wanted.depth)
     one = ask(file, {name: rows[:1] for name, rows in queries.items()}, "touch", resolution)[0]
     shapes = {
         "vision": (count, resolution, resolution, 3),
@@ -98,7 +102,8 @@ def _sample(
         for modality in missing:
             (folder / f"{modality}.json").unlink(missing_ok=True)  # else it vouches for the new array, too
             array = _write(file, queries, modality, shapes[modality], folder, report)
-            write_json(folder / f"{modality}.json", {"request": request, "array": array})
+            record = {"request": _part_of(request, modality), "array": array}
+            write_json(folder / f"{modality}.json", record)
             arrays[modality] = array
         write_npy(folder / UNTOUCHED, _find_untouched(file, folder))
         write_json(folder / RECORD, request | {"arrays": arrays})
@@ -113,17 +118,21 @@ def _find_untouched(file: ObjectFile, folder: Path) -> np.ndarray:
     return bare
 
 
-def observation_request(file: ObjectFile, count: int, resolution: int, seed: int) -> dict[str, Any]:
+def observation_request(file: ObjectFile, wanted: ObserveConfig, seed: int) -> dict[str, Any]:
     """Identify the observations that `sample_observations` writes; hashes the Object File.
 
-    A sound that is marked uncertain is so here, too. Raises ObjectFolderError if the count is not a multiple
-    of ten, or the Object File lacks a part.
+    A sound that is marked uncertain is so here, too. Raises ObjectFolderError if the number of observations
+    is not a multiple of ten, the Object File lacks a part, or its sensor is not pressed to the depth.
     """
-    check_count(count)
-    if resolution < 1:
-        raise ObjectFolderError(f"{file.key}: views of {resolution} pixels, expected a positive number")
+    check_count(wanted.observations)
+    if wanted.resolution < 1:
+        side = wanted.resolution
+        raise ObjectFolderError(f"{file.key}: views of {side} pixels, expected a positive number")
     require_parts(file, PARTS, "benchmarks")
-    marked = {"uncertain": True} if has_uncertain_sound(file) else {}
+    marked: dict[str, Any] = {"uncertain": True} if has_uncertain_sound(file) else {}
+    if wanted.depth is not None:
+        check_depth(file, wanted.depth)
+        marked["depth"] = wanted.depth
     return marked | {
         "version": VERSION,
         "code": code_digest(sample_observations),
@@ -132,11 +141,23 @@ def observation_request(file: ObjectFile, count: int, resolution: int, seed: int
         "scale": file.scale,
         "sensor": file.sensor,
         "object_sha256": object_digest(file),
-        "count": count,
-        "resolution": resolution,
+        "count": wanted.observations,
+        "resolution": wanted.resolution,
         "sample_rate": SAMPLE_RATE,
         "seed": seed,
     }
+
+
+def check_depth(file: ObjectFile, depth: float) -> None:
+    """Raise ObjectFolderError if the sensor of an Object File is not pressed to ``observe.depth``, m."""
+    fixed = file.fixed_contact
+    low, high = file.press_range() if fixed is None else (fixed.depth, fixed.depth)
+    if not low <= depth <= high:
+        expected = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+        raise ObjectFolderError(
+            f"{file.key}: observe.depth is {depth:g} m, but its sensor {file.sensor} is pressed {expected} m "
+            "deep; change observe.depth, or set it to null for random depths"
+        )
 
 
 def is_sampled(request: dict[str, Any], folder: Path) -> bool:
@@ -147,17 +168,18 @@ def is_sampled(request: dict[str, Any], folder: Path) -> bool:
     return all(arrays.values()) and read_stored(folder / RECORD) == request | {"arrays": arrays}
 
 
-def draw_queries(file: ObjectFile, count: int, seed: int) -> Queries:
+def draw_queries(file: ObjectFile, count: int, seed: int, depth: float | None = None) -> Queries:
     """Draw the queries of an object, in independent tens, so that they do not depend on the count.
 
     ``vision_camera`` and ``vision_light`` (N, 3), unit frame: uniform on the spheres of the paper's data
     (supplementary C). ``audio_point`` (N, 3), metres, uniform by area, and ``audio_force`` (N, 3), N s, in
     uniform directions into the object with log-uniform length in `FORCES`. ``touch_point`` (N, 3), metres,
     uniform by area, and ``touch_depth`` (N,), metres, uniform over the file's ``press_range``, or the single
-    depth of a net of kind ``image``.
+    depth of a net of kind ``image``, or that given.
     """
     tens = [_draw_ten(file, seed, ten) for ten in range(count // TEN)]
-    return {name: np.concatenate([rows[name] for rows in tens]) for name in tens[0]}
+    queries = {name: np.concatenate([rows[name] for rows in tens]) for name in tens[0]}
+    return queries if depth is None else queries | {"touch_depth": np.full(count, depth)}
 
 
 def _draw_ten(file: ObjectFile, seed: int, ten: int) -> Queries:
@@ -202,10 +224,15 @@ def ask(file: ObjectFile, queries: Queries, modality: str, resolution: int) -> t
     return felt.images, ~np.any(felt.mask, axis=(1, 2))
 
 
+def _part_of(request: dict[str, Any], modality: str) -> dict[str, Any]:
+    """Return what of a request one modality depends on: on the depth of presses touches alone."""
+    return {name: value for name, value in request.items() if name != "depth" or modality == "touch"}
+
+
 def _find_written(folder: Path, modality: str, request: dict[str, Any]) -> dict[str, Any] | None:
     """Return the metadata of a complete array of this request; None if there is none."""
     path, stored = array_path(folder, modality), read_stored(folder / f"{modality}.json")
-    if stored.get("request") != request or not path.is_file():
+    if stored.get("request") != _part_of(request, modality) or not path.is_file():
         return None
     array: dict[str, Any] = stored["array"]
     return array if path.stat().st_size == array["bytes"] else None

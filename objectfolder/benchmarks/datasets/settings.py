@@ -5,7 +5,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Interval, MultipleOf
 
-from objectfolder.base.settings import Count, section
+from objectfolder.base.settings import Count, Positive, section
 
 
 @section("observe")
@@ -15,6 +15,7 @@ class ObserveConfig:
 
     observations: Annotated[int, Ge(10), MultipleOf(10)] = 80  #: per modality
     resolution: Annotated[int, Ge(8)] = 64  #: side of the views, pixels
+    depth: Positive | None = None  #: of all presses, m; null: at random in the sensor's range
 
 
 @section("decompose")

@@ -13,6 +13,8 @@ import torch
 from torch import nn
 from torch.nn.functional import affine_grid, grid_sample
 
+from objectfolder.touch.inverse import PhotometricInverse
+
 DEPTH = 1.0  #: of all touches once they are levelled, mm
 DEEPEST = 3.0  #: displacement that is kept of a levelled touch, mm
 
@@ -46,6 +48,12 @@ def upright(displacement: torch.Tensor, ratio: float) -> torch.Tensor:
     grid = affine_grid(turn, [len(displacement), 1, height, width], align_corners=False)
     turned = grid_sample(displacement[:, None], grid, padding_mode="border", align_corners=False)
     return turned[:, 0]
+
+
+def own_shapes(images: np.ndarray, inverse: PhotometricInverse) -> torch.Tensor:
+    """Return the gel of touches (B, H, W, 3) uint8 in their own frame; (B, h, w), mm."""
+    height, width = images.shape[1:3]
+    return upright(levelled(inverse.displacement(images)), height / width)
 
 
 def gel_inputs(displacement: torch.Tensor) -> torch.Tensor:

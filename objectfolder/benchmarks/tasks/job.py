@@ -18,7 +18,7 @@ from objectfolder.benchmarks.datasets.splits import Split, repeated_rows, withou
 from objectfolder.benchmarks.models.encoders import Weights, make_encoder, registered
 from objectfolder.benchmarks.models.inputs import Ground, encoder_inputs, flip_some, shift_each
 from objectfolder.benchmarks.models.settings import EncodeConfig, InputSizes, TrainingConfig
-from objectfolder.benchmarks.models.touch_frame import Mirrored, gel_inputs, levelled, mirror_each, upright
+from objectfolder.benchmarks.models.touch_frame import Mirrored, gel_inputs, mirror_each, own_shapes
 from objectfolder.benchmarks.models.training import STATISTICS, EpochPoint, Objective, TrainSettings, train
 from objectfolder.workspace.layout import SPLITS
 
@@ -193,9 +193,7 @@ class Job(Generic[_Params]):
         """Return the gel of touches in their own frame, (n, h, w) float16, mm."""
 
         def make(some: np.ndarray) -> torch.Tensor:
-            height, width = self.observations.shape("touch")[:2]
-            shapes = inverse.displacement(self.observations.read("touch", some))
-            return upright(levelled(shapes), height / width).half()
+            return own_shapes(self.observations.read("touch", some), inverse).half()
 
         def in_parts(some: np.ndarray) -> torch.Tensor:
             return in_chunks(make, some)

@@ -18,6 +18,7 @@ from objectfolder.benchmarks.datasets import export
 from objectfolder.benchmarks.datasets.export import write_datasets, write_webdataset
 from objectfolder.benchmarks.datasets.observations import Observations, find_folders
 from objectfolder.benchmarks.datasets.sampling import sample_observations
+from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.datasets.splits import named_split
 from objectfolder.cli import app
 from objectfolder.objectfile.file import ObjectFile
@@ -31,7 +32,7 @@ def root(brick, tmp_path_factory):
     """A brick's observations under several names, with its views darker each time."""
     root = tmp_path_factory.mktemp("objects")
     file = ObjectFile(brick.header | {"key": KEYS[0]}, dict(brick.tensors))
-    sample_observations(file, COUNT, 8, 0, root / KEYS[0])
+    sample_observations(file, ObserveConfig(observations=COUNT, resolution=8), 0, root / KEYS[0])
     for i, key in enumerate(KEYS[1:], 1):
         (root / key).mkdir()
         for path in (root / KEYS[0]).iterdir():

@@ -3,6 +3,7 @@ import json
 import logging
 import shutil
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,19 +23,21 @@ from objectfolder.benchmarks.datasets.sampling import (
     observation_request,
     sample_observations,
 )
+from objectfolder.benchmarks.datasets.settings import ObserveConfig
 from objectfolder.benchmarks.run import load_object_files
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.touch.profiles import load_profile
 from objectfolder.workspace.code_digests import code_digest
 
 COUNT, SIDE = 10, 16
+WANTED = ObserveConfig(observations=COUNT, resolution=SIDE)
 SENSES = ("vision", "audio", "touch")
 
 
 @pytest.fixture(scope="module")
 def sampled(brick, tmp_path_factory):
     folder = tmp_path_factory.mktemp("observations")
-    sample_observations(brick, COUNT, SIDE, 7, folder)
+    sample_observations(brick, WANTED, 7, folder)
     return folder
 
 
@@ -72,7 +75,7 @@ def asked(change_answers):
 
 
 def test_a_record_never_vouches_for_the_array_of_another_request(brick, tmp_path, monkeypatch):
-    sample_observations(brick, COUNT, SIDE, 0, tmp_path)
+    sample_observations(brick, WANTED, 0, tmp_path)
     before, write = contents(tmp_path), sampling.write_json
 
     def killed(path, value):
@@ -82,9 +85,9 @@ def test_a_record_never_vouches_for_the_array_of_another_request(brick, tmp_path
 
     monkeypatch.setattr(sampling, "write_json", killed)
     with pytest.raises(KeyboardInterrupt):
-        sample_observations(brick, COUNT, SIDE, 1, tmp_path)
+        sample_observations(brick, WANTED, 1, tmp_path)
     monkeypatch.undo()
-    sample_observations(brick, COUNT, SIDE, 0, tmp_path)
+    sample_observations(brick, WANTED, 0, tmp_path)
     assert contents(tmp_path) == before
 
 
@@ -113,9 +116,9 @@ def test_record_says_what_was_drawn(brick, sampled):
 
 
 def test_other_code_samples_again(brick, sampled, monkeypatch):
-    assert is_sampled(observation_request(brick, COUNT, SIDE, 7), sampled)
+    assert is_sampled(observation_request(brick, WANTED, 7), sampled)
     monkeypatch.setattr(sampling, "code_digest", lambda function: "other")
-    assert not is_sampled(observation_request(brick, COUNT, SIDE, 7), sampled)
+    assert not is_sampled(observation_request(brick, WANTED, 7), sampled)
 
 
 def test_queries_are_drawn_as_the_paper_draws_them(brick):
@@ -160,7 +163,7 @@ def test_rows_depend_on_the_seed_and_their_number_not_on_the_count(brick):
 def test_complete_folder_is_left_alone(brick, sampled, asked):
     before, found = contents(sampled), asked()
     times = {path: path.stat().st_mtime_ns for path in sampled.iterdir()}
-    sample_observations(brick, COUNT, SIDE, 7, sampled)
+    sample_observations(brick, WANTED, 7, sampled)
     assert found == []
     assert contents(sampled) == before
     assert times == {path: path.stat().st_mtime_ns for path in sampled.iterdir()}
@@ -169,7 +172,7 @@ def test_complete_folder_is_left_alone(brick, sampled, asked):
 def test_of_two_calls_at_once_one_samples_and_both_give_the_same_bytes(brick, sampled, tmp_path, asked):
     found, folder = asked(), tmp_path / "deep" / "folder"
     with ThreadPoolExecutor(2) as pool:
-        for call in [pool.submit(sample_observations, brick, COUNT, SIDE, 7, folder) for _ in range(2)]:
+        for call in [pool.submit(sample_observations, brick, WANTED, 7, folder) for _ in range(2)]:
             call.result()
     assert len(found) == 3 * COUNT // 10
     assert contents(folder) == contents(sampled)
@@ -201,12 +204,12 @@ def test_what_breaks_off_keeps_what_is_complete_and_goes_on(
     change_answers(stop)
     expected = KeyboardInterrupt if message is None else ObjectFolderError
     with pytest.raises(expected, match=message and message.format(tmp_path)):
-        sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+        sample_observations(brick, WANTED, 7, tmp_path)
     kept = [f"{name}.{ending}" for name in SENSES[: -len(left)] for ending in ("json", "npy")]
     begun = ["ObjectFile.safetensors", "queries.npz", "relief.npy"]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*begun, *kept])
     found = asked()
-    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    sample_observations(brick, WANTED, 7, tmp_path)
     assert found == left
     assert contents(tmp_path) == contents(sampled)
 
@@ -221,7 +224,7 @@ def test_what_is_damaged_or_gone_is_made_again(brick, sampled, tmp_path, asked, 
         if data is not None:
             (tmp_path / path.name).write_bytes(data)
     found = asked()
-    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    sample_observations(brick, WANTED, 7, tmp_path)
     # One newline less at the end of a JSON file is no damage.
     assert found == ([] if name == "touch.json" and damage and damage(b"ab") else ["touch"])
     for name in ("touch.npy", "observations.json"):
@@ -233,7 +236,8 @@ def test_folder_of_another_request_is_redone(brick, sampled, tmp_path, asked, ot
     shutil.copytree(sampled, tmp_path, dirs_exist_ok=True)
     found, arguments = asked(), {"count": COUNT, "resolution": SIDE, "seed": 7} | other
     file = ObjectFile(brick.header | {"scale": arguments.pop("scale", 0.1)}, dict(brick.tensors))
-    sample_observations(file, **arguments, folder=tmp_path)
+    wanted = ObserveConfig(observations=arguments["count"], resolution=arguments["resolution"])
+    sample_observations(file, wanted, arguments["seed"], tmp_path)
     assert set(found) == set(SENSES)
     record = json.loads((tmp_path / "observations.json").read_text())
     expected = arguments | {"scale": file.scale, "object_sha256": object_digest(file)}
@@ -255,13 +259,14 @@ def test_digest_is_of_the_content_and_not_of_the_place(brick, brick_path, tmp_pa
 def test_object_file_that_lacks_a_part_is_refused(brick, tmp_path, part):
     header = {name: value for name, value in brick.header.items() if name != part}
     with pytest.raises(ObjectFolderError, match=f"brick: the Object File holds no {part}; benchmarks"):
-        sample_observations(ObjectFile(header, dict(brick.tensors)), COUNT, SIDE, 7, tmp_path / "folder")
+        sample_observations(ObjectFile(header, dict(brick.tensors)), WANTED, 7, tmp_path / "folder")
     assert not (tmp_path / "folder").exists()
 
 
 @pytest.mark.parametrize(("count", "resolution", "message"), [(15, 8, "15 obser"), (10, 0, "views of 0 pix")])
 def test_wrong_numbers_are_refused(brick, tmp_path, count, resolution, message):
-    refused(message, sample_observations, brick, count, resolution, 7, tmp_path)
+    wanted = ObserveConfig(observations=count, resolution=resolution)
+    refused(message, sample_observations, brick, wanted, 7, tmp_path)
 
 
 def test_small_disk_is_refused_before_any_work(brick, tmp_path, monkeypatch):
@@ -270,7 +275,7 @@ def test_small_disk_is_refused_before_any_work(brick, tmp_path, monkeypatch):
     monkeypatch.setattr(space.shutil, "disk_usage", lambda path: usage._replace(free=needed - 1))
     folder = tmp_path / "folder"
     message = f"brick: observations: no space in {folder}: at least {needed:,} bytes needed, {needed - 1:,} f"
-    refused(message, sample_observations, brick, COUNT, SIDE, 7, folder)
+    refused(message, sample_observations, brick, WANTED, 7, folder)
     assert not list(folder.iterdir())
 
 
@@ -288,7 +293,7 @@ def test_observations_that_show_nothing_are_counted(brick):
 
 def test_net_that_knows_one_press_is_asked_for_that(brick, tmp_path):
     file = with_images(brick, 0.0012, 0.3)
-    sample_observations(file, COUNT, SIDE, 7, tmp_path)
+    sample_observations(file, WANTED, 7, tmp_path)
     assert (np.load(tmp_path / "queries.npz", allow_pickle=False)["touch_depth"] == 0.0012).all()
     assert load(tmp_path, "touch").shape == (10, 6, 4, 3)
 
@@ -299,11 +304,11 @@ def test_presses_that_miss_are_known_by_the_bare_gel(brick, tmp_path, change_ans
             answers[0] = brick.sensor_background
 
     change_answers(miss_once)
-    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    sample_observations(brick, WANTED, 7, tmp_path)
     assert Observations({"brick": tmp_path}).untouched(np.array([3, 0, 9, 0])).tolist() == [False, True] * 2
     (tmp_path / "untouched.npy").unlink()  # as in observations of before
     found = asked()
-    sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+    sample_observations(brick, WANTED, 7, tmp_path)
     assert found == []
     assert Observations({"brick": tmp_path}).untouched(np.array([0, 1])).tolist() == [True, False]
 
@@ -311,14 +316,20 @@ def test_presses_that_miss_are_known_by_the_bare_gel(brick, tmp_path, change_ans
 def test_silent_object_is_named(brick, tmp_path, change_answers, caplog):
     change_answers(lambda name, answers, empty: (0 * answers, empty | True) if name == "audio" else None)
     with caplog.at_level(logging.WARNING):
-        sample_observations(brick, COUNT, SIDE, 7, tmp_path)
+        sample_observations(brick, WANTED, 7, tmp_path)
     assert "brick: 10 of 10 observations of audio are empty" in caplog.text
     assert json.loads((tmp_path / "observations.json").read_text())["arrays"]["audio"]["empty"] == 10
 
 
 def test_observations_do_not_depend_on_how_many_follow(brick, sampled, tmp_path):
     heard = []
-    sample_observations(brick, 20, SIDE, 7, tmp_path, lambda modality, done: heard.append((modality, done)))
+    sample_observations(
+        brick,
+        replace(WANTED, observations=20),
+        7,
+        tmp_path,
+        lambda modality, done: heard.append((modality, done)),
+    )
     assert heard == [(name, done) for name in SENSES for done in (10, 20)]
     for name in SENSES:
         assert (load(tmp_path, name)[:10] == load(sampled, name)).all()
@@ -333,7 +344,7 @@ def test_an_interrupted_sampling_leaves_no_second_file_of_the_object(
     shutil.copy(brick_path, tmp_path / "ObjectFile.safetensors")
     change_answers(interrupted)
     with pytest.raises(KeyboardInterrupt):
-        sample_observations(brick, COUNT, SIDE, 7, tmp_path / "observations" / "brick")
+        sample_observations(brick, WANTED, 7, tmp_path / "observations" / "brick")
     assert len(list(tmp_path.rglob("ObjectFile.safetensors"))) == 2
     assert load_object_files([tmp_path])["brick"].path == tmp_path / "ObjectFile.safetensors"
 
@@ -345,3 +356,24 @@ def test_a_named_folder_without_an_object_file_is_refused(brick, tmp_path):
     with pytest.raises(ObjectFolderError, match=r"no Object Files in .*mug: no ObjectFile\.safetensors in"):
         load_object_files([tmp_path / "brick", tmp_path / "mug"])
     assert list(load_object_files([tmp_path])) == ["brick"]
+
+
+def test_presses_of_one_depth_change_touches_alone(brick, sampled, tmp_path, asked):
+    shutil.copytree(sampled, tmp_path, dirs_exist_ok=True)
+    found, wanted = asked(), replace(WANTED, depth=0.001)
+    sample_observations(brick, wanted, 7, tmp_path)
+    assert found == ["touch"]
+    assert is_sampled(observation_request(brick, wanted, 7), tmp_path)
+    queries = dict(np.load(tmp_path / "queries.npz", allow_pickle=False))
+    assert (load(tmp_path, "touch") == brick.touch(queries["touch_point"], 0.001)).all()
+    assert (queries["touch_point"] == np.load(sampled / "queries.npz")["touch_point"]).all()
+    sample_observations(brick, WANTED, 7, tmp_path)
+    assert found == ["touch", "touch"]
+    assert contents(tmp_path) == contents(sampled)
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_depth_that_the_sensor_is_not_pressed_to_is_refused(brick, tmp_path, fixed):
+    file, at = (with_images(brick, 0.0012, 0.3), "0.0012") if fixed else (brick, "0.0005 to 0.002")
+    message = f"brick: observe.depth is 0.003 m, but its sensor digit is pressed {at} m deep; change observe"
+    refused(message, sample_observations, file, replace(WANTED, depth=0.003), 7, tmp_path)
