@@ -119,16 +119,26 @@ def glb(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None
 
 
 @export_app.command()
-def usd(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
-    """Write OUT/KEY/KEY.usda per object: OpenUSD with its look, mass, inertia, friction and hulls.
+def usd(
+    files: FilesArgument,
+    out: OutArgument,
+    hulls: HullsOption = 16,
+    label: Annotated[str, typer.Option(help="Class of the objects, such as mug.")] = "physical object",
+    qcode: Annotated[str, typer.Option(help="Code of the class in Wikidata.")] = "Q223557",
+    author: Annotated[str, typer.Option(help="Author of the objects.")] = "unknown",
+    licence: Annotated[str, typer.Option(help="Licence of the objects, such as CC-BY-4.0.")] = "unknown",
+) -> None:
+    """Write OUT/KEY/usd/KEY.usd per object: OpenUSD with look, mass, inertia, friction, hulls and labels.
 
-    Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Takes half a minute per object.
+    Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/usd/KEY.usd")`. Takes half a minute per object. Valid for
+    the profile Robotics-Prop 4.0.0 of SimReady (docs/robots.md).
     """
     _require("usd", "pxr")
     _require("rl", *SIMULATION)
-    from objectfolder.sim.usd import write_usd
+    from objectfolder.sim.usd import AssetInfo, write_usd
 
-    _export_objects(out, files, hulls, write_usd)
+    info = AssetInfo(label, qcode, author, licence)
+    _export_objects(out, files, hulls, lambda file, folder, most: write_usd(file, folder, most, info=info))
 
 
 @export_app.command()
