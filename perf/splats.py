@@ -1,7 +1,8 @@
 """Gaussian splats beside the object's own views: `python perf/splats.py FILE ... [--json FILE]`.
 
 Splats of `objectfolder export splats` are drawn as viewers draw them and compared with `ObjectFile.view`,
-under the lights of the studio; beside as many round ones at random places. Exits with 1 if a target is missed.
+under the lights of the studio; beside as many round ones at random places. Exits with 1 if a target is
+missed.
 """
 
 import argparse
