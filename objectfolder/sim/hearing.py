@@ -12,7 +12,7 @@ from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.base.materials import Material, material
 from objectfolder.objectfile.voice import Voice
 from objectfolder.sim.impacts import ContactReader, Impact, Loads
-from objectfolder.sim.pickups import Pad, Pickups, Touch, loudest
+from objectfolder.sim.pickups import Pad, PadTouch, Pickups, loudest
 from objectfolder.sim.sounding import Objects, Sounding, check_body, find_bodies, site_number
 from objectfolder.sim.state import DYNAMICS, SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.sound.contact import effective_modulus, hertz_time
@@ -93,11 +93,11 @@ class Hearing:
     ------
     ObjectFolderError
         If the scene lacks an object, or has it in another size or material, or one body for two; if the model
-        is not compiled; if there is not one listener, or pickups; if a pickup is off the surface; if the time
-        step is longer than the contacts or
-        `MAX_TIME_STEP`; if a body's modes are all above half the sample rate. `hear` raises it if the
-        simulation was reset or jumped, anything that it reads of it is not finite, the data are of another
-        model, or the model was changed so that an object is not as its file says.
+        is not compiled; if there is neither one listener nor a pickup, or there are both; if a pickup is off
+        the surface; if the time step is longer than the contacts or `MAX_TIME_STEP`; if a body's modes are
+        all above half the sample rate. `hear` raises it if the simulation was reset or jumped, anything that
+        it reads of it is not finite, the data are of another model, or the model was changed so that an
+        object is not as its file says.
 
     Examples
     --------
@@ -159,7 +159,7 @@ class Hearing:
         self._stream.reset()
         for body in self._bodies.values():
             self._stream.retune(body.row, body.voice.poles)
-        self._touched: dict[int, list[Touch]] = {}  # by body, for which poles and weights hold
+        self._touched: dict[int, list[PadTouch]] = {}  # by body, for which poles and weights hold
         self._time = start
         self._diverged = 0 if data is None else divergences(data)
         self._steps = 0
@@ -184,10 +184,9 @@ class Hearing:
     def hear(self, data: mujoco.MjData) -> np.ndarray:
         """Return what is heard of the step that ``mj_step`` has just made; (samples,) float32.
 
-        Pa at a listener, m/s^2 at a pickup; (P, samples) of a sequence of P pickups.
-
-        The number of samples is that of the step, rounded so that none is lost in the long run. Steps shorter
-        than a sample have none at times; what strikes in one is heard from the next sample on.
+        It is in Pa at a listener, in m/s^2 at a pickup; (P, samples) of a sequence of P pickups. The number
+        of samples is that of the step, rounded so that none is lost in the long run. Steps shorter than a
+        sample have none at times; what strikes in one is heard from the next sample on.
         """
         self._check(data)
         samples = round(self.sample_rate * self._step * (self._steps + 1)) - self._stream.clock

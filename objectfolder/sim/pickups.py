@@ -68,14 +68,14 @@ class Pad:
 
 
 @dataclass(frozen=True)
-class Touch:
+class PadTouch:
     """A pad on an object; object frame, m."""
 
     pad: int  #: number in `Pickups`
     point: np.ndarray  #: (3,)
     axis: np.ndarray  #: (3,) unit vector out of the pad
 
-    def is_like(self, other: "Touch", scale: float) -> bool:
+    def is_like(self, other: "PadTouch", scale: float) -> bool:
         """Whether the same pad touches at about the same place."""
         near = float(np.linalg.norm(self.point - other.point)) < MOVED * scale
         return self.pad == other.pad and near and float(self.axis @ other.axis) > math.cos(TURNED)
@@ -155,9 +155,9 @@ class Pickups:
         self._pads.append(_Place(site, body, pad))
         return self._pads[-1]
 
-    def touches(self, data: mujoco.MjData, loads: Loads | None) -> dict[int, list[Touch]]:
+    def touches(self, data: mujoco.MjData, loads: Loads | None) -> dict[int, list[PadTouch]]:
         """Return what the pads touch, by the numbers of the objects' bodies."""
-        found: dict[int, list[Touch]] = {}
+        found: dict[int, list[PadTouch]] = {}
         if loads is None:
             return found
         for pair, point in zip(loads.bodies.tolist(), loads.point):
@@ -166,11 +166,11 @@ class Pickups:
                     body = pair[1 - pair.index(place.body)]
                     turn = data.xmat[body].reshape(3, 3)
                     out = data.site_xmat[place.site].reshape(3, 3)[:, 0]
-                    touch = Touch(number, (point - data.xpos[body]) @ turn, out @ turn)
+                    touch = PadTouch(number, (point - data.xpos[body]) @ turn, out @ turn)
                     found.setdefault(body, []).append(touch)
         return found
 
-    def poles(self, voice: Voice, touches: Sequence[Touch]) -> np.ndarray:
+    def poles(self, voice: Voice, touches: Sequence[PadTouch]) -> np.ndarray:
         """Return the poles of an object (M + 3,), 1/s, that pads touch."""
         poles = voice.poles.copy()
         angular = poles.imag[: voice.modes]
@@ -181,7 +181,7 @@ class Pickups:
             poles[: voice.modes] -= self._pads[touch.pad].pad.damping(angular, along, across)
         return poles
 
-    def weights(self, body: int, voice: Voice, poles: np.ndarray, touches: Sequence[Touch]) -> np.ndarray:
+    def weights(self, body: int, voice: Voice, poles: np.ndarray, touches: Sequence[PadTouch]) -> np.ndarray:
         """Return how microphones hear phasors of an object with these poles: m/s^2; (C, M + 3) complex."""
         moved = np.zeros((self.channels, len(poles)))
         for channel, motion in self._glued.get(body, []):
