@@ -49,8 +49,8 @@ class Splats:
     def __len__(self) -> int:
         return len(self.points)
 
-    def write(self, path: Path) -> None:
-        """Write a .ply as the authors of 3D Gaussian Splatting do: floats, little endian."""
+    def to_ply(self) -> bytes:
+        """Return the content of a .ply as the authors of 3D Gaussian Splatting write it."""
         names = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{k}" for k in range(3))]
         rest = 3 * (self.colors.shape[1] - 1)
         names += [*(f"f_rest_{k}" for k in range(rest)), "opacity"]
@@ -61,7 +61,7 @@ class Splats:
         table = np.concatenate([*parts, np.log(self.scales), self.turns], 1).astype("<f4")
         lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(self)}"]
         lines += [*(f"property float {name}" for name in names), "end_header", ""]
-        path.write_bytes("\n".join(lines).encode("ascii") + table.tobytes())
+        return "\n".join(lines).encode("ascii") + table.tobytes()
 
 
 def write_splats(
@@ -73,9 +73,9 @@ def write_splats(
     Raises ObjectFolderError if the folder exists already, or as `splats` does.
     """
     found = splats(file, count, degree, lights, environment, resolution, report)
-    needed = 4 * len(found) * (17 + 3 * found.colors.shape[1])
-    with new_folder(f"{file.key}: splats", Path(out) / file.key, needed, "") as new:
-        found.write(new / f"{file.key}.ply")
+    content = found.to_ply()
+    with new_folder(f"{file.key}: splats", Path(out) / file.key, len(content), "") as new:
+        (new / f"{file.key}.ply").write_bytes(content)
     return Path(out) / file.key / f"{file.key}.ply"
 
 
