@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
 from splats import plain, rasterise, scores
 
+from objectfolder.cli import app
 from objectfolder.objectfile import splats as module
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.objectfile.splats import Splats, harmonics, splats, spread_points, write_splats
@@ -109,3 +110,14 @@ def test_bad_arguments_are_refused(brick):
     refused("degree is 4, expected 0 to 3", splats, brick, 500, 4)
     refused("count", splats, brick, 3)
     refused("there is no light", splats, brick, 500, 0, None)
+
+
+def test_the_command_writes_a_file_for_each_object(brick_path, tmp_path, capsys):
+    words = ["export", "splats", str(brick_path), str(tmp_path), "--count", "300", "--degree", "0"]
+    app(words, standalone_mode=False)
+    names, table = read(tmp_path / "brick" / "brick.ply")
+    assert len(names) == 17
+    assert len(table) == pytest.approx(300, rel=0.3)
+    assert capsys.readouterr().out.strip() == str(tmp_path / "brick" / "brick.ply")
+    other = [*words[:3], str(tmp_path / "new"), "--lights", "none.npy"]
+    refused("--lights none.npy does not exist; expected studio", app, other, standalone_mode=False)
