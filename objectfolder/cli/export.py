@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from objectfolder.objectfile.file import ObjectFile
 
 export_app = App(
-    help="Export objects to physics engines (`mjcf`, `urdf`, `usd`) and game engines (`glb`), and training "
-    "data to `webdataset`, Hugging Face `datasets`, `nerfstudio` and `lerobot`.",
+    help="Export objects to physics engines (`mjcf`, `urdf`, `usd`), game engines (`glb`) and viewers of "
+    "Gaussian splats (`splats`), and training data to `webdataset`, Hugging Face `datasets`, `nerfstudio` "
+    "and `lerobot`.",
 )
 
 SIMULATION = ("mujoco", "coacd", "manifold3d")  #: libraries of rigid bodies
@@ -119,16 +120,66 @@ def glb(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None
 
 
 @export_app.command()
-def usd(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None:
-    """Write OUT/KEY/KEY.usda per object: OpenUSD with its look, mass, inertia, friction and hulls.
+def usd(
+    files: FilesArgument,
+    out: OutArgument,
+    hulls: HullsOption = 16,
+    label: Annotated[str, typer.Option(help="Class of the objects, such as mug.")] = "physical object",
+    qcode: Annotated[str, typer.Option(help="Code of the class in Wikidata.")] = "Q223557",
+    author: Annotated[str, typer.Option(help="Author of the objects.")] = "unknown",
+    licence: Annotated[str, typer.Option(help="Licence of the objects, such as CC-BY-4.0.")] = "unknown",
+) -> None:
+    """Write OUT/KEY/usd/KEY.usd per object: OpenUSD with look, mass, inertia, friction, hulls and labels.
 
-    Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/KEY.usda")`. Takes half a minute per object.
+    Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/usd/KEY.usd")`. Takes half a minute per object. Valid for
+    the profile Robotics-Prop 4.0.0 of SimReady (docs/robots.md).
     """
     _require("usd", "pxr")
     _require("rl", *SIMULATION)
-    from objectfolder.sim.usd import write_usd
+    from objectfolder.sim.usd import AssetInfo, write_usd
 
-    _export_objects(out, files, hulls, write_usd)
+    info = AssetInfo(label, qcode, author, licence)
+    _export_objects(out, files, hulls, lambda file, folder, most: write_usd(file, folder, most, info=info))
+
+
+@export_app.command("splats")
+def export_splats(
+    files: FilesArgument,
+    out: OutArgument,
+    count: Annotated[int, typer.Option(min=100, help="Splats per object, about.")] = 100_000,
+    degree: Annotated[
+        int, typer.Option(min=0, max=3, help="Of the harmonics; 0: the same colour from everywhere.")
+    ] = 2,
+    lights: Annotated[
+        str,
+        typer.Option(
+            metavar="studio|FILE.npy", help="Lights: studio, or a file (L, 6): position xyz, linear RGB."
+        ),
+    ] = "studio",
+    environment: Annotated[
+        Path | None, typer.Option(help="Environment map as light, equirectangular: .hdr or .exr.")
+    ] = None,
+    resolution: Annotated[
+        int, typer.Option(min=16, help="Side of the views for which outlines are right, pixels.")
+    ] = 256,
+) -> None:
+    """Write OUT/KEY/KEY.ply per object: Gaussian splats under a fixed light, for viewers of splats.
+
+    The format is that of 3D Gaussian Splatting, in metres, z up. An environment replaces the lights. Half a
+    minute per object.
+    """
+    from objectfolder.cli.objectfile import read_lamps
+    from objectfolder.objectfile.splats import write_splats
+
+    lamps = None if environment is not None else read_lamps(lights)
+    for file in _load_objects(out, files, "geometry", "vision"):
+        with show_status("") as show:
+
+            def report(done: int, total: int, key: str = file.key) -> None:
+                show(f"{key}: {done} of {total} views")
+
+            path = write_splats(file, out, count, degree, lamps, environment, resolution, report)
+        print_line(str(path))
 
 
 @export_app.command()

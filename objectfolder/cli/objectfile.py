@@ -115,7 +115,7 @@ def vision(
     given = lights is not None or environment is not None
     hint = ", cameras, beside --lights or --environment" if given else ", or give --lights"
     obj, rows = ObjectFile.load(file), read_rows(queries, 3 if given else 6, hint)
-    lamps = gather_lamps(_lamps(lights), environment)
+    lamps = gather_lamps(read_lamps(lights), environment)
     # Checked together, so that a bad row leaves no files; drawn one by one, which takes less memory.
     square = Intrinsics.square(resolution)
     cameras = LitCameras.checked(rows[:, :3], None if given else rows[:, 3:], lamps, square)
@@ -127,7 +127,7 @@ def vision(
     print_line(f"{plural(len(rows), 'view')} in {out}/")
 
 
-def _lamps(lights: str | None) -> "str | list[PointLight] | None":
+def read_lamps(lights: str | None) -> "str | list[PointLight] | None":
     """Return the lights that an option names: "studio", or those of a file."""
     if lights is None or lights == "studio":
         return lights

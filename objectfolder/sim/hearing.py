@@ -1,7 +1,7 @@
-"""Sound of a running MuJoCo simulation: contacts in, pascals at a listener out."""
+"""Sound of a running MuJoCo simulation: contacts in, pascals at a listener or vibration at pickups out."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -12,6 +12,7 @@ from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.base.materials import Material, material
 from objectfolder.objectfile.voice import Voice
 from objectfolder.sim.impacts import ContactReader, Impact, Loads
+from objectfolder.sim.pickups import Pad, PadTouch, Pickups, loudest
 from objectfolder.sim.sounding import Objects, Sounding, check_body, find_bodies, site_number
 from objectfolder.sim.state import DYNAMICS, SHAPES, STRUCTURE, StateCheck, divergences, require_compiled
 from objectfolder.sound.contact import effective_modulus, hertz_time
@@ -54,7 +55,7 @@ class _Body:
 
 
 class Hearing:
-    """What a listener hears of the objects in a MuJoCo simulation, in pascals.
+    """What a listener, or contact microphones, hear of the objects in a MuJoCo simulation.
 
     Call `hear` after each ``mj_step``. The sound lags one step behind the simulation, so that impacts start
     at the sample at which bodies met. See docs/senses.md for what is modelled.
@@ -65,14 +66,22 @@ class Hearing:
         Any scene with bodies that `objectfolder.sim.body.add_body` or ``objectfolder export mjcf`` made.
     objects : mapping from str to ObjectFile or Sounding, or iterable of ObjectFile
         Objects by the names of their bodies; without names, these are their keys.
-    listener : str or (3,) array
-        Name of a site, or a place, world frame, m.
+    listener : str or (3,) array, optional
+        Name of a site, or a place, world frame, m: sound is pressure there, Pa. Give either this or
+        ``pickup``.
     sample_rate : float
         Hz.
     surroundings : str or Material
         Material of everything else that collides, which makes no sound.
     seed : int
         Of the noise of contacts that slide or roll.
+    pickup : str or sequence of str, optional
+        Sites of contact microphones: sound is acceleration there, m/s^2, without the motion of objects as a
+        whole. A site of an object's body is on its surface, and measures along the outward normal; a site of
+        a gripper's pad hears the object that the pad touches, along the site's x axis.
+    pads : mapping from str to Pad, optional
+        Soft pads by their sites: they damp what their bodies touch. Pads with a microphone are
+        `objectfolder.sim.pickups.Pad` with its defaults, unless given here.
 
     Attributes
     ----------
@@ -84,10 +93,11 @@ class Hearing:
     ------
     ObjectFolderError
         If the scene lacks an object, or has it in another size or material, or one body for two; if the model
-        is not compiled; if there is not one listener; if the time step is longer than the contacts or
-        `MAX_TIME_STEP`; if a body's modes are all above half the sample rate. `hear` raises it if the
-        simulation was reset or jumped, anything that it reads of it is not finite, the data are of another
-        model, or the model was changed so that an object is not as its file says.
+        is not compiled; if there is neither one listener nor a pickup, or there are both; if a pickup is off
+        the surface; if the time step is longer than the contacts or `MAX_TIME_STEP`; if a body's modes are
+        all above half the sample rate. `hear` raises it if the simulation was reset or jumped, anything that
+        it reads of it is not finite, the data are of another model, or the model was changed so that an
+        object is not as its file says.
 
     Examples
     --------
@@ -96,15 +106,21 @@ class Hearing:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, objects: Objects, listener: "str | Sequence[float] | np.ndarray",
+        self, model: mujoco.MjModel, objects: Objects,
+        listener: "str | Sequence[float] | np.ndarray | None" = None,
         sample_rate: float = 48000, surroundings: str | Material = "wood", seed: int = 0,
+        pickup: str | Sequence[str] | None = None, pads: Mapping[str, Pad] | None = None,
     ):  # fmt: skip
         require_compiled(model)
         self.sample_rate = checked_sample_rate(sample_rate)
         self._model, self._seed = model, whole_number("seed", seed)
         self._step = float(model.opt.timestep)
         _check_step(model)
-        self._listener = _listener(model, listener)
+        if (listener is None) == (pickup is None):
+            raise ObjectFolderError("give either listener or pickup: a Hearing is of one of both")
+        self._listener = None if listener is None else _listener(model, listener)
+        names = [pickup] if isinstance(pickup, str) else [] if pickup is None else _names(pickup)
+        self._alone = isinstance(pickup, str)
         stuff = surroundings if isinstance(surroundings, Material) else material(surroundings)
         self._surroundings = stuff
         placed = find_bodies(model, objects)
@@ -118,12 +134,19 @@ class Hearing:
         self._numbers = np.array([*self._bodies])
         self._sounds = np.isin(np.arange(model.nbody), self._numbers)
         self._surfaces: dict[tuple[int, int], tuple[float, float, float]] = {}  # of pairs that slide
+        things = {number: (body.thing, body.voice) for number, body in self._bodies.items()}
+        self._pickups = Pickups(model, names, pads or {}, things) if names or pads else None
         voices = [body.voice for body in self._bodies.values()]
         longest = math.ceil(self.sample_rate * self._step) + 1
         needed = 16 * len(voices) * max(len(voice.poles) for voice in voices) * longest
         require_memory("Hearing", needed, f"lower the sample rate, {self.sample_rate:g} Hz")
         poles, accelerated = [voice.poles for voice in voices], [voice.accelerated for voice in voices]
-        self._stream = ModalStream(poles, self.sample_rate, longest, accelerated)
+        if names:
+            accelerated = [voice.modes for voice in voices]
+            most = [loudest(thing.file, voice) for thing, voice in things.values()]
+            self._stream = ModalStream(poles, self.sample_rate, longest, accelerated, len(names), most)
+        else:
+            self._stream = ModalStream(poles, self.sample_rate, longest, accelerated)
         self._reader = ContactReader(model, [*self._bodies])
         self.reset()
 
@@ -134,12 +157,16 @@ class Hearing:
         self._scrapes = Scrapes(np.random.default_rng(self._seed))
         self._reader.reset()
         self._stream.reset()
+        for body in self._bodies.values():
+            self._stream.retune(body.row, body.voice.poles)
+        self._touched: dict[int, list[PadTouch]] = {}  # by body, for which poles and weights hold
         self._time = start
         self._diverged = 0 if data is None else divergences(data)
         self._steps = 0
         self.strikes: tuple[Strike, ...] = ()
         self._places = np.zeros((len(self._bodies), 3))  # of the listener, for which the weights hold
-        self._since = np.full(len(self._bodies), -np.inf)  # sample at which they were computed
+        #: sample at which they were computed, and at which what touches was
+        self._since, self._held = np.full((2, len(self._bodies)), -np.inf)
 
     @property
     def time(self) -> float:
@@ -152,23 +179,31 @@ class Hearing:
         for _ in range(whole_number("steps", steps)):
             mujoco.mj_step(self._model, data)
             heard.append(self.hear(data))
-        return np.concatenate(heard) if heard else np.zeros(0, np.float32)
+        return np.concatenate(heard or [self._play(0)], -1)
 
     def hear(self, data: mujoco.MjData) -> np.ndarray:
-        """Return what is heard of the step that ``mj_step`` has just made, Pa; (samples,) float32.
+        """Return what is heard of the step that ``mj_step`` has just made; (samples,) float32.
 
-        The number of samples is that of the step, rounded so that none is lost in the long run. Steps shorter
-        than a sample have none at times; what strikes in one is heard from the next sample on.
+        It is in Pa at a listener, in m/s^2 at a pickup; (P, samples) of a sequence of P pickups. The number
+        of samples is that of the step, rounded so that none is lost in the long run. Steps shorter than a
+        sample have none at times; what strikes in one is heard from the next sample on.
         """
         self._check(data)
         samples = round(self.sample_rate * self._step * (self._steps + 1)) - self._stream.clock
         impacts, loads = self._reader.read(data)
         self.strikes = tuple(self._apply_impacts(data, impacts, samples)) if impacts else ()
         self._apply_friction(data, loads, samples)
-        self._listen(data)
+        if self._pickups is not None:
+            self._touch(data, loads)
+        if self._listener is not None:
+            self._listen(data, self._listener)
         self._steps += 1
         self._time = float(data.time)
-        return self._stream.play(samples).astype(np.float32)
+        return self._play(samples)
+
+    def _play(self, samples: int) -> np.ndarray:
+        heard = self._stream.play(samples).astype(np.float32)
+        return heard[0] if self._alone else heard
 
     def energy(self) -> dict[str, float]:
         """Return the energy of each object's vibrations, J, without pulses that still go on."""
@@ -273,9 +308,27 @@ class Hearing:
             self._surfaces[pair] = (*self._contact(both), rough)
         return self._surfaces[pair]
 
-    def _listen(self, data: mujoco.MjData) -> None:
+    def _touch(self, data: mujoco.MjData, loads: Loads | None) -> None:
+        """Damp the bodies that pads touch, and compute anew how pickups hear them, if that has changed."""
+        assert self._pickups is not None
+        found, clock = self._pickups.touches(data, loads), self._stream.clock
+        for number, body in self._bodies.items():
+            touches, before = found.get(number, []), self._touched.get(number)
+            if before is not None:
+                alike = all(one.is_like(was, body.voice.scale) for one, was in zip(touches, before))
+                if alike and len(touches) == len(before):
+                    continue
+                if clock - self._held[body.row] < LISTEN_INTERVAL * self.sample_rate:
+                    continue
+            poles = self._pickups.poles(body.voice, touches)
+            self._stream.retune(body.row, poles)
+            if self._pickups.channels:
+                self._stream.listen(body.row, self._pickups.weights(number, body.voice, poles, touches))
+            self._touched[number], self._held[body.row] = touches, clock
+
+    def _listen(self, data: mujoco.MjData, listener: "int | np.ndarray") -> None:
         """Compute anew how the bodies that sound are heard, if they or the listener have moved."""
-        ear = self._listener if isinstance(self._listener, np.ndarray) else data.site_xpos[self._listener]
+        ear = listener if isinstance(listener, np.ndarray) else data.site_xpos[listener]
         turns = data.xmat[self._numbers].reshape(-1, 3, 3)
         places, clock = np.einsum("bd,bde->be", ear - data.xpos[self._numbers], turns), self._stream.clock
         far, was = _length(places), _length(self._places)
@@ -306,6 +359,13 @@ def _listener(model: mujoco.MjModel, listener: object) -> "int | np.ndarray":
             f"listener is {quoted(listener)}, expected one position of three finite numbers, m; {advice}"
         )
     return place
+
+
+def _names(pickup: object) -> list[str]:
+    """Return names of sites, one or more."""
+    if not isinstance(pickup, Sequence) or not pickup or not all(isinstance(one, str) for one in pickup):
+        raise ObjectFolderError(f"pickup is {quoted(pickup)}, expected the name of a site, or several")
+    return [*pickup]
 
 
 def _check_step(model: mujoco.MjModel) -> None:

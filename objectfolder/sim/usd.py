@@ -1,11 +1,16 @@
-"""Export to OpenUSD: look and rigid body of an object, by the schemas UsdGeom, UsdShade and UsdPhysics."""
+"""Export to OpenUSD: look and rigid body of an object, valid for SimReady's profile Robotics-Prop 4.0.0."""
 
+import datetime
+import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
+from PIL import Image
 
+from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.mesh.srgb import decode
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.body import RigidBody, body_density
@@ -17,32 +22,101 @@ if TYPE_CHECKING:
     from pxr import Usd, UsdGeom, Vt
 
 TEXTURE = "visual.png"
+FOLDER = "usd"  #: below that of the object; profiles of SimReady ask for one
+THUMBNAIL = ".thumbs/256x256"  #: folder of the thumbnail, below that
+_VIEWED_FROM, _PIXELS = (1.5, -1.8, 1.2), 256  # camera of the thumbnail, unit frame, and its side
 
 
-def write_usd(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hulls: OwnHulls = None) -> Path:
-    """Write ``OUT/<key>/<key>.usda`` with its texture: metres, kilograms, z up.
+@dataclass(frozen=True)
+class AssetInfo:
+    """What an Object File does not know of its object, and catalogues of assets ask.
+
+    Raises ObjectFolderError if a text is empty, or the code is none of Wikidata.
+    """
+
+    label: str = "physical object"  #: semantic class
+    qcode: str = "Q223557"  #: of the class in Wikidata; the default is that of "physical object"
+    author: str = "unknown"
+    licence: str = "unknown"  #: of the mesh that the object was made from, such as CC-BY-4.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value.strip():
+                raise ObjectFolderError(f"{name} is empty, expected a text, or leave it out")
+        if not re.fullmatch(r"Q[0-9]+", self.qcode):
+            raise ObjectFolderError(
+                f"qcode is {quoted(self.qcode)}, expected Q and digits, the code of a class in Wikidata, "
+                "such as Q223557"
+            )
+
+
+def write_usd(
+    file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hulls: OwnHulls = None,
+    info: AssetInfo = AssetInfo(),
+) -> Path:  # fmt: skip
+    """Write ``OUT/<key>/usd/<key>.usd`` with its texture and thumbnail: metres, kilograms, z up.
 
     The default prim, named after the object, is a rigid body with mass, centre and principal moments of
-    `rigid_body`. Below it are the textured surface ``look`` and the convex hulls, which collide and are drawn
-    as guides alone. Friction and density belong to a physics material.
-    Otherwise as `objectfolder.sim.export.write_mjcf`.
+    `rigid_body`, and has the semantic labels. Below it are the textured surface ``look`` and the convex
+    hulls, which collide and are drawn as guides alone. Friction and density belong to a physics material.
+    Objects without a look have no thumbnail. Otherwise as `objectfolder.sim.export.write_mjcf`.
     """
     from pxr import Usd, UsdGeom, UsdPhysics
 
-    with export_folder(file, out, max_hulls, hulls) as (new, body):
+    with export_folder(file, out, max_hulls, hulls) as (parent, body):
+        new = parent / FOLDER
+        (new / THUMBNAIL).mkdir(parents=True)
         look = visual_mesh(file)
         image = texture_image(look)
         if image is not None:
             image.save(new / TEXTURE)
+        if "vision" in file.header:
+            seen = file.view(np.array([_VIEWED_FROM]), resolution=_PIXELS, lights="studio")[0]
+            name = f"{file.key}.usd.png"
+            Image.fromarray((255 * seen).round().astype(np.uint8)).save(new / THUMBNAIL / name)
         stage = Usd.Stage.CreateInMemory()
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
         _add_body(stage, body)
+        UsdGeom.Scope.Define(stage, f"/{body.key}/materials")
         _add_look(stage, body.key, look, image is not None)
         _add_hulls(stage, body, body_density(file))
-        stage.GetRootLayer().Export(str(new / f"{file.key}.usda"), comment="")
-    return Path(out) / file.key / f"{file.key}.usda"
+        _add_labels(stage, file, info)
+        layer = stage.GetRootLayer()
+        layer.customLayerData = {"SimReady_Metadata": _metadata(file, body, info)}
+        layer.Export(str(new / f"{file.key}.usd"), comment="")
+    return Path(out) / file.key / FOLDER / f"{file.key}.usd"
+
+
+def _metadata(file: ObjectFile, body: RigidBody, info: AssetInfo) -> dict[str, object]:
+    """Return where the asset is from, as SimReady names it (requirement SR.004)."""
+    from pxr import Gf
+
+    return {
+        "asset_name": file.key,
+        "asset_type": "prop",
+        "author": info.author,
+        "asset_license": info.licence,
+        "category": info.label,
+        "qcode": info.qcode,
+        "source_file": f"{file.key}.safetensors",
+        "usd_date_generated": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "rigid_body_count": 1,
+        "asset_extents": Gf.Vec3f(*map(float, np.ptp(file.bounds, axis=0))),
+        "mass": float(body.mass),
+    }
+
+
+def _add_labels(stage: "Usd.Stage", file: ObjectFile, info: AssetInfo) -> None:
+    """Label the object by its class, and its materials by what they are."""
+    from pxr import UsdSemantics, Vt
+
+    prim, material = stage.GetDefaultPrim(), file.header["material"]
+    labels = [(prim, "class", info.label), (prim, "wikidata_qcode", info.qcode)]
+    labels += [(one, "material", material) for one in prim.GetChild("materials").GetChildren()]
+    for one, taxonomy, text in labels:
+        UsdSemantics.LabelsAPI.Apply(one, taxonomy).CreateLabelsAttr(Vt.TokenArray([text]))
 
 
 def _add_body(stage: "Usd.Stage", body: RigidBody) -> None:
@@ -107,6 +181,8 @@ def _add_hulls(stage: "Usd.Stage", body: RigidBody, filled: float) -> None:
     for k, hull in enumerate(body.hulls):
         mesh = _add_mesh(stage, f"/{body.key}/hull{k:02d}", hull)
         mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        mesh.CreateNormalsAttr(_vectors(hull.face_normals))
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.uniform)
         prim = mesh.GetPrim()
         UsdPhysics.CollisionAPI.Apply(prim)
         shape = UsdPhysics.MeshCollisionAPI.Apply(prim)

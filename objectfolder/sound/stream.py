@@ -21,7 +21,8 @@ import numpy as np
 
 from objectfolder.sound.synthesis import force_factors
 
-SILENCE_LEVEL = 2e-9  #: sound below which a body is silent, Pa; 80 dB under the threshold of hearing
+#: Sound below which a body is silent: Pa, 80 dB under the threshold of hearing; of channels, m/s^2.
+SILENCE_LEVEL = 2e-9
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,9 @@ class ModalStream:
     that a block costs about the same for ten bodies as for one: ``phasors`` (B, M) are those of the modes at
     the sample ``clock``, the next, of all that began before; 0 beyond the modes of a body. ``modes`` is M, of
     the body that has most.
+
+    With a number of ``channels``, C, weights are (C, M) and blocks (C, samples). ``loudest``, (M,) of each
+    body, is then how large weights may become: a body falls silent where nothing would be heard with these.
     """
 
     def __init__(
@@ -50,24 +54,42 @@ class ModalStream:
         sample_rate: float,
         longest: int,
         accelerated: Sequence[int] | None = None,
+        channels: int | None = None,
+        loudest: Sequence[np.ndarray] | None = None,
     ):
         self._rate, self.modes = sample_rate, max(len(row) for row in poles)
         self._accelerated = [0] * len(poles) if accelerated is None else [*accelerated]
+        self._channels, self._loudest = channels, None if loudest is None else self._rows(loudest)
         self._step = np.full((len(poles), self.modes), -1 + 0j)  # exponent of a sample; -1: of no mode
-        for out, row in zip(self._step, poles):
-            out[: len(row)] = np.asarray(row, np.complex128) / sample_rate
-        powers = np.exp(self._step[:, :, None] * np.arange(longest + 1))
         #: real and imaginary part of a phasor times these rows are its sound; (B, 2 M, longest + 1)
-        self._table = np.concatenate([powers.imag, powers.real], 1)
-        pushed = np.arange(self.modes) < np.array(self._accelerated)[:, None]
-        self._bent = np.where(pushed, -1 / np.expm1(self._step), 0)  # phasors, after long, per unit of force
+        self._table = np.empty((len(poles), 2 * self.modes, longest + 1))
+        self._bent = np.zeros_like(self._step)  # phasors, after long, per unit of force
+        for body, row in enumerate(poles):
+            self.retune(body, row)
         self.reset()
+
+    def _rows(self, values: Sequence[np.ndarray]) -> np.ndarray:
+        """Return values (M,) of each body as rows of one array, 0 beyond their modes."""
+        out = np.zeros((len(values), self.modes))
+        for row, value in zip(out, values):
+            row[: len(value)] = value
+        return out
+
+    def retune(self, body: int, poles: np.ndarray) -> None:
+        """Let the modes of a body ring with other poles (M,), 1/s, from the next block on."""
+        step = self._step[body]
+        step[: len(poles)] = np.asarray(poles, np.complex128) / self._rate
+        powers = np.exp(step[:, None] * np.arange(self._table.shape[2]))
+        self._table[body, : self.modes], self._table[body, self.modes :] = powers.imag, powers.real
+        pushed = slice(self._accelerated[body])
+        self._bent[body, pushed] = -1 / np.expm1(step[pushed])
 
     def reset(self) -> None:
         """Fall silent, and start to count samples anew."""
         self.phasors = np.zeros_like(self._step)
         self.clock = 0
-        self._weights, self._before = (np.zeros_like(self._step) for _ in range(2))
+        shape = (self._channels or 1, *self._step.shape)
+        self._weights, self._before = (np.zeros(shape, np.complex128) for _ in range(2))
         self._sounded = np.zeros(len(self._step), bool)  # in the last block
         self._pulses: list[tuple[int, Pulse]] = []
         self._shaking: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -87,11 +109,11 @@ class ModalStream:
         return abs(self.phasors) ** 2 / 2
 
     def listen(self, body: int, weights: np.ndarray) -> None:
-        """Hear a body with weights (M,) at the end of the next block, and from then on.
+        """Hear a body with weights (M,) or (C, M) at the end of the next block, and from then on.
 
         Over the block, they change linearly from those of the block before, if the body was heard in it.
         """
-        self._weights[body, : len(weights)] = weights
+        self._weights[:, body, : weights.shape[-1]] = weights
 
     def strike(self, body: int, pulse: Pulse) -> None:
         """Apply a pulse of force that begins in a later block, or in the next."""
@@ -110,17 +132,17 @@ class ModalStream:
         """Return the next samples of sound. An empty block changes nothing."""
         if not samples:  # weights and pulses wait for the next block
             self._shaking = []
-            return np.zeros(0)
+            return self._silence(0)
         sounding = self.sounds
         rows = np.flatnonzero(sounding)
         begins = sounding & ~self._sounded
-        self._before[begins] = self._weights[begins]
+        self._before[:, begins] = self._weights[:, begins]
         self._sounded, end = sounding, self.clock + samples
         if not len(rows):
             self.clock = end
-            return np.zeros(samples)
-        fixed = (self._before[rows] == self._weights[rows]).all()
-        ears = self._weights[None] if fixed else np.stack([self._before, self._weights])
+            return self._silence(samples)
+        fixed = (self._before[:, rows] == self._weights[:, rows]).all()
+        ears = self._weights if fixed else np.concatenate([self._before, self._weights])
         heard = self._ring(ears, self.phasors, rows, samples)
         phasors = self.phasors * self._complex(self._table[:, :, samples])
         for bodies, forces, gains in self._shaking:
@@ -130,15 +152,19 @@ class ModalStream:
             phasors[body] += self._pulsed(pulse, body, ears, heard)
             if math.ceil(pulse.start + pulse.duration) >= end:  # its last edge is on a later sample
                 left.append((body, pulse))
-        quiet = (abs(phasors) * abs(self._weights)).sum(1) < SILENCE_LEVEL
+        loudest = abs(self._weights).max(0) if self._loudest is None else self._loudest
+        quiet = (abs(phasors) * loudest).sum(1) < SILENCE_LEVEL
         quiet[[body for body, _ in left]] = False
         phasors[quiet] = 0
         self._pulses, self._shaking, self.clock, self.phasors = left, [], end, phasors
         self._before = self._weights.copy()
-        if fixed:
-            return heard[0]
-        share = np.arange(1, samples + 1) / samples
-        return heard[0] + share * (heard[1] - heard[0])
+        out = heard[: len(self._weights)]
+        if not fixed:
+            out = out + np.arange(1, samples + 1) / samples * (heard[len(self._weights) :] - out)
+        return out[0] if self._channels is None else out
+
+    def _silence(self, samples: int) -> np.ndarray:
+        return np.zeros(samples if self._channels is None else (self._channels, samples))
 
     def _complex(self, parts: np.ndarray) -> np.ndarray:
         """Return numbers (..., M) from what the table has of them, (..., 2 M)."""

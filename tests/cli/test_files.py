@@ -46,7 +46,7 @@ def test_all_commands_are_found():
     assert names == {
         *("info", "view", "video", "report", "simulate", "sample audio", "sample touch"),
         *(f"query {name}" for name in ("vision", "audio", "touch")),
-        *(f"export {name}" for name in ("mjcf", "urdf", "glb", "usd", "nerfstudio", "lerobot")),
+        *(f"export {name}" for name in ("mjcf", "urdf", "glb", "usd", "splats", "nerfstudio", "lerobot")),
         *(f"bench {name.replace('_', '-')}" for name in BENCHMARKS),
     }
 

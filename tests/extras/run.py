@@ -35,6 +35,8 @@ LEROBOT, NERFSTUDIO = (f"tests/benchmarks/datasets/test_{name}.py" for name in (
 LEROBOTS = ("lerobot==0.4.4; python_version < '3.12'", "lerobot[dataset]==0.6.1; python_version >= '3.12'")
 # Of later versions, torch may refuse how Nerfstudio indexes, and fpsample has no wheels.
 NERFSTUDIOS = ("nerfstudio==1.1.5", "torch==2.10.0", "fpsample<1")
+# Validators of assets of OpenUSD; for Python 3.12 at most.
+SIMREADY = ("simready-validate", "simready-foundation-tier-core", "omniverse-asset-validator")
 REACH, RELEASE = "tests/sim/test_reach.py", "tests/hub/release/test_release.py"
 EXTRAS = (
     Extra("raster", ("[raster]",), "pyrender", "raster or tacto", (RENDERERS, "tests/touch/test_tacto.py")),
@@ -42,6 +44,13 @@ EXTRAS = (
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),
     Extra("s3", ("[s3]", "moto[s3,server]"), "dvc-s3", "s3 or outage", ("tests/engine/test_remotes.py",)),
     Extra("usd", ("[usd]",), "usd-core", "usd", ("tests/sim/test_usd_export.py",)),
+    Extra(
+        "simready",
+        ("[usd]", *SIMREADY),
+        "simready-foundation-tier-core",
+        "usd",
+        ("tests/sim/test_usd_export.py",),
+    ),
     Extra("lerobot", ("[hub]", *LEROBOTS), "lerobot", "lerobot", (LEROBOT,), "lerobot", pinned=False),
     Extra("nerfstudio", NERFSTUDIOS, "nerfstudio", "nerfstudio", (NERFSTUDIO,), "nerfstudio", pinned=False),
     Extra("croissant", ("[hub]", "mlcroissant"), "mlcroissant", "croissant", (RELEASE,)),

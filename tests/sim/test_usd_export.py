@@ -1,14 +1,17 @@
 """OpenUSD that the library of Pixar opens: `make test-extras` installs it."""
 
+from importlib.metadata import version
+
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from objectfolder.sim.body import density
-from objectfolder.sim.usd import write_usd
+from objectfolder.sim.usd import AssetInfo, write_usd
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
-from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
+from pxr import Usd, UsdGeom, UsdPhysics, UsdSemantics, UsdShade
 
 pytestmark = pytest.mark.usefixtures("small_textures")
 
@@ -69,3 +72,57 @@ def test_usd_texture_is_found_beside_the_file(stage, path):
     assert uv.shape[1] == 2
     assert (uv >= 0).all()
     assert (uv <= 1).all()
+
+
+def test_usd_labels_object_and_materials(stage, brick, body):
+    root, labels = stage.GetDefaultPrim(), {}
+    for prim in stage.Traverse():
+        for taxonomy in UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
+            found = UsdSemantics.LabelsAPI(prim, taxonomy).GetLabelsAttr().Get()
+            labels[str(prim.GetPath()), taxonomy] = [*found]
+    assert labels == {
+        ("/brick", "class"): ["physical object"],
+        ("/brick", "wikidata_qcode"): ["Q223557"],
+        ("/brick/materials/look", "material"): ["plastic"],
+        ("/brick/materials/contact", "material"): ["plastic"],
+    }
+    said = stage.GetRootLayer().customLayerData["SimReady_Metadata"]
+    assert said["mass"] == pytest.approx(body.mass)
+    np.testing.assert_allclose(said["asset_extents"], np.ptp(brick.bounds, axis=0), rtol=1e-6)
+    assert root.HasAPI(UsdPhysics.MassAPI)
+
+
+def test_usd_info_that_makes_no_sense_is_refused():
+    refused("qcode is 'mug', expected Q and digits", AssetInfo, qcode="mug")
+    refused("licence is empty", AssetInfo, licence=" ")
+
+
+def test_usd_core_finds_no_error(stage):
+    """All validators of OpenUSD, which its older ComplianceChecker became."""
+    validation = pytest.importorskip("pxr.UsdValidation", reason="this usd-core has no UsdValidation")
+    validators = validation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 20
+    errors = validation.ValidationContext(validators).Validate(stage)
+    assert [(str(error.GetName()), error.GetMessage()) for error in errors] == []
+
+
+def test_usd_is_simready(path, record_property):
+    """The profile of props that belong to no simulator; the report says which version passed."""
+    simready = pytest.importorskip("simready.validate", reason="simready-validate is not installed")
+    pytest.importorskip("simready.foundation.tier_core", reason="the tier of SimReady is not installed")
+    simready.initialize([], [], [])
+    result = simready.validate_asset(simready.AssetValidationConfig(str(path), "Robotics-Prop", "4.0.0"))
+    verdict = {name: one for name, one in result.features_summary.items() if one["blocking_failure"]}
+    record_property("simready-foundation-tier-core", version("simready-foundation-tier-core"))
+    record_property("Robotics-Prop 4.0.0", "failed" if verdict else "passed")
+    assert verdict == {}, [str(issue.message) for issue in result.issues]
+    assert simready.features_summary_passed(result.features_summary)
+
+
+def test_usd_passes_the_default_rules_of_the_asset_validator(path):
+    validator = pytest.importorskip(
+        "omni.asset_validator", reason="omniverse-asset-validator is not installed"
+    )
+    results = validator.ValidationEngine().validate(str(path))
+    found = [str(issue.message) for issue in results.issues() if issue.severity.name in ("ERROR", "FAILURE")]
+    assert found == []

@@ -45,10 +45,18 @@ def without(file: ObjectFile, part: str) -> ObjectFile:
 def build_brick(scale=SCALE, steps=40) -> ObjectFile:
     """A brick of plastic whose parts are real but small: its look is random, its sound nearly right."""
     solid = box(SIDES)
-    values, band = distance_grid(*solid, 64)
-    points = sample_surface(*solid, 300, np.random.default_rng(0))
+    size = {"modes": 12, "resolution": 4, "channels": 4, "width": 24, "features": 24, "most_features": 24}
+    config = GainsConfig(**size, frequency=3.0, steps=steps, learning_rate=3e-3, grid_rate=3.0)
     request = Request(material("plastic"), scale, 20000.0, 12)
-    modes = modal_analysis(cut_cells(*solid, 6, 4), points, request)
+    return build_small("brick", solid, cut_cells(*solid, 6, 4), request, config, 300, 300)
+
+
+def build_small(key, solid, cells, request, config, points, directions) -> ObjectFile:
+    """An Object File of a closed mesh, by the functions of the stages, from few points of its surface."""
+    scale, stuff = request.scale, request.material
+    values, band = distance_grid(*solid, 64)
+    points = sample_surface(*solid, points, np.random.default_rng(0))
+    modes = modal_analysis(cells, points, request)
     band_hz = solved_band(modes, request)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
@@ -56,21 +64,22 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
         look = SurfaceNet(grid, width=8, roughness=0.5, metallic=0.0)
     samples = ModeSamples(
         *(points, modes.shapes, modes.damped_frequency, modes.damping),
-        train=np.arange(250),
-        val=np.arange(250, 300),
+        train=np.arange(len(points) - 50),
+        val=np.arange(len(points) - 50, len(points)),
     )
-    size = {"modes": 12, "resolution": 4, "channels": 4, "width": 24, "features": 24, "most_features": 24}
-    config = GainsConfig(**size, frequency=3.0, steps=steps, learning_rate=3e-3, grid_rate=3.0)
     sound, _ = train_gains(samples, config, 128, Session(torch.Generator().manual_seed(0)))
     surface = solid[0] * scale, solid[1]
-    sound_field = radiate(surface, points * scale, modes.shapes, modes.damped_frequency, 300)
+    radiation = None
+    if directions:
+        sound_field = radiate(surface, points * scale, modes.shapes, modes.damped_frequency, directions)
+        radiation = pack_radiation(sound_field, surface, scale, 56000)
     look_tensors, look_config = look.to_tensors()
     sound_tensors, sound_config = sound.to_tensors()
     profile = load_profile("digit")
     feel_config = {"sensor": profile.to_dict(), "depth_offset": 0.0, "renderer": "gel", "smoothing": 0}
     header, tensors = pack_object_file(
-        "brick",
-        {"material": "plastic", "material_properties": material("plastic").properties(), "scale_m": scale},
+        key,
+        {"material": stuff.name, "material_properties": stuff.properties(), "scale_m": scale},
         {
             **{"source_centre": [0, 0, 0], "source_size": 1.0, "source_up": "z"},
             "solid": mass_properties(solid),
@@ -82,9 +91,9 @@ def build_brick(scale=SCALE, steps=40) -> ObjectFile:
             "touch": ({}, {"kind": "geometric", "net": feel_config}),
         },
         {"sdf": "0" * 64},
-        pack_radiation(sound_field, surface, scale, 56000),
+        radiation,
     )
-    return ObjectFile(header, tensors, "brick")
+    return ObjectFile(header, tensors, key)
 
 
 def with_spectrograms(file: ObjectFile) -> ObjectFile:
