@@ -15,11 +15,11 @@ from objectfolder.base.terminal import Terminal
 from objectfolder.cli.console import console, print_line, track_progress
 
 if TYPE_CHECKING:
-    from objectfolder.workspace.discover import Candidate, Examination
+    from objectfolder.workspace.examine import Candidate, Examination
 
 
 def _metres(text: str) -> float:
-    from objectfolder.workspace.discover import UNITS
+    from objectfolder.workspace.examine import UNITS
 
     try:
         return float(text)
@@ -103,7 +103,8 @@ def add(
     `material`, `size`, `up`, `wall`, `mass`, `licence`, `author` and `source`. A SOURCE.txt beside a mesh
     is copied with it.
     """
-    from objectfolder.workspace.discover import Candidate, discover
+    from objectfolder.workspace.discover import discover
+    from objectfolder.workspace.examine import Candidate
 
     if mesh.suffix in (".yaml", ".yml"):
         for_meshes = {
@@ -140,7 +141,7 @@ def add(
 def _check_options(
     scale: float | None, up: str | None, unit: str, wall: float | None, bridge: str, mass: float | None
 ) -> None:
-    from objectfolder.workspace.discover import UNITS
+    from objectfolder.workspace.examine import UNITS
     from objectfolder.workspace.params import Bridge
 
     if unit not in UNITS:
@@ -195,7 +196,7 @@ def _add_one(
     options: dict[str, Any],
     dry_run: bool,
 ) -> None:
-    from objectfolder.workspace.discover import examine
+    from objectfolder.workspace.examine import examine
 
     finding = examine(candidate, values, scale, **options)
     _print_findings([finding], options)
@@ -213,7 +214,8 @@ def _add_folder(
     folder: Path, values: dict[str, Any], material: str | None, options: dict[str, Any], dry_run: bool
 ) -> bool:
     """Examine and add the objects in a folder; return whether all were accepted."""
-    from objectfolder.workspace.discover import FORMATS, discover, examine_all, passed_over
+    from objectfolder.workspace.discover import FORMATS, discover, passed_over
+    from objectfolder.workspace.examine import examine_all
 
     candidates = discover(folder, material)
     examined = examine_all(candidates, values, **options)
@@ -243,7 +245,7 @@ def _add_folder(
 
 
 def _print_findings(findings: "list[Examination]", options: dict[str, Any]) -> None:
-    from objectfolder.workspace.discover import examination_table
+    from objectfolder.workspace.examine import examination_table
 
     console.print(examination_table(findings, options["up"] is not None))
     for finding in findings:

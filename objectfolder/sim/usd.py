@@ -8,10 +8,10 @@ import trimesh
 
 from objectfolder.mesh.srgb import decode
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.sim.body import RigidBody, body_density
-from objectfolder.sim.export import OwnHulls, export_folder
+from objectfolder.sim.body import RigidBody
+from objectfolder.sim.export import OwnHulls, PhysicsModel, export_folder
 from objectfolder.sim.hulls import MAX_HULLS
-from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image, visual_mesh
+from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom, Vt
@@ -27,22 +27,29 @@ def write_usd(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hul
     as guides alone. Friction and density belong to a physics material.
     Otherwise as `objectfolder.sim.export.write_mjcf`.
     """
+    with export_folder(file, out, max_hulls, hulls) as (new, model):
+        fill_usd(new, model)
+    return Path(out) / file.key / f"{file.key}.usda"
+
+
+def fill_usd(folder: Path, model: PhysicsModel) -> None:
+    """Write what `write_usd` does into a folder, which may hold other formats of the same object."""
     from pxr import Usd, UsdGeom, UsdPhysics
 
-    with export_folder(file, out, max_hulls, hulls) as (new, body):
-        look = visual_mesh(file)
-        image = texture_image(look)
-        if image is not None:
-            image.save(new / TEXTURE)
-        stage = Usd.Stage.CreateInMemory()
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-        UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-        _add_body(stage, body)
-        _add_look(stage, body.key, look, image is not None)
-        _add_hulls(stage, body, body_density(file))
-        stage.GetRootLayer().Export(str(new / f"{file.key}.usda"), comment="")
-    return Path(out) / file.key / f"{file.key}.usda"
+    body, look = model.body, model.look
+    image = texture_image(look)
+    if image is not None:
+        image.save(folder / TEXTURE)
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    _add_body(stage, body)
+    for name, fact in model.facts.items():
+        stage.GetDefaultPrim().SetCustomDataByKey(f"objectfolder:{name}", fact)
+    _add_look(stage, body.key, look, image is not None)
+    _add_hulls(stage, body, model.density)
+    stage.GetRootLayer().Export(str(folder / f"{body.key}.usda"), comment="")
 
 
 def _add_body(stage: "Usd.Stage", body: RigidBody) -> None:

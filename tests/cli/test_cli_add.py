@@ -26,7 +26,8 @@ from objectfolder.workspace import discover as discovery
 from objectfolder.workspace import objects as catalog
 from objectfolder.workspace import params, stages
 from objectfolder.workspace.check import check_all
-from objectfolder.workspace.discover import Candidate, Examination, discover, examination_table, slug
+from objectfolder.workspace.discover import discover, slug
+from objectfolder.workspace.examine import Candidate, Examination, examination_table
 from objectfolder.workspace.presets import apply_preset
 
 ROOT = Path(__file__).parents[2]
