@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from objectfolder.workspace.examine import Candidate, Examination
 
 
-def _metres(text: str) -> float:
+def as_metres(text: str) -> float:
+    """Parse a number of metres that an option is given."""
     from objectfolder.workspace.examine import UNITS
 
     try:
@@ -29,7 +30,8 @@ def _metres(text: str) -> float:
         raise typer.BadParameter(f"{text!r} is not a number of metres, such as {example:g}") from None
 
 
-def _kilograms(text: str) -> float:
+def as_kilograms(text: str) -> float:
+    """Parse a number of kilograms that an option is given."""
     try:
         return float(text)
     except ValueError:
@@ -58,7 +60,7 @@ def add(
     scale: Annotated[
         float | None,
         typer.Option(
-            metavar="METRES", parser=_metres, help="Longest side in metres; default: the size of the mesh."
+            metavar="METRES", parser=as_metres, help="Longest side in metres; default: the size of the mesh."
         ),
     ] = None,
     up: Annotated[
@@ -69,7 +71,7 @@ def add(
         float | None,
         typer.Option(
             metavar="METRES",
-            parser=_metres,
+            parser=as_metres,
             help="Thickness of open sheets in metres; default: 2 % of the size.",
         ),
     ] = None,
@@ -84,7 +86,7 @@ def add(
         float | None,
         typer.Option(
             metavar="KG",
-            parser=_kilograms,
+            parser=as_kilograms,
             help="Mass of the real object, for simulations; default: volume of the solid times density.",
         ),
     ] = None,
@@ -119,7 +121,7 @@ def add(
             "--dry-run": dry_run or None,
         }
         return _add_catalogue(mesh, [option for option, value in for_meshes.items() if value is not None])
-    _check_options(scale, up, unit, wall, bridge, mass)
+    check_options(scale, up, unit, wall, bridge, mass)
     options = {"up": up, "unit": unit, "wall": wall, "bridge": bridge}
     values = _read_params()
     if not mesh.exists():
@@ -138,9 +140,10 @@ def add(
     raise typer.Exit(not _add_folder(mesh, values, material, options, dry_run))
 
 
-def _check_options(
+def check_options(
     scale: float | None, up: str | None, unit: str, wall: float | None, bridge: str, mass: float | None
 ) -> None:
+    """Raise ObjectFolderError if an option about a mesh is impossible."""
     from objectfolder.workspace.examine import UNITS
     from objectfolder.workspace.params import Bridge
 
