@@ -307,8 +307,8 @@ def main() -> None:
     }
     targets = (
         f"at most {MOST_SECONDS:g} CPU s each; in {REST:g} s on a table at most {MOST_DRIFT:g} mm of drift "
-        f"and {MOST_SINK:g} mm of sinking; beside the export of a built object at most {MOST_MASS_ERROR:.1%} of "
-        f"mass and {MOST_INERTIA_ERROR:.0%} of inertia apart, and the same hulls"
+        f"and {MOST_SINK:g} mm of sinking; beside the export of a built object at most {MOST_MASS_ERROR:.1%} "
+        f"of mass and {MOST_INERTIA_ERROR:.0%} of inertia apart, and the same hulls"
     )
     found = missed(rows, agreement)
     write_record(arguments.json, record, targets, found)

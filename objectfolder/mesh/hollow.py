@@ -9,7 +9,7 @@ from objectfolder.mesh.closing.solids import subtract
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.topology import Mesh, distance
 
-_COARSE = 40  # samples along each axis in which the thickest part is looked for
+_COARSE = 28  # samples along each axis in which the thickest part is looked for
 _REFINED = 6  # halvings of the spacing around the best samples
 _KEPT = 16  # of the best samples
 

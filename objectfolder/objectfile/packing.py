@@ -6,7 +6,7 @@ import numpy as np
 
 from objectfolder.base.checks import check_mass
 from objectfolder.mesh.featurecodec import Features, pack_features
-from objectfolder.mesh.gridcodec import pack_grid
+from objectfolder.mesh.gridcodec import EFFORT, pack_grid
 from objectfolder.stored.header import MODALITIES, RADIATION, checked_header, format_name
 
 ESTIMATING = "hex20 cut cells"  #: element whose errors of frequencies are estimated if its grid allows it
@@ -53,13 +53,15 @@ def pack_shape(
     sdf: dict[str, np.ndarray],
     provenance: dict[str, str],
     mass: float | None = None,
+    effort: int = EFFORT,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the header and the tensors of an Object File without nets: shape, material and mass.
 
-    ``material``: its name and properties; ``scale``: longest side, metres; the others are as of
-    `pack_object_file`. Raises ObjectFolderError if a body of this mass and volume is impossible.
+    ``material``: its name and properties; ``scale``: longest side, metres; ``effort``: as of `pack_grid`; the
+    others are as of `pack_object_file`. Raises ObjectFolderError if a body of this mass and volume is
+    impossible.
     """
-    stream, predictor = pack_grid(sdf["values"])
+    stream, predictor = pack_grid(sdf["values"], effort)
     tensors = {"geometry.distances": stream}
     geometry: dict[str, Any] = {
         "kind": "distance_grid",

@@ -257,9 +257,8 @@ def _closed_asset(closed: ClosedCandidate, material: Material, bridge: str) -> A
     weight = judge_weight(material, volume, area, thickest, shell, candidate.mass)
     digest = file_digest(candidate.mesh)
     sdf = {"values": grid.values, "band": np.float64(grid.band), **vars(grid.features)}
-    header, tensors = pack_shape(
-        key, (material.name, material.properties()), scale, report, sdf, {"mesh": digest}, candidate.mass
-    )
+    named = material.name, material.properties()
+    header, tensors = pack_shape(key, named, scale, report, sdf, {"mesh": digest}, candidate.mass, effort=0)
     file = ObjectFile(header, tensors, candidate.mesh)
     look = source_look(normalized.visual, file)
     closed_by = normalized.surface.last_step

@@ -100,7 +100,12 @@ def fill_urdf(folder: Path, model: PhysicsModel) -> None:
 
 
 def _write_meshes(folder: Path, model: PhysicsModel) -> bool:
-    """Write the hulls and visual.obj with its texture, if any; return whether there is a texture."""
+    """Write the hulls and visual.obj with its texture, if any; return whether there is a texture.
+
+    Another format may have written them before.
+    """
+    if (folder / "visual.obj").exists():
+        return (folder / "visual.png").exists()
     for k, hull in enumerate(model.body.hulls):
         write_text(folder / _hull_name(k), export_obj(hull, include_normals=False, header=None))
     options = {"include_normals": True, "return_texture": True, "mtl_name": "visual.mtl", "header": None}
