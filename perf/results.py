@@ -97,8 +97,10 @@ def render(page: str, records: Path = RECORDS) -> str:
     )
     environment.filters |= {
         "by_commit": by_commit,
+        "cell_text": lambda text: str(text).replace("|", r"\|"),
         "cell": cell,
         "few": few,
+        "median": lambda values: median(values),
         "measured": lambda rows: [row for row in rows if "failed" not in row],
         "number": number,
         "over_objects": over_objects,

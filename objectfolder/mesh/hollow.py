@@ -7,11 +7,11 @@ from objectfolder.base.errors import ObjectFolderError
 from objectfolder.mesh.closing.contour import BLOCK, RESOLUTION, block_centres, contour, grid_indices
 from objectfolder.mesh.closing.solids import subtract
 from objectfolder.mesh.gridcodec import BOUND
+from objectfolder.mesh.raycast import cross_walls
 from objectfolder.mesh.topology import Mesh, distance
 
-_COARSE = 28  # samples along each axis in which the thickest part is looked for
-_REFINED = 6  # halvings of the spacing around the best samples
-_KEPT = 16  # of the best samples
+_STEPS = 0.02 * 0.5 ** np.arange(5)  # by which the middle of the largest ball is sought
+_KEPT = 8  # of the best middles
 
 
 def hollow_out(surface: Mesh, wall: float, name: str = "mesh") -> Mesh:
@@ -40,8 +40,11 @@ def hollow_out(surface: Mesh, wall: float, name: str = "mesh") -> Mesh:
     centres, radius = block_centres(lower, spacing, blocks)
     depth = _depth(surface, centres)
     near = np.flatnonzero(np.abs(depth - wall) < radius + spacing)
-    inner = contour(lambda points: wall - _depth(surface, points), lower, spacing, blocks, near, wall - depth)
-    if not len(inner[1]):
+    inner: Mesh | None = None
+    if len(near):
+        outside = wall - depth
+        inner = contour(lambda at: wall - _depth(surface, at), lower, spacing, blocks, near, outside)
+    if inner is None or not len(inner[1]):
         raise ObjectFolderError(
             f"{name}: a wall of {wall:.2%} of the size fills the solid, which is at most "
             f"{thickest_part(surface):.2%} of the size thick; expected a wall under half of that"
@@ -50,17 +53,16 @@ def hollow_out(surface: Mesh, wall: float, name: str = "mesh") -> Mesh:
 
 
 def thickest_part(surface: Mesh) -> float:
-    """Return the diameter of the largest ball inside a closed surface, to half a percent of the size."""
-    low, high = surface[0].min(0), surface[0].max(0)
-    spacing = (high - low) / _COARSE
-    points = low + spacing * (grid_indices(_COARSE, _COARSE, _COARSE) + 0.5)
-    depth = _depth(surface, points)
-    for _ in range(_REFINED):
+    """Return the diameter of the largest ball inside a closed surface, to a percent of the size."""
+    points, lengths = cross_walls(*surface)
+    points = points[np.isfinite(lengths)]
+    depth = distance(surface, points)
+    for step in _STEPS:
         best = np.argsort(-depth)[:_KEPT]
-        spacing = spacing / 2
-        around = points[best, None] + spacing * (grid_indices(3, 3, 3) - 1)
-        points = np.concatenate([points[best], around.reshape(-1, 3)])
-        depth = np.concatenate([depth[best], _depth(surface, around.reshape(-1, 3))])
+        steps = np.repeat(step * (grid_indices(3, 3, 3) - 1)[None], len(best), 0)
+        inside = np.linalg.norm(steps, axis=2) < depth[best, None]  # one step at least, that of no length
+        points = (points[best, None] + steps)[inside]
+        depth = distance(surface, points)
     return float(2 * depth.max())
 
 

@@ -178,7 +178,7 @@ def test_names(tmp_path):
         ({"mass": -1.0}, "crate: mass is -1, expected kilograms above 0"),
         ({"shell": 2.0}, "crate: shell is 2000 mm, .*: --shell is in millimetres"),
         ({"shell": 0.04}, "crate: a wall of 20.00% of the size fills the solid"),
-        ({"scale": 200.0}, "scale of crate is 200 m, .* give it in metres: 0.2 for 200 mm"),
+        ({"scale": 200.0}, "scale of crate is 200 m, .* give it in metres: .* 0.2 for 200 mm"),
         ({"wall": 0.5}, "wall of crate is 0.5 m"),
         ({"up": "x"}, "up axis 'x'"),
         ({"unit": "inch"}, "unit 'inch' is not one of m, cm, mm"),
