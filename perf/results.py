@@ -97,7 +97,6 @@ def render(page: str, records: Path = RECORDS) -> str:
     )
     environment.filters |= {
         "by_commit": by_commit,
-        "cell_text": lambda text: str(text).replace("|", r"\|"),
         "cell": cell,
         "few": few,
         "median": lambda values: median(values),

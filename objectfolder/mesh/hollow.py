@@ -10,8 +10,8 @@ from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.raycast import cross_walls
 from objectfolder.mesh.topology import Mesh, distance
 
-_STEPS = 0.02 * 0.5 ** np.arange(5)  # by which the middle of the largest ball is sought
-_KEPT = 8  # of the best middles
+_STEPS = 0.02 * 0.5 ** np.arange(4)  # by which the middle of the largest ball is sought
+_TRIED, _KEPT = 200, 4  # middles of walls, of which there are more; the best of them
 
 
 def hollow_out(surface: Mesh, wall: float, name: str = "mesh") -> Mesh:
@@ -55,7 +55,8 @@ def hollow_out(surface: Mesh, wall: float, name: str = "mesh") -> Mesh:
 def thickest_part(surface: Mesh) -> float:
     """Return the diameter of the largest ball inside a closed surface, to a percent of the size."""
     points, lengths = cross_walls(*surface)
-    points = points[np.isfinite(lengths)]
+    # In balls and cylinders each takes as long as a comparison with every face.
+    points = points[np.isfinite(lengths)][:_TRIED]
     depth = distance(surface, points)
     for step in _STEPS:
         best = np.argsort(-depth)[:_KEPT]
