@@ -8,6 +8,7 @@ from objectfolder.mesh.closing.contour import BLOCK, RESOLUTION, block_centres, 
 from objectfolder.mesh.closing.solids import subtract
 from objectfolder.mesh.gridcodec import BOUND
 from objectfolder.mesh.raycast import cross_walls
+from objectfolder.mesh.sdf import near_surface
 from objectfolder.mesh.topology import Mesh, distance
 
 _STEPS = 0.02 * 0.5 ** np.arange(4)  # by which the middle of the largest ball is sought
@@ -35,16 +36,14 @@ def hollow_out(surface: Mesh, wall: float, name: str = "mesh") -> Mesh:
         If the wall fills the solid, so that nothing is hollow.
     """
     spacing = 2 * BOUND / (RESOLUTION - 1)
-    blocks = np.full(3, -(-RESOLUTION // BLOCK))
-    lower = np.full(3, -BOUND)
-    centres, radius = block_centres(lower, spacing, blocks)
-    depth = _depth(surface, centres)
-    near = np.flatnonzero(np.abs(depth - wall) < radius + spacing)
-    inner: Mesh | None = None
-    if len(near):
-        outside = wall - depth
-        inner = contour(lambda at: wall - _depth(surface, at), lower, spacing, blocks, near, outside)
-    if inner is None or not len(inner[1]):
+    blocks, lower = np.full(3, -(-RESOLUTION // BLOCK)), np.full(3, -BOUND)
+    samples = near_surface(surface, RESOLUTION, wall + 2 * spacing)
+    near = np.unique((samples // BLOCK) @ [blocks[1] * blocks[2], blocks[2], 1])
+    # The level set is in none of the other blocks: these are inside of it, or outside of the surface.
+    within = np.asarray(igl.fast_winding_number(*surface, block_centres(lower, spacing, blocks)[0])) > 0.5
+    far = np.where(within, -1.0, 1.0)
+    inner = contour(lambda at: wall - _depth(surface, at), lower, spacing, blocks, near, far)
+    if not len(inner[1]):
         raise ObjectFolderError(
             f"{name}: a wall of {wall:.2%} of the size fills the solid, which is at most "
             f"{thickest_part(surface):.2%} of the size thick; expected a wall under half of that"

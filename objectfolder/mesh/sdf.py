@@ -83,7 +83,7 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> t
     spacing = 2 * BOUND / (resolution - 1)
     within = inside(*mesh, resolution, np.full(3, -BOUND), spacing)
     values = np.where(within, np.int8(-127), np.int8(127))
-    near = _near_surface(mesh, resolution, band)
+    near = near_surface(mesh, resolution, band)
     for start in range(0, len(near), _CHUNK):
         index = near[start : start + _CHUNK]
         cell = tuple(index.T)
@@ -127,7 +127,7 @@ def check_resolved(values: np.ndarray, kept: float, name: str) -> None:
         )
 
 
-def _near_surface(mesh: Mesh, resolution: int, band: float) -> np.ndarray:
+def near_surface(mesh: Mesh, resolution: int, band: float) -> np.ndarray:
     """Find the samples that may lie within the band; (N, 3) int64 indices.
 
     Blocks of samples that are farther than the band are dropped; the others are halved along each axis, down

