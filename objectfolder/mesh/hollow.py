@@ -18,8 +18,8 @@ _TRIED, _KEPT = 200, 4  # middles of walls, of which there are more; the best of
 def hollow_out(surface: Mesh, wall: float, name: str = "mesh") -> Mesh:
     """Return the wall of a closed surface: what lies within ``wall`` of it, inside; unit frame.
 
-    The inner side is the level set of the distance to the surface, on a grid. Mass and inertia of a sphere, a
-    can and a box with a wall of 1 % of the size are right to 1 %.
+    The inner side is the level set of the distance to the surface, on a grid. Mass and inertia of a box
+    and a can with a wall of half a percent of the size are right to 1 %.
 
     Parameters
     ----------
