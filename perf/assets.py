@@ -143,7 +143,7 @@ def in_pybullet(place: Path, pose: tuple[np.ndarray, np.ndarray]) -> dict:
 def moved(path: np.ndarray) -> dict:
     """Return how far a centre of mass (T, 3) went from its start, mm: along the table, and down."""
     away = 1000 * (path - path[0])
-    return {"drift": float(np.hypot(*away.T[:2]).max()), "sink": float(max(-away[:, 2].min(), 0))}
+    return {"drift": float(np.hypot(*away.T[:2]).max()), "sink": abs(float(min(away[:, 2].min(), 0)))}
 
 
 def agree(workspace: str, key: str) -> dict:

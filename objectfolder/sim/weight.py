@@ -51,7 +51,7 @@ class Weight:
     def __str__(self) -> str:
         hollow = f"hollow with a wall of {_mm(self.shell)}" if self.shell else "solid"
         if self.source == "given":
-            return f"{self.kg:.4g} kg, given; inertia as if evenly filled, {hollow}"
+            return f"{self.kg:.4g} kg, given; inertia as if evenly filled and {hollow}"
         made = f"{hollow}, {self.volume * 1e6:.4g} cm3 at {self.density:g} kg/m3"
         return f"{self.kg:.4g} kg: {made}; between {self.low:.3g} and {self.high:.3g} kg"
 
@@ -62,7 +62,7 @@ def judge_weight(
     """Return the mass of an object, and a warning if it is too heavy for what it looks like.
 
     A solid is too heavy if it is thicker than things of its material are made solid: a closed bottle of
-    plastic. It may weigh as little as a hollow one of the usual wall.
+    plastic. It may weigh as little as a hollow one of half the usual wall.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def judge_weight(
         f"{_mm(usual.thickest)}: solid it weighs {kg:.3g} kg, hollow with a wall of {_mm(usual.wall)} about "
         f"{material.density * hollow:.2g} kg; give --mass KG if you know it, or --shell {1000 * usual.wall:g}"
     )
-    return weight(kg, source, lightest * hollow, densest * volume, warning)
+    return weight(kg, source, lightest * hollow / 2, densest * volume, warning)  # half the usual wall
 
 
 def _mm(metres: float | None) -> str:
