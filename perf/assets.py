@@ -292,7 +292,10 @@ def main() -> None:
         built = sorted(path.parent.name for path in arguments.build.glob("build/*/ObjectFile.safetensors"))
         keys = arguments.compared or built[:: max(len(built) // 10, 1)][:10]
         for key in track(keys, "comparing"):
-            agreement.append({"object": key} | fresh(__file__, "agree", arguments.build.resolve(), key))
+            kept = out / "rows" / f"agree_{key}.json"
+            if not kept.is_file():
+                write_json(kept, fresh(__file__, "agree", arguments.build.resolve(), key))
+            agreement.append({"object": key} | read_json(kept))
             console.print(str(agreement[-1]), markup=False, soft_wrap=True)
     good = [row for row in rows if "failed" not in row]
     if arguments.picture and good:
