@@ -23,8 +23,8 @@ from objectfolder.sound.gains_net import energy_weights
 
 PHYSICS, AUDIO = "KHR_physics_rigid_bodies", "KHR_audio_rigid_bodies"
 SAMPLES = 1000  #: most points at which mode shapes are stored
-#: Linear without mipmaps, which would mix the rectangles of faces; clamped to the edge.
-_SAMPLER = {"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}
+_LINEAR = 9729  # without mipmaps, which would mix the rectangles of faces
+_CLAMPED, _REPEATING = 33071, 10497  # beyond the edge of a texture
 _GROWTH = 1.15  # of the cells of the sample surface, until it has few enough points
 _MAGIC, _VERSION, _JSON, _BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 _COMPONENTS = {"<f4": 5126, "<u4": 5125}
@@ -48,7 +48,10 @@ def fill_glb(folder: Path, model: PhysicsModel) -> None:
     file, body = model.file, model.body
     document, buffer = unpack_glb(_meshes(model))
     if textures := document.get("textures"):  # of the surface alone
-        textures[0]["sampler"], document["samplers"] = 0, [_SAMPLER]
+        uv = model.look.visual.uv
+        wrap = _CLAMPED if uv.min() >= 0 and uv.max() <= 1 else _REPEATING
+        sampler = {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": wrap, "wrapT": wrap}
+        textures[0]["sampler"], document["samplers"] = 0, [sampler]
     node = _add_body(document, body)
     if model.facts:
         node["extras"] = dict(model.facts)

@@ -20,7 +20,6 @@ TEXELS = 1024  #: side of the texture
 _TOLERANCES = 0.001 * 2.0 ** np.arange(5)  # tolerances of the simplification, fractions of the longest side
 _TEXELS_PER_FACE = 26  # texels of the texture for each face, on average: 40,000 faces
 MOST_FACES = 100_000  #: of a source that is drawn as it is
-_REPEATED = 1e-3  # by which texture coordinates may leave the texture
 _FACE_MARGIN = 1  # texels around a face, so that bilinear filtering does not reach a neighbour
 
 
@@ -63,14 +62,12 @@ def source_look(mesh: TexturedMesh, file: ObjectFile) -> trimesh.Trimesh:
     """Return the source's own triangles with its texture; object frame, metres.
 
     ``mesh``: in the unit frame; ``file``: its stored surface. Where a physics engine could not show these,
-    as with vertex colours, textures that repeat or more than `MOST_FACES` triangles, the colours are painted
-    on the stored surface, as by `visual_mesh`. A mesh without colours is grey.
+    as with vertex colours or more than `MOST_FACES` triangles, the colours are painted on the stored surface,
+    as by `visual_mesh`. A mesh without colours is grey.
     """
     textured = mesh.texture is not None and mesh.uv is not None
-    used = mesh.uv[mesh.faces] if textured and mesh.uv is not None else np.zeros(1)
-    within = used.min() >= -_REPEATED and used.max() <= 1 + _REPEATED
     coloured = textured or mesh.vertex_colors is not None
-    if coloured and (len(mesh.faces) > MOST_FACES or not (textured and within)):
+    if coloured and (len(mesh.faces) > MOST_FACES or not textured):
         scene = Scene(mesh)
 
         def base_colors(points: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from objectfolder.sim import asset as module
 from objectfolder.sim import visual
 from objectfolder.sim.asset import default_key
 from objectfolder.sim.drawing import draw_look
+from objectfolder.sim.gltf import unpack_glb
 from objectfolder.sim.visual import source_look
 from objectfolder.sim.weight import judge_weight
 from objectfolder.sound.fem.settings import VoxelizeConfig
@@ -110,16 +111,17 @@ def test_the_source_keeps_its_triangles_and_texture(crate, mesh):
     assert (image[0, 0] == 255).all()
 
 
-def test_a_repeating_texture_is_painted_on_the_surface(crate, tmp_path):
-    source = load_mesh(textured_box(tmp_path / "twice.obj", 2.0))
-    unit = source.with_vertices(source.vertices / SIDES.max())
-    look = source_look(unit, crate.file)
-    assert look.visual.uv.min() >= 0
-    assert look.visual.uv.max() <= 1
+def test_a_repeating_texture_repeats_and_vertex_colours_are_painted(crate, tmp_path):
+    made = objectfolder.asset(textured_box(tmp_path / "twice.obj", 2.0), "wood")
+    document, _ = unpack_glb((made.write(tmp_path, ["glb"]) / "twice.glb").read_bytes())
+    assert document["samplers"][0]["wrapS"] == 10497
+    ends = np.where(crate.look.vertices[:, :1] < 0, [200, 0, 0], [0, 200, 0]).astype(np.uint8)
+    unit = crate.look.vertices / crate.file.scale
+    look = source_look(TexturedMesh(unit, crate.look.faces, vertex_colors=ends), crate.file)
     colours = np.asarray(look.visual.material.image).reshape(-1, 3)
     assert (colours[:, 0] > 150).sum() > 100
     assert (colours[:, 1] > 150).sum() > 100
-    plain = source_look(TexturedMesh(unit.vertices, unit.faces), crate.file)
+    plain = source_look(TexturedMesh(unit, crate.look.faces), crate.file)
     assert visual.texture_image(plain) is None
 
 
