@@ -256,7 +256,7 @@ def _closed_asset(closed: ClosedCandidate, material: Material, bridge: str) -> A
         check_mass(key, candidate.mass, volume)
     weight = judge_weight(material, volume, area, thickest, shell, candidate.mass)
     digest = file_digest(candidate.mesh)
-    sdf = {"values": grid.values, "band": np.float64(grid.band), **vars(grid.features)}
+    sdf: dict[str, np.ndarray] = {"values": grid.values, "band": np.array(grid.band), **vars(grid.features)}
     named = material.name, material.properties()
     header, tensors = pack_shape(key, named, scale, report, sdf, {"mesh": digest}, candidate.mass, effort=0)
     file = ObjectFile(header, tensors, candidate.mesh)

@@ -103,7 +103,8 @@ def draw_look(look: trimesh.Trimesh, side: int = THUMBNAIL) -> np.ndarray:
     colours = np.full((len(hit), 3), _GREY)
     if texture is not None:
         texels = np.asarray(texture.convert("RGB"))
-        places = np.einsum("nk,nkd->nd", weights, look.visual.uv[corners]) * [1, -1] + [0, 1]
+        uv = np.asarray(getattr(look.visual, "uv", None))  # a textured mesh has them
+        places = np.einsum("nk,nkd->nd", weights, uv[corners]) * [1, -1] + [0, 1]
         column, row = (places % 1 * texels.shape[1::-1]).astype(int).T
         colours = texels[row.clip(0, len(texels) - 1), column.clip(0, texels.shape[1] - 1)] / 255
     lit = AMBIENT + (1 - AMBIENT) * np.clip(normals @ (frame @ _LAMP), 0, 1)

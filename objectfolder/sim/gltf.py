@@ -48,7 +48,7 @@ def fill_glb(folder: Path, model: PhysicsModel) -> None:
     file, body = model.file, model.body
     document, buffer = unpack_glb(_meshes(model))
     if textures := document.get("textures"):  # of the surface alone
-        uv = model.look.visual.uv
+        uv = getattr(model.look.visual, "uv", np.zeros(1))  # a textured mesh has them
         wrap = _CLAMPED if uv.min() >= 0 and uv.max() <= 1 else _REPEATING
         sampler = {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": wrap, "wrapT": wrap}
         textures[0]["sampler"], document["samplers"] = 0, [sampler]

@@ -1,5 +1,7 @@
 """The stored surface as a light textured mesh, for engines that draw triangles."""
 
+from typing import Any
+
 import numpy as np
 import torch
 import trimesh
@@ -75,7 +77,7 @@ def source_look(mesh: TexturedMesh, file: ObjectFile) -> trimesh.Trimesh:
 
         return visual_mesh(file, base_colors)
     smooth = mesh if mesh.normals is not None else mesh.with_smooth_normals()
-    options = {"vertex_normals": smooth.normals, "process": False}
+    options: dict[str, Any] = {"vertex_normals": smooth.normals, "process": False}
     if smooth.texture is not None and smooth.uv is not None:
         options["visual"] = _textured(smooth.uv, smooth.texture)
     return trimesh.Trimesh(smooth.vertices * file.scale, smooth.faces, **options)

@@ -128,7 +128,8 @@ def discover_listed(table: Path, material: str | None = None) -> list[Candidate]
     the names, where they are valid. Returns candidates in the order of the table; those without a mesh, or
     with a duplicate key, have a refusal. Raises ObjectFolderError if the table cannot be read.
     """
-    folder, candidates, taken = table.parent, [], dict[str, str]()
+    candidates: list[Candidate] = []
+    folder, taken = table.parent, dict[str, str]()
     for name, fields in read_objects(table).items():
         key = name if KEY.fullmatch(name) and len(name) <= MAX_KEY else slug(name, numbered=True)
         place = folder / fields.pop("mesh", name)
