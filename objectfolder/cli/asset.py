@@ -106,7 +106,8 @@ def asset(
 
     Writes DIR/NAME/ with NAME.xml (MuJoCo), NAME.urdf, NAME.glb or NAME.usda, the convex hulls, the textured
     surface, thumbnail.png, and asset.json, which says where the mass is from and how sure it is. Takes 10 to
-    20 seconds. `objectfolder export` of the built object gives the same body.
+    30 seconds, or minutes for furniture of many parts. `objectfolder export` of the built object gives the
+    same body.
 
     `objectfolder asset can.obj --material steel --scale 0.102 --shell 0.3 --out assets`
 

@@ -35,19 +35,23 @@ def hollow_out(surface: Mesh, wall: float, name: str = "mesh") -> Mesh:
     ObjectFolderError
         If the wall fills the solid, so that nothing is hollow.
     """
+    thickest = thickest_part(surface)
+    if 2 * wall >= thickest:
+        raise ObjectFolderError(
+            f"{name}: a wall of {wall:.2%} of the size fills the solid, which is at most {thickest:.2%} of the "
+            "size thick; expected a wall under half of that"
+        )
     spacing = 2 * BOUND / (RESOLUTION - 1)
     blocks, lower = np.full(3, -(-RESOLUTION // BLOCK)), np.full(3, -BOUND)
-    samples = near_surface(surface, RESOLUTION, wall + 2 * spacing)
+    samples = near_surface(surface, RESOLUTION, 2 * spacing, wall)
     near = np.unique((samples // BLOCK) @ [blocks[1] * blocks[2], blocks[2], 1])
-    # The level set is in none of the other blocks: these are inside of it, or outside of the surface.
-    within = np.asarray(igl.fast_winding_number(*surface, block_centres(lower, spacing, blocks)[0])) > 0.5
+    # The level set is in none of the other blocks.
+    centres, _ = block_centres(lower, spacing, blocks)
+    within = np.asarray(igl.fast_winding_number(*surface, centres)) > 0.5
     far = np.where(within, -1.0, 1.0)
+    if wall > 2 * spacing:  # some may be in the wall
+        far[within] = wall - distance(surface, centres[within])
     inner = contour(lambda at: wall - _depth(surface, at), lower, spacing, blocks, near, far)
-    if not len(inner[1]):
-        raise ObjectFolderError(
-            f"{name}: a wall of {wall:.2%} of the size fills the solid, which is at most "
-            f"{thickest_part(surface):.2%} of the size thick; expected a wall under half of that"
-        )
     return subtract(surface, inner)
 
 
