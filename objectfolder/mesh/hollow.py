@@ -38,8 +38,8 @@ def hollow_out(surface: Mesh, wall: float, name: str = "mesh") -> Mesh:
     thickest = thickest_part(surface)
     if 2 * wall >= thickest:
         raise ObjectFolderError(
-            f"{name}: a wall of {wall:.2%} of the size fills the solid, which is at most {thickest:.2%} of the "
-            "size thick; expected a wall under half of that"
+            f"{name}: a wall of {wall:.2%} of the size fills the solid, which is at most {thickest:.2%} of "
+            "the size thick; expected a wall under half of that"
         )
     spacing = 2 * BOUND / (RESOLUTION - 1)
     blocks, lower = np.full(3, -(-RESOLUTION // BLOCK)), np.full(3, -BOUND)
