@@ -238,7 +238,7 @@ def draw(keys: list[str], out: Path, path: Path) -> None:
     images = [
         Image.open(out / key / "thumbnail.png").resize((SIDE, SIDE), Image.Resampling.LANCZOS) for key in keys
     ]
-    page = Image.fromarray(tile(np.stack([np.asarray(image) for image in images]), COLUMNS, GAP))
+    page = Image.fromarray(tile(np.stack(list(map(np.asarray, images))), min(COLUMNS, len(images)), GAP))
     with atomic(path) as temporary:
         page.save(temporary, "webp", quality=80, method=6)
 

@@ -62,7 +62,7 @@ def judge_weight(
     """Return the mass of an object, and a warning if it is too heavy for what it looks like.
 
     A solid is too heavy if it is thicker than things of its material are made solid: a closed bottle of
-    plastic. It may weigh as little as a hollow one of half the usual wall.
+    plastic. It may weigh as little as a hollow one of a quarter of the usual wall.
 
     Parameters
     ----------
@@ -95,7 +95,8 @@ def judge_weight(
         f"{_mm(usual.thickest)}: solid it weighs {kg:.3g} kg, hollow with a wall of {_mm(usual.wall)} about "
         f"{material.density * hollow:.2g} kg; give --mass KG if you know it, or --shell {1000 * usual.wall:g}"
     )
-    return weight(kg, source, lightest * hollow / 2, densest * volume, warning)  # half the usual wall
+    # Of thin bottles and cans, and of vessels, of which both sides count: a quarter of the usual wall.
+    return weight(kg, source, lightest * hollow / 4, densest * volume, warning)
 
 
 def _mm(metres: float | None) -> str:

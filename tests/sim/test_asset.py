@@ -160,7 +160,7 @@ def test_too_heavy_for_what_it_looks_like():
         "it is 80 mm thick, and plastic is seldom solid beyond 15 mm: solid it weighs 1.6" in bottle.warning
     )
     assert "give --mass KG if you know it, or --shell 2" in bottle.warning
-    assert bottle.low == pytest.approx(900 * 0.08 * 0.001)
+    assert bottle.low == pytest.approx(900 * 0.08 * 0.0005)
     assert not judge_weight(material("plastic"), 1.5e-3, 0.08, 0.08, 0.002, None).warning
     assert not judge_weight(material("plastic"), 1.5e-3, 0.08, 0.08, None, 0.05).warning
     assert not judge_weight(material("steel"), 5e-6, 0.01, 0.004, None, None).warning
