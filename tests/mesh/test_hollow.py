@@ -12,8 +12,12 @@ from objectfolder.mesh.normalize import mass_properties
 SIDES = np.array([1.0, 0.6, 0.4])
 
 
+SECTIONS = 24
+
+
 def can(radius=0.3, height=1.0):
-    mesh = trimesh.creation.cylinder(radius, height, sections=128)
+    """A prism, whose wall is a difference of prisms."""
+    mesh = trimesh.creation.cylinder(radius, height, sections=SECTIONS)
     return np.array(mesh.vertices), np.array(mesh.faces, np.int64)
 
 
@@ -34,7 +38,8 @@ def test_a_box_is_the_difference_of_two_boxes():
 
 def test_a_can_has_the_volume_of_its_wall():
     wall = 0.005
-    within = np.pi * (0.3**2 - (0.3 - wall) ** 2 * (1 - 2 * wall))
+    apothem, angle = 0.3 * np.cos(np.pi / SECTIONS), np.pi / SECTIONS
+    within = SECTIONS * np.tan(angle) * (apothem**2 - (apothem - wall) ** 2 * (1 - 2 * wall))
     assert mass_properties(hollow_out(can(), wall))["volume"] == pytest.approx(within, rel=0.01)
 
 
