@@ -267,7 +267,7 @@ def _closed_asset(closed: ClosedCandidate, material: Material, bridge: str) -> A
 
 def _as_stored(surface: Mesh) -> Mesh:
     """Return a surface as a build reads it from ``surface.ply``, in single precision."""
-    return np.float64(np.float32(surface[0])), surface[1]
+    return surface[0].astype(np.float32).astype(np.float64), surface[1]
 
 
 def _fill(name: str) -> Callable[[Path, PhysicsModel], None]:
