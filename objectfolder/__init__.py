@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from objectfolder.objectfile.dataset import Dataset
     from objectfolder.objectfile.file import ObjectFile
+    from objectfolder.sim.asset import asset
 
     __version__: str
 
-__all__ = ["Dataset", "ObjectFile", "__version__"]
+__all__ = ["Dataset", "ObjectFile", "__version__", "asset"]
 
 
 def __dir__() -> list[str]:
@@ -27,6 +28,8 @@ def __getattr__(name: str) -> Any:
         return import_module("objectfolder.objectfile.file").ObjectFile
     if name == "Dataset":
         return import_module("objectfolder.objectfile.dataset").Dataset
+    if name == "asset":
+        return import_module("objectfolder.sim.asset").asset
     if name == "__version__":
         return import_module("objectfolder.base.installation").installed_version()
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

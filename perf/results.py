@@ -99,6 +99,7 @@ def render(page: str, records: Path = RECORDS) -> str:
         "by_commit": by_commit,
         "cell": cell,
         "few": few,
+        "median": lambda values: median(values),
         "measured": lambda rows: [row for row in rows if "failed" not in row],
         "number": number,
         "over_objects": over_objects,

@@ -15,6 +15,7 @@ from objectfolder.base.installation import extra_with, install_command, installe
 from objectfolder.base.terminal import Terminal, guard_streams
 from objectfolder.base.text import visible
 from objectfolder.cli import (
+    asset,
     bench,
     creation,
     doctor,
@@ -83,7 +84,8 @@ app = App(
     help="Build and query **Object Files**, which answer how objects look, sound and feel.\n\n"
     "In a workspace (a folder with dvc.yaml; `objectfolder init` makes one): `objectfolder add MESH ...`, "
     "then `objectfolder build`.\n\n"
-    "Anywhere: `objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`; "
+    "Anywhere: `objectfolder asset MESH --material steel --out DIR` for simulators; "
+    "`objectfolder info FILE`, `objectfolder query vision|audio|touch FILE QUERIES.npy OUT/`; "
     f"FILE is a {FORMS}.",
 )
 
@@ -110,7 +112,7 @@ PANELS: dict[str, dict[str, Any]] = {
         **{"sample": sample.sample_app, "query": objectfile.query_app},
     },
     "Publish": {"report": report.report, "release": release.release},
-    "Simulate": {"simulate": simulate.simulate, "export": export.export_app},
+    "Simulate": {"asset": asset.asset, "simulate": simulate.simulate, "export": export.export_app},
     "Measure": {
         **{"reconstruct": reconstruct.reconstruct, "bench": bench.bench_app, "fit": fit.fit_app},
         **{"sensor": sensor.sensor_app, "listening": listening.listening_app},

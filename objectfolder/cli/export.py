@@ -87,7 +87,7 @@ def mjcf(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> Non
 
     Then, in Python: `mujoco.MjModel.from_xml_path("OUT/KEY/KEY.xml")`. Takes half a minute per object.
     """
-    _require("rl", *SIMULATION)
+    require_libraries("rl", *SIMULATION)
     from objectfolder.sim.export import write_mjcf
 
     _export_objects(out, files, hulls, write_mjcf)
@@ -100,7 +100,7 @@ def urdf(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> Non
     Then, in Python: `loadURDF("OUT/KEY/KEY.urdf", flags=URDF_USE_INERTIA_FROM_FILE)`. Takes half a minute per
     object.
     """
-    _require("rl", *SIMULATION)
+    require_libraries("rl", *SIMULATION)
     from objectfolder.sim.export import write_urdf
 
     _export_objects(out, files, hulls, write_urdf)
@@ -113,7 +113,7 @@ def glb(files: FilesArgument, out: OutArgument, hulls: HullsOption = 16) -> None
     Any glTF reader draws it. Rigid body and sound are the draft extensions KHR_physics_rigid_bodies and
     KHR_audio_rigid_bodies (docs/robots.md). Half a minute per object.
     """
-    _require("rl", *SIMULATION)
+    require_libraries("rl", *SIMULATION)
     from objectfolder.sim.gltf import write_glb
 
     _export_objects(out, files, hulls, write_glb)
@@ -134,8 +134,8 @@ def usd(
     Then, in Python: `pxr.Usd.Stage.Open("OUT/KEY/usd/KEY.usd")`. Takes half a minute per object. Valid for
     the profile Robotics-Prop 4.0.0 of SimReady (docs/robots.md).
     """
-    _require("usd", "pxr")
-    _require("rl", *SIMULATION)
+    require_libraries("usd", "pxr")
+    require_libraries("rl", *SIMULATION)
     from objectfolder.sim.usd import AssetInfo, write_usd
 
     info = AssetInfo(label, qcode, author, licence)
@@ -226,7 +226,7 @@ def lerobot(
 
     Then, in Python: `LeRobotDataset("objectfolder/touch", root="OUT")`.
     """
-    _require("hub", "datasets")
+    require_libraries("hub", "datasets")
     from objectfolder.benchmarks.datasets.lerobot import write_lerobot
     from objectfolder.objectfile.file import ObjectFile
 
@@ -272,7 +272,8 @@ def _load_objects(out: Path, files: list[Path], *needs: str) -> "list[ObjectFile
     return objects
 
 
-def _require(extra: str, *libraries: str) -> None:
+def require_libraries(extra: str, *libraries: str) -> None:
+    """Raise ObjectFolderError if a library is not installed, with the extra that has it."""
     from importlib.util import find_spec
 
     for library in libraries:
@@ -290,7 +291,7 @@ def _export(
     from objectfolder.benchmarks.datasets.observations import Observations, find_folders
     from objectfolder.benchmarks.datasets.splits import named_split
 
-    _require("hub", library)
+    require_libraries("hub", library)
     observations = Observations(find_folders(folders))
     chosen = named_split(split, observations.keys, observations.count)
     with show_status("") as show:

@@ -15,11 +15,12 @@ from objectfolder.base.terminal import Terminal
 from objectfolder.cli.console import console, print_line, track_progress
 
 if TYPE_CHECKING:
-    from objectfolder.workspace.discover import Candidate, Examination
+    from objectfolder.workspace.examine import Candidate, Examination
 
 
-def _metres(text: str) -> float:
-    from objectfolder.workspace.discover import UNITS
+def as_metres(text: str) -> float:
+    """Parse a number of metres that an option is given."""
+    from objectfolder.workspace.examine import UNITS
 
     try:
         return float(text)
@@ -29,7 +30,8 @@ def _metres(text: str) -> float:
         raise typer.BadParameter(f"{text!r} is not a number of metres, such as {example:g}") from None
 
 
-def _kilograms(text: str) -> float:
+def as_kilograms(text: str) -> float:
+    """Parse a number of kilograms that an option is given."""
     try:
         return float(text)
     except ValueError:
@@ -58,7 +60,7 @@ def add(
     scale: Annotated[
         float | None,
         typer.Option(
-            metavar="METRES", parser=_metres, help="Longest side in metres; default: the size of the mesh."
+            metavar="METRES", parser=as_metres, help="Longest side in metres; default: the size of the mesh."
         ),
     ] = None,
     up: Annotated[
@@ -69,7 +71,7 @@ def add(
         float | None,
         typer.Option(
             metavar="METRES",
-            parser=_metres,
+            parser=as_metres,
             help="Thickness of open sheets in metres; default: 2 % of the size.",
         ),
     ] = None,
@@ -84,7 +86,7 @@ def add(
         float | None,
         typer.Option(
             metavar="KG",
-            parser=_kilograms,
+            parser=as_kilograms,
             help="Mass of the real object, for simulations; default: volume of the solid times density.",
         ),
     ] = None,
@@ -103,7 +105,8 @@ def add(
     `material`, `size`, `up`, `wall`, `mass`, `licence`, `author` and `source`. A SOURCE.txt beside a mesh
     is copied with it.
     """
-    from objectfolder.workspace.discover import Candidate, discover
+    from objectfolder.workspace.discover import discover
+    from objectfolder.workspace.examine import Candidate
 
     if mesh.suffix in (".yaml", ".yml"):
         for_meshes = {
@@ -118,7 +121,7 @@ def add(
             "--dry-run": dry_run or None,
         }
         return _add_catalogue(mesh, [option for option, value in for_meshes.items() if value is not None])
-    _check_options(scale, up, unit, wall, bridge, mass)
+    check_options(scale, up, unit, wall, bridge, mass)
     options = {"up": up, "unit": unit, "wall": wall, "bridge": bridge}
     values = _read_params()
     if not mesh.exists():
@@ -137,10 +140,11 @@ def add(
     raise typer.Exit(not _add_folder(mesh, values, material, options, dry_run))
 
 
-def _check_options(
+def check_options(
     scale: float | None, up: str | None, unit: str, wall: float | None, bridge: str, mass: float | None
 ) -> None:
-    from objectfolder.workspace.discover import UNITS
+    """Raise ObjectFolderError if an option about a mesh is impossible."""
+    from objectfolder.workspace.examine import UNITS
     from objectfolder.workspace.params import Bridge
 
     if unit not in UNITS:
@@ -195,7 +199,7 @@ def _add_one(
     options: dict[str, Any],
     dry_run: bool,
 ) -> None:
-    from objectfolder.workspace.discover import examine
+    from objectfolder.workspace.examine import examine
 
     finding = examine(candidate, values, scale, **options)
     _print_findings([finding], options)
@@ -213,7 +217,8 @@ def _add_folder(
     folder: Path, values: dict[str, Any], material: str | None, options: dict[str, Any], dry_run: bool
 ) -> bool:
     """Examine and add the objects in a folder; return whether all were accepted."""
-    from objectfolder.workspace.discover import FORMATS, discover, examine_all, passed_over
+    from objectfolder.workspace.discover import FORMATS, discover, passed_over
+    from objectfolder.workspace.examine import examine_all
 
     candidates = discover(folder, material)
     examined = examine_all(candidates, values, **options)
@@ -243,7 +248,7 @@ def _add_folder(
 
 
 def _print_findings(findings: "list[Examination]", options: dict[str, Any]) -> None:
-    from objectfolder.workspace.discover import examination_table
+    from objectfolder.workspace.examine import examination_table
 
     console.print(examination_table(findings, options["up"] is not None))
     for finding in findings:

@@ -91,6 +91,14 @@ def wall_thickness(vertices: np.ndarray, faces: np.ndarray) -> float:
 
     The faces are closed and show outward.
     """
+    return float(np.quantile(cross_walls(vertices, faces)[1], THIN_SHARE))
+
+
+def cross_walls(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cast rays inward from random points of a closed surface, along its normals.
+
+    Returns the middles of their ways through the solid, (N, 3), and the lengths of these ways, (N,) float32.
+    """
     caster, rng = RayCaster(vertices, faces), np.random.default_rng(0)
     vertices = np.asarray(vertices, np.float64)
     normal = area_vectors(vertices, faces)
@@ -99,8 +107,8 @@ def wall_thickness(vertices: np.ndarray, faces: np.ndarray) -> float:
     share = rng.dirichlet(np.ones(3), _RAYS)
     inward = -normal[face] / area[face, None]
     points = np.einsum("pi,pid->pd", share, vertices[faces[face]])
-    distance, _ = caster.first_hit(points + _OFFSET * inward, inward)
-    return float(np.quantile(distance, THIN_SHARE))
+    length, _ = caster.first_hit(points + _OFFSET * inward, inward)
+    return points + length[:, None] / 2 * inward, length
 
 
 def _lengths(max_distance: np.ndarray | None) -> np.ndarray | None:

@@ -83,7 +83,7 @@ def distance_grid(vertices: np.ndarray, faces: np.ndarray, resolution: int) -> t
     spacing = 2 * BOUND / (resolution - 1)
     within = inside(*mesh, resolution, np.full(3, -BOUND), spacing)
     values = np.where(within, np.int8(-127), np.int8(127))
-    near = _near_surface(mesh, resolution, band)
+    near = near_surface(mesh, resolution, band)
     for start in range(0, len(near), _CHUNK):
         index = near[start : start + _CHUNK]
         cell = tuple(index.T)
@@ -127,8 +127,8 @@ def check_resolved(values: np.ndarray, kept: float, name: str) -> None:
         )
 
 
-def _near_surface(mesh: Mesh, resolution: int, band: float) -> np.ndarray:
-    """Find the samples that may lie within the band; (N, 3) int64 indices.
+def near_surface(mesh: Mesh, resolution: int, band: float, offset: float = 0.0) -> np.ndarray:
+    """Find the samples whose distance may be the offset to within the band; (N, 3) int64 indices.
 
     Blocks of samples that are farther than the band are dropped; the others are halved along each axis, down
     to blocks of two samples a side.
@@ -141,7 +141,8 @@ def _near_surface(mesh: Mesh, resolution: int, band: float) -> np.ndarray:
     while True:
         half = (side - 1) / 2  # the block's centre lies so far from its corners along each axis
         reach = band + math.sqrt(3) * half * spacing + 1e-6
-        corners = corners[distance(mesh, spacing * (corners + half) - BOUND) <= reach]
+        away = distance(mesh, spacing * (corners + half) - BOUND)
+        corners = corners[np.abs(away - offset) <= reach]
         side //= 2
         corners = (corners[:, None] + side * children).reshape(-1, 3)
         corners = corners[(corners < resolution).all(1)]

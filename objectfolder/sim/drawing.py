@@ -4,10 +4,20 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import trimesh
+
+from objectfolder.mesh.raycast import RayCaster
+from objectfolder.mesh.srgb import decode, encode
 
 SKY = 0.93  #: grey of the background
 LIGHT = np.array([0.35, -0.5, 0.8]) / np.linalg.norm([0.35, -0.5, 0.8])  #: direction to it, world frame
 AMBIENT = 0.35
+THUMBNAIL = 256  #: side of `draw_look`, pixels
+DIRECTION = np.array([1.3, -2.2, 1.35]) / np.linalg.norm([1.3, -2.2, 1.35])  #: from an object to its camera
+_LAMP = np.array([-0.4, 0.6, 1.0]) / np.linalg.norm([-0.4, 0.6, 1.0])  # right, up, towards the camera
+_FIELD = 20.0  # vertical field of view, degrees
+_SAMPLES = 3  # rays along each side of a pixel
+_GREY = 0.7  # of what has no texture, sRGB
 DEFAULT_COLOUR = np.array([0.5, 0.5, 0.5, 1], np.float32)  #: of a geom without a colour of its own, in MuJoCo
 
 
@@ -72,3 +82,33 @@ def geom_colours(model: mujoco.MjModel) -> np.ndarray:
     materials = (model.geom_matid >= 0) & (model.geom_rgba == DEFAULT_COLOUR).all(1)
     colours[materials] = model.mat_rgba[model.geom_matid[materials], :3]
     return colours
+
+
+def draw_look(look: trimesh.Trimesh, side: int = THUMBNAIL) -> np.ndarray:
+    """Draw a textured mesh, such as `objectfolder.sim.visual.visual_mesh` returns; (side, side, 3) uint8.
+
+    It is seen from obliquely above, before white, under one light.
+    """
+    texture = getattr(getattr(look.visual, "material", None), "image", None)
+    caster = RayCaster(look.vertices, look.faces)
+    centre, radius = look.bounds.mean(0), np.linalg.norm(look.extents) / 2
+    eye = centre + DIRECTION * radius / np.sin(np.radians(_FIELD) / 2)
+    frame = view_frame(eye, centre)
+    count = side * _SAMPLES
+    rays = view_rays(frame, _FIELD, count, count)
+    hit, _, face, weights = caster.intersect(eye, rays)
+    corners = look.faces[face]
+    normals = np.einsum("nk,nkd->nd", weights, look.vertex_normals[corners])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-9)[:, None]
+    colours = np.full((len(hit), 3), _GREY)
+    if texture is not None:
+        texels = np.asarray(texture.convert("RGB"))
+        uv = np.asarray(getattr(look.visual, "uv", None))  # a textured mesh has them
+        places = np.einsum("nk,nkd->nd", weights, uv[corners]) * [1, -1] + [0, 1]
+        column, row = (places % 1 * texels.shape[1::-1]).astype(int).T
+        colours = texels[row.clip(0, len(texels) - 1), column.clip(0, texels.shape[1] - 1)] / 255
+    lit = AMBIENT + (1 - AMBIENT) * np.clip(normals @ (frame @ _LAMP), 0, 1)
+    image = np.ones((count * count, 3))
+    image[hit] = encode(decode(colours) * lit[:, None])
+    image = image.reshape(side, _SAMPLES, side, _SAMPLES, 3).mean((1, 3))
+    return np.rint(255 * image).astype(np.uint8)

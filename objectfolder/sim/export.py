@@ -1,7 +1,8 @@
 """Export to physics engines: folders with MJCF (MuJoCo) or URDF (PyBullet, MuJoCo and others)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as xml
 
@@ -20,7 +21,23 @@ from objectfolder.sim.visual import GREY, visual_mesh
 
 OwnHulls = Sequence[trimesh.Trimesh] | None  #: hulls of an object; None: computed
 _VISUAL, _COLLISION = 2, 3  # groups of geoms; MuJoCo's viewer shows only the first
-_NEEDED = 8 * 2**20  # approximate size of a folder with mesh and texture, bytes
+NEEDED = 8 * 2**20  #: approximate size of a folder with mesh and texture, bytes
+
+
+@dataclass(frozen=True)
+class PhysicsModel:
+    """What files for physics engines are made from."""
+
+    file: ObjectFile
+    body: RigidBody
+    look: trimesh.Trimesh  #: textured surface; object frame, metres
+    #: Stated in each file, such as where the mass is from.
+    facts: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def density(self) -> float:
+        """Mean density of the solid, kg/m^3."""
+        return body_density(self.file)
 
 
 def write_mjcf(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hulls: OwnHulls = None) -> Path:
@@ -48,9 +65,8 @@ def write_mjcf(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hu
     ObjectFolderError
         If the folder exists already, the file holds no geometry, or an extra is not installed.
     """
-    with export_folder(file, out, max_hulls, hulls) as (new, body):
-        textured = _write_meshes(new, file, body)
-        write_text(new / f"{file.key}.xml", _mjcf(new, body, body_density(file), textured))
+    with export_folder(file, out, max_hulls, hulls) as (new, model):
+        fill_mjcf(new, model)
     return Path(out) / file.key / f"{file.key}.xml"
 
 
@@ -66,18 +82,34 @@ def write_urdf(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hu
     Path
         Of the URDF file.
     """
-    with export_folder(file, out, max_hulls, hulls) as (new, body):
-        textured = _write_meshes(new, file, body)
-        write_text(new / f"{file.key}.urdf", _urdf(body, textured))
+    with export_folder(file, out, max_hulls, hulls) as (new, model):
+        fill_urdf(new, model)
     return Path(out) / file.key / f"{file.key}.urdf"
 
 
-def _write_meshes(folder: Path, file: ObjectFile, body: RigidBody) -> bool:
-    """Write the hulls and visual.obj with its texture, if any; return whether there is a texture."""
-    for k, hull in enumerate(body.hulls):
+def fill_mjcf(folder: Path, model: PhysicsModel) -> None:
+    """Write what `write_mjcf` does into a folder, which may hold other formats of the same object."""
+    textured = _write_meshes(folder, model)
+    write_text(folder / f"{model.body.key}.xml", _mjcf(folder, model, textured))
+
+
+def fill_urdf(folder: Path, model: PhysicsModel) -> None:
+    """Write what `write_urdf` does into a folder, which may hold other formats of the same object."""
+    textured = _write_meshes(folder, model)
+    write_text(folder / f"{model.body.key}.urdf", _urdf(model.body, textured, model.facts))
+
+
+def _write_meshes(folder: Path, model: PhysicsModel) -> bool:
+    """Write the hulls and visual.obj with its texture, if any; return whether there is a texture.
+
+    Another format may have written them before.
+    """
+    if (folder / "visual.obj").exists():
+        return (folder / "visual.png").exists()
+    for k, hull in enumerate(model.body.hulls):
         write_text(folder / _hull_name(k), export_obj(hull, include_normals=False, header=None))
     options = {"include_normals": True, "return_texture": True, "mtl_name": "visual.mtl", "header": None}
-    text, more = export_obj(visual_mesh(file), **options)
+    text, more = export_obj(model.look, **options)
     write_text(folder / "visual.obj", text)
     for name, content in more.items():
         (folder / name).write_bytes(content)
@@ -88,15 +120,18 @@ def _hull_name(k: int) -> str:
     return f"hull{k:02d}.obj"
 
 
-def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
+def _mjcf(folder: Path, model: PhysicsModel, textured: bool) -> str:
     """Return the model of one body, compiled once so that no model is written that MuJoCo refuses."""
+    body = model.body
     spec = mujoco.MjSpec()
     spec.modelname = body.key
+    for name, fact in model.facts.items():
+        spec.add_text(name=f"{body.key}_{name}", data=fact)
     spec.assets = {path.name: path.read_bytes() for path in folder.iterdir()}
     added = add_body(spec, body, body.key)
     for k, (mesh, geom) in enumerate(zip(spec.meshes, added.geoms)):
         mesh.uservert, mesh.userface, mesh.file = [], [], _hull_name(k)
-        geom.group, geom.density = _COLLISION, density
+        geom.group, geom.density = _COLLISION, model.density
     name = f"{body.key}_look"  # unlike those of other objects in a scene
     look = spec.add_material(name=name, rgba=[1, 1, 1, 1] if textured else [GREY] * 3 + [1])
     if textured:
@@ -113,9 +148,11 @@ def _mjcf(folder: Path, body: RigidBody, density: float, textured: bool) -> str:
     return spec.to_xml()
 
 
-def _urdf(body: RigidBody, textured: bool) -> str:
-    """Return the robot with one link."""
+def _urdf(body: RigidBody, textured: bool, facts: Mapping[str, str]) -> str:
+    """Return the robot with one link; facts are comments, as URDF has no place for them."""
     robot = xml.Element("robot", name=body.key)
+    for name, fact in facts.items():
+        robot.append(xml.Comment(f" {name}: {fact.replace('--', '- -')} "))
     compiler = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "false"}
     xml.SubElement(xml.SubElement(robot, "mujoco"), "compiler", compiler)
     link = xml.SubElement(robot, "link", name=body.key)
@@ -148,11 +185,12 @@ def _numbers(*values: float | np.floating) -> str:
 @contextmanager
 def export_folder(
     file: ObjectFile, out: str | Path, max_hulls: int, hulls: OwnHulls
-) -> Iterator[tuple[Path, RigidBody]]:
-    """Give a folder to fill, which becomes ``OUT/<key>`` if all goes well, and the object's rigid body.
+) -> Iterator[tuple[Path, PhysicsModel]]:
+    """Give a folder to fill, which becomes ``OUT/<key>`` if all goes well, and what to fill it with.
 
     Hulls are computed if none are given. Raises ObjectFolderError if the folder exists already, the file
     holds no geometry, or an extra is not installed.
     """
-    with new_folder(f"{file.key}: export", Path(out) / file.key, _NEEDED, "") as new:
-        yield new, rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+    with new_folder(f"{file.key}: export", Path(out) / file.key, NEEDED, "") as new:
+        body = rigid_body(file, convex_hulls(file.to_mesh(), max_hulls) if hulls is None else hulls)
+        yield new, PhysicsModel(file, body, visual_mesh(file))

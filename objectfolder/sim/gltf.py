@@ -16,15 +16,15 @@ from objectfolder.mesh.srgb import decode
 from objectfolder.mesh.textured import complete_document, y_up
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.body import RigidBody
-from objectfolder.sim.export import OwnHulls, export_folder
+from objectfolder.sim.export import OwnHulls, PhysicsModel, export_folder
 from objectfolder.sim.hulls import MAX_HULLS
-from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image, visual_mesh
+from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image
 from objectfolder.sound.gains_net import energy_weights
 
 PHYSICS, AUDIO = "KHR_physics_rigid_bodies", "KHR_audio_rigid_bodies"
 SAMPLES = 1000  #: most points at which mode shapes are stored
-#: Linear without mipmaps, which would mix the rectangles of faces; clamped to the edge.
-_SAMPLER = {"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}
+_LINEAR = 9729  # without mipmaps, which would mix the rectangles of faces
+_CLAMPED, _REPEATING = 33071, 10497  # beyond the edge of a texture
 _GROWTH = 1.15  # of the cells of the sample surface, until it has few enough points
 _MAGIC, _VERSION, _JSON, _BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 _COMPONENTS = {"<f4": 5126, "<u4": 5125}
@@ -38,22 +38,33 @@ def write_glb(file: ObjectFile, out: str | Path, max_hulls: int = MAX_HULLS, hul
     ones matter most; their shapes are stored at up to `SAMPLES` points of a triangulated surface.
     Otherwise as `objectfolder.sim.export.write_mjcf`.
     """
-    with export_folder(file, out, max_hulls, hulls) as (new, body):
-        document, buffer = unpack_glb(_meshes(file, body))
-        if textures := document.get("textures"):  # of the surface alone
-            textures[0]["sampler"], document["samplers"] = 0, [_SAMPLER]
-        node = _add_body(document, body)
-        if "audio" in file.header and file.has_modes and len(file.frequencies):
-            node["extensions"][AUDIO] = {"modalModel": 0}
-            document["extensionsUsed"].append(AUDIO)
-            document["extensions"][AUDIO] = _modal_model(document, buffer, file, body)
-        (new / f"{file.key}.glb").write_bytes(pack_glb(document, buffer))
+    with export_folder(file, out, max_hulls, hulls) as (new, model):
+        fill_glb(new, model)
     return Path(out) / file.key / f"{file.key}.glb"
 
 
-def _meshes(file: ObjectFile, body: RigidBody) -> bytes:
+def fill_glb(folder: Path, model: PhysicsModel) -> None:
+    """Write what `write_glb` does into a folder, which may hold other formats of the same object."""
+    file, body = model.file, model.body
+    document, buffer = unpack_glb(_meshes(model))
+    if textures := document.get("textures"):  # of the surface alone
+        uv = getattr(model.look.visual, "uv", np.zeros(1))  # a textured mesh has them
+        wrap = _CLAMPED if uv.min() >= 0 and uv.max() <= 1 else _REPEATING
+        sampler = {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": wrap, "wrapT": wrap}
+        textures[0]["sampler"], document["samplers"] = 0, [sampler]
+    node = _add_body(document, body)
+    if model.facts:
+        node["extras"] = dict(model.facts)
+    if "audio" in file.header and file.has_modes and len(file.frequencies):
+        node["extensions"][AUDIO] = {"modalModel": 0}
+        document["extensionsUsed"].append(AUDIO)
+        document["extensions"][AUDIO] = _modal_model(document, buffer, file, body)
+    (folder / f"{file.key}.glb").write_bytes(pack_glb(document, buffer))
+
+
+def _meshes(model: PhysicsModel) -> bytes:
     """Return a binary glTF with the visual mesh and the hulls."""
-    look = visual_mesh(file)
+    look, body = model.look, model.body
     texture, grey = texture_image(look), float(decode(np.float64(GREY)))  # factors are linear
     color = [grey] * 3 + [1.0] if texture is None else None
     surface = trimesh.visual.material.PBRMaterial(

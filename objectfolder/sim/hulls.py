@@ -19,7 +19,8 @@ MAX_HULLS = 16
 MAX_VERTICES = 128  #: of a hull; the time per simulation step hardly depends on it
 _THRESHOLD = 0.05  # remaining concavity, coacd's default
 _HULL_TOLERANCE = 0.002  # shrinkage of a hull in exchange for fewer vertices, fraction of the longest side
-_SIMPLIFICATION = 0.003  # tolerance of the simplification before, fraction of the longest side
+# Tolerances of simplifications before, fractions of the longest side; coarse at once leaves more triangles.
+_SIMPLIFICATION = (0.0005, 0.001, 0.002, 0.003)
 # A shallow search: three times the iterations take twice as long for hulls a tenth smaller.
 _SEARCH = {"mcts_iterations": 20, "mcts_nodes": 10, "mcts_max_depth": 2, "resolution": 1000}
 _COPLANAR = 1e-6  # height below which points are coplanar, fraction of the longest side
@@ -41,13 +42,17 @@ def convex_hulls(mesh: trimesh.Trimesh, max_hulls: int = MAX_HULLS) -> tuple[tri
         raise missing_library("coacd") from error
     coacd.set_log_level("error")
     size = float(mesh.extents.max())
-    outer = [shell for shell in simplify(mesh, _SIMPLIFICATION * size) if shell.volume > 0]
+    shape = mesh
+    for tolerance in _SIMPLIFICATION:
+        outer = [shell for shell in simplify(shape, tolerance * size) if shell.volume > 0]
+        if not outer:
+            break
+        shape = merge_meshes(outer)
     if not outer:
         raise ObjectFolderError(
             f"a mesh of {len(mesh.faces)} faces has no hulls: expected a closed surface oriented outward, "
             "such as ObjectFile.to_mesh() returns"
         )
-    shape = merge_meshes(outer)
     parts = coacd.run_coacd(
         coacd.Mesh(shape.vertices, shape.faces), threshold=_THRESHOLD, max_convex_hull=max_hulls,
         preprocess_mode="off", **_SEARCH,

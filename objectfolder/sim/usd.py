@@ -13,10 +13,11 @@ from PIL import Image
 from objectfolder.base.errors import ObjectFolderError, quoted
 from objectfolder.mesh.srgb import decode
 from objectfolder.objectfile.file import ObjectFile
-from objectfolder.sim.body import RigidBody, body_density
-from objectfolder.sim.export import OwnHulls, export_folder
+from objectfolder.sim.body import RigidBody
+from objectfolder.sim.drawing import draw_look
+from objectfolder.sim.export import OwnHulls, PhysicsModel, export_folder
 from objectfolder.sim.hulls import MAX_HULLS
-from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image, visual_mesh
+from objectfolder.sim.visual import GREY, ROUGHNESS, texture_image
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom, Vt
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 TEXTURE = "visual.png"
 FOLDER = "usd"  #: below that of the object; profiles of SimReady ask for one
 THUMBNAIL = ".thumbs/256x256"  #: folder of the thumbnail, below that
-_VIEWED_FROM, _PIXELS = (1.5, -1.8, 1.2), 256  # camera of the thumbnail, unit frame, and its side
 
 
 @dataclass(frozen=True)
@@ -59,34 +59,37 @@ def write_usd(
     The default prim, named after the object, is a rigid body with mass, centre and principal moments of
     `rigid_body`, and has the semantic labels. Below it are the textured surface ``look`` and the convex
     hulls, which collide and are drawn as guides alone. Friction and density belong to a physics material.
-    Objects without a look have no thumbnail. Otherwise as `objectfolder.sim.export.write_mjcf`.
+    Otherwise as `objectfolder.sim.export.write_mjcf`.
     """
+    with export_folder(file, out, max_hulls, hulls) as (new, model):
+        fill_usd(new, model, info)
+    return Path(out) / file.key / FOLDER / f"{file.key}.usd"
+
+
+def fill_usd(folder: Path, model: PhysicsModel, info: AssetInfo = AssetInfo()) -> None:
+    """Write what `write_usd` does into a folder, which may hold other formats of the same object."""
     from pxr import Usd, UsdGeom, UsdPhysics
 
-    with export_folder(file, out, max_hulls, hulls) as (parent, body):
-        new = parent / FOLDER
-        (new / THUMBNAIL).mkdir(parents=True)
-        look = visual_mesh(file)
-        image = texture_image(look)
-        if image is not None:
-            image.save(new / TEXTURE)
-        if "vision" in file.header:
-            seen = file.view(np.array([_VIEWED_FROM]), resolution=_PIXELS, lights="studio")[0]
-            name = f"{file.key}.usd.png"
-            Image.fromarray((255 * seen).round().astype(np.uint8)).save(new / THUMBNAIL / name)
-        stage = Usd.Stage.CreateInMemory()
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-        UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-        _add_body(stage, body)
-        UsdGeom.Scope.Define(stage, f"/{body.key}/materials")
-        _add_look(stage, body.key, look, image is not None)
-        _add_hulls(stage, body, body_density(file))
-        _add_labels(stage, file, info)
-        layer = stage.GetRootLayer()
-        layer.customLayerData = {"SimReady_Metadata": _metadata(file, body, info)}
-        layer.Export(str(new / f"{file.key}.usd"), comment="")
-    return Path(out) / file.key / FOLDER / f"{file.key}.usd"
+    new, body, look = folder / FOLDER, model.body, model.look
+    (new / THUMBNAIL).mkdir(parents=True)
+    image = texture_image(look)
+    if image is not None:
+        image.save(new / TEXTURE)
+    Image.fromarray(draw_look(look)).save(new / THUMBNAIL / f"{body.key}.usd.png")
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    _add_body(stage, body)
+    for name, fact in model.facts.items():
+        stage.GetDefaultPrim().SetCustomDataByKey(f"objectfolder:{name}", fact)
+    UsdGeom.Scope.Define(stage, f"/{body.key}/materials")
+    _add_look(stage, body.key, look, image is not None)
+    _add_hulls(stage, body, model.density)
+    _add_labels(stage, model.file, info)
+    layer = stage.GetRootLayer()
+    layer.customLayerData = {"SimReady_Metadata": _metadata(model.file, body, info)}
+    layer.Export(str(new / f"{body.key}.usd"), comment="")
 
 
 def _metadata(file: ObjectFile, body: RigidBody, info: AssetInfo) -> dict[str, object]:
@@ -160,6 +163,8 @@ def _add_look(stage: "Usd.Stage", key: str, look: trimesh.Trimesh, textured: boo
         texture.CreateIdAttr("UsdUVTexture")
         texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./{TEXTURE}"))
         texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+        for side in ("wrapS", "wrapT"):
+            texture.CreateInput(side, Sdf.ValueTypeNames.Token).Set("repeat")
         output = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
         texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(output)
         color.ConnectToSource(texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))

@@ -1,32 +1,41 @@
 """The stored surface as a light textured mesh, for engines that draw triangles."""
 
+from typing import Any
+
 import numpy as np
 import torch
 import trimesh
 from PIL import Image
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.mesh.srgb import encode
+from objectfolder.mesh.textured import TexturedMesh
 from objectfolder.objectfile.file import ObjectFile
 from objectfolder.sim.solid import merge_meshes, simplify
+from objectfolder.vision.appearance import appearance_at
 from objectfolder.vision.query import BaseColors
+from objectfolder.vision.scene import Scene
 
 GREY = 0.7  #: grey of objects without base colours, sRGB
 ROUGHNESS = 0.5  #: of what is drawn, in exports whose format has it
 TEXELS = 1024  #: side of the texture
 _TOLERANCES = 0.001 * 2.0 ** np.arange(5)  # tolerances of the simplification, fractions of the longest side
 _TEXELS_PER_FACE = 26  # texels of the texture for each face, on average: 40,000 faces
+MOST_FACES = 100_000  #: of a source that is drawn as it is
 _FACE_MARGIN = 1  # texels around a face, so that bilinear filtering does not reach a neighbour
 
 
-def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
+def visual_mesh(file: ObjectFile, base_colors: BaseColors | None = None) -> trimesh.Trimesh:
     """Return the surface with some thousands of triangles; object frame, metres.
 
-    The base colours of a vision net of kind ``surface`` become the texture, without reflections. Other
-    objects are grey. Very detailed surfaces are simplified more than others, so that all triangles have room
-    in the texture. Raises ObjectFolderError if there is no geometry, no manifold3d, or no room.
+    The given base colours, or those of a vision net of kind ``surface``, become the texture, without
+    reflections. Other objects are grey. Very detailed surfaces are simplified more than others, so that all
+    triangles have room in the texture. Raises ObjectFolderError if there is no geometry, no manifold3d, or
+    no room.
     """
     mesh = _simplify(file.to_mesh(), file.scale)
-    base_colors = file.base_colors if "vision" in file.header else None
+    if base_colors is None and "vision" in file.header:
+        base_colors = file.base_colors
     normals = file.surface.grid.normals(torch.from_numpy((mesh.vertices / file.scale).astype(np.float32)))
     if base_colors is None:
         return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals.numpy(), process=False)
@@ -46,18 +55,44 @@ def visual_mesh(file: ObjectFile) -> trimesh.Trimesh:
         corners.reshape(-1, 3) * file.scale,
         np.arange(corners.shape[0] * 3).reshape(-1, 3),
         vertex_normals=normals.numpy()[order].reshape(-1, 3),
-        visual=trimesh.visual.TextureVisuals(
-            uv.reshape(-1, 2),
-            trimesh.visual.material.SimpleMaterial(
-                image=Image.fromarray(image),
-                diffuse=[255] * 4,
-                ambient=[255] * 4,
-                specular=[0, 0, 0, 255],  # reflections are not in the base colours
-                name="visual",
-            ),
-        ),
+        visual=_textured(uv.reshape(-1, 2), image),
         process=False,
     )
+
+
+def source_look(mesh: TexturedMesh, file: ObjectFile) -> trimesh.Trimesh:
+    """Return the source's own triangles with its texture; object frame, metres.
+
+    ``mesh``: in the unit frame; ``file``: its stored surface. Where a physics engine could not show these,
+    as with vertex colours or more than `MOST_FACES` triangles, the colours are painted on the stored surface,
+    as by `visual_mesh`. A mesh without colours is grey.
+    """
+    textured = mesh.texture is not None and mesh.uv is not None
+    coloured = textured or mesh.vertex_colors is not None
+    if coloured and (len(mesh.faces) > MOST_FACES or not textured):
+        scene = Scene(mesh)
+
+        def base_colors(points: np.ndarray) -> np.ndarray:
+            return np.rint(255 * encode(appearance_at(scene, points)[0].clip(0, 1))).astype(np.uint8)
+
+        return visual_mesh(file, base_colors)
+    smooth = mesh if mesh.normals is not None else mesh.with_smooth_normals()
+    options: dict[str, Any] = {"vertex_normals": smooth.normals, "process": False}
+    if smooth.texture is not None and smooth.uv is not None:
+        options["visual"] = _textured(smooth.uv, smooth.texture)
+    return trimesh.Trimesh(smooth.vertices * file.scale, smooth.faces, **options)
+
+
+def _textured(uv: np.ndarray, image: np.ndarray) -> trimesh.visual.TextureVisuals:
+    """Return the appearance of an image (H, W, 3) at texture coordinates (V, 2) of vertices."""
+    material = trimesh.visual.material.SimpleMaterial(
+        image=Image.fromarray(image),
+        diffuse=[255] * 4,
+        ambient=[255] * 4,
+        specular=[0, 0, 0, 255],  # reflections are not in the base colours
+        name="visual",
+    )
+    return trimesh.visual.TextureVisuals(uv, material)
 
 
 def texture_image(mesh: trimesh.Trimesh) -> Image.Image | None:

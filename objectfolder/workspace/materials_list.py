@@ -21,10 +21,13 @@ COLUMNS = {
     "up": "y, z or nothing",
     "wall": "metres above 0, such as 0.002, or nothing",
     "mass": "kilograms above 0, such as 0.118, or nothing",
+    "shell": "metres above 0, such as 0.002, or nothing",
     "licence": "a licence such as CC-BY-4.0",
     "author": "who is to be named",
     "source": "title and address of the mesh",
 }
+#: Other names of columns in tables of objects.
+ALIASES = {"key": "name", "object": "name", "longest_side_m": "size", "scale": "size", "license": "licence"}
 
 
 def read_materials(folder: Path) -> dict[str, dict[str, Any]]:
@@ -62,6 +65,42 @@ def read_materials(folder: Path) -> dict[str, dict[str, Any]]:
         # File systems may have names in decomposed Unicode.
         assigned[unicodedata.normalize("NFC", str(name))] = fields
     return assigned
+
+
+def read_objects(path: Path) -> dict[str, dict[str, Any]]:
+    """Read a table of objects, such as objects.csv of a collection: by file or folder, the values of columns.
+
+    Columns are those of `COLUMNS`, also by the names of `ALIASES`, and ``mesh``, a path from the table's
+    folder; others are left out. Raises ObjectFolderError if it cannot be read, names no objects, or a value
+    is not as `COLUMNS` says.
+    """
+    expected = f"a table whose first line names its columns, name and others of {', '.join(COLUMNS)}"
+    try:
+        lines = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except (OSError, ValueError, csv.Error) as error:
+        raise ObjectFolderError(f"{path} cannot be read: {error}; expected {expected}") from error
+    rows: dict[str, dict[str, Any]] = {}
+    for number, line in enumerate(lines, 2):
+        texts = {ALIASES.get(column.lower(), column.lower()): text for column, text in line.items() if column}
+        texts |= {ALIASES[column]: line[column] for column in ("key", "object") if line.get(column)}
+        found = {column: (text or "").strip() for column, text in texts.items()}
+        name = unicodedata.normalize("NFC", found.pop("name", ""))
+        where = f"{path}, line {number}"
+        if not name or name in rows:
+            problem = f"has {quoted(name)} for the second time" if name else "has no name"
+            raise ObjectFolderError(f"{where} {problem}; expected {expected}")
+        known = (*COLUMNS, "mesh")
+        rows[name] = {
+            column: text if column == "mesh" else _cell(column, text, f"{where}: {column} of {quoted(name)}")
+            for column, text in found.items()
+            if text and column in known
+        }
+        material = rows[name].get("material")
+        if is_yaml_name(material or ""):
+            rows[name]["material"] = str(path.parent / str(material))
+    if not rows:
+        raise ObjectFolderError(f"{path} lists no objects; expected {expected}")
+    return rows
 
 
 def _csv_rows(path: Path) -> dict[str, dict[str, Any]]:

@@ -22,11 +22,12 @@ from objectfolder.engine.dvc.repository import track
 from objectfolder.hub.release.notices import read_notice
 from objectfolder.mesh.normalize import Normalized
 from objectfolder.mesh.reading.load import load_mesh
-from objectfolder.workspace import discover as discovery
+from objectfolder.workspace import examine as examination
 from objectfolder.workspace import objects as catalog
 from objectfolder.workspace import params, stages
 from objectfolder.workspace.check import check_all
-from objectfolder.workspace.discover import Candidate, Examination, discover, examination_table, slug
+from objectfolder.workspace.discover import discover, slug
+from objectfolder.workspace.examine import Candidate, Examination, examination_table
 from objectfolder.workspace.presets import apply_preset
 
 ROOT = Path(__file__).parents[2]
@@ -595,8 +596,10 @@ def test_whatever_one_mesh_raises_the_others_are_examined(workspace, tmp_path, m
             raise error
         return Examination(candidate)
 
-    monkeypatch.setattr(discovery, "examine", examine)
-    first, second = discovery.examine_all([Candidate("a", Path("a.obj")), Candidate("b", Path("b.obj"))], {})
+    monkeypatch.setattr(examination, "examine", examine)
+    first, second = examination.examine_all(
+        [Candidate("a", Path("a.obj")), Candidate("b", Path("b.obj"))], {}
+    )
     assert first.refusal.startswith(f"a.obj cannot be examined ({type(error).__name__}")
     assert second.refusal is None
 
@@ -670,7 +673,7 @@ def test_one_mesh_is_examined_before_it_is_added(workspace, collection, monkeypa
     assert row(dry, "brick")[2:] == ["0.5", "z?", "1", "closed", "already", "31,250"]
     assert snapshot(workspace) == before
     loaded = []
-    for module in (catalog, discovery):
+    for module in (catalog, examination):
         monkeypatch.setattr(module, "load_mesh", lambda *given: loaded.append(given) or load_mesh(*given))
     done = run(*brick, "--unit", "cm")
     assert done.exit_code == 0

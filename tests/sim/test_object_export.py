@@ -208,7 +208,7 @@ def test_what_is_broken_off_leaves_nothing(brick, body, tmp_path, write, monkeyp
     def fail(file):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules[write.__module__], "visual_mesh", fail)
+    monkeypatch.setattr("objectfolder.sim.export.visual_mesh", fail)
     with pytest.raises(KeyboardInterrupt):
         write(brick, tmp_path, hulls=body.hulls)
     assert list(tmp_path.iterdir()) == []

@@ -11,7 +11,7 @@ from objectfolder.base import materials
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.engine.dvc.repository import open_repository, track
 from objectfolder.workspace import params
-from objectfolder.workspace.discover import Candidate, examine
+from objectfolder.workspace.examine import Candidate, examine
 from objectfolder.workspace.objects import add_catalogue, add_mesh, check_new
 
 MATERIALS = Path(materials.__file__).with_suffix("")

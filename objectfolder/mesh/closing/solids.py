@@ -142,6 +142,11 @@ def bridge(vertices: np.ndarray, faces: np.ndarray, reach: float) -> tuple[Mesh,
     return to_arrays(whole.simplify(_BRIDGE_ROUGHNESS)), bridged
 
 
+def subtract(solid: Mesh, hollow: Mesh) -> Mesh:
+    """Return a closed solid less another one."""
+    return to_arrays(to_manifold(solid) - to_manifold(hollow))
+
+
 def to_manifold(piece: Mesh) -> manifold3d.Manifold:
     """Convert a piece to a manifold3d solid; empty if it is not closed."""
     vertices, faces = (np.ascontiguousarray(part) for part in piece)
