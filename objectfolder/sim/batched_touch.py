@@ -83,7 +83,9 @@ class BatchedTouch:
         self.markers = self._presses.gel.markers
         self._scales, self._offsets, self._frictions = (
             torch.tensor(values, dtype=torch.float64, device=self.device)
-            for values in zip(*((net.scale, net.depth_offset, file.friction) for file, net in zip(self.files, nets)))
+            for values in zip(
+                *((net.scale, net.depth_offset, file.friction) for file, net in zip(self.files, nets))
+            )
         )
 
     @property
@@ -141,7 +143,7 @@ class BatchedTouch:
         moves = shear is not None or twist is not None
         if moves and not self._presses.gel.soft:
             raise ObjectFolderError(
-                f"the gel of sensor {self.profile.name!r} is rigid and cannot be sheared; use one with gel: soft"
+                f"the gel of sensor {self.profile.name!r} is rigid and cannot be sheared; use a soft one"
             )
         which, frames, where = self._placed(object_index, pose, points, normals, angle)
         count = len(where)
@@ -150,11 +152,15 @@ class BatchedTouch:
             "depth": self._values("depth", depth, (count,)),
             "shear": self._values("shear", 0.0 if shear is None else shear, (count, 2)),
             "twist": self._values("twist", 0.0 if twist is None else twist, (count,)),
-            "friction": self._values("friction", self._frictions[index] if friction is None else friction, (count,)),
+            "friction": self._values(
+                "friction", self._frictions[index] if friction is None else friction, (count,)
+            ),
             "scale": self._values("scale", self._scales[index] if scale is None else scale, (count,)),
         }
         good = self._good_rows(which, frames, where, given)
-        clean = {name: _replaced(values, good, 1.0 if name == "scale" else 0.0) for name, values in given.items()}
+        clean = {
+            name: _replaced(values, good, 1.0 if name == "scale" else 0.0) for name, values in given.items()
+        }
         frames, where = (_replaced(values, good, 0.0) for values in (frames, where))
         pressed = clean["depth"] + (self._offsets[index] if fitted else 0.0)
         contact = index, where, frames, pressed.clamp(0, self.profile.max_indentation), clean["scale"]
@@ -185,7 +191,8 @@ class BatchedTouch:
             expanded = which.long().expand(count), frames.expand(count, 3, 3), where.expand(count, 3)
         except RuntimeError:
             raise ObjectFolderError(
-                f"object_index has {which.numel()} numbers for {len(where)} contacts; expected as many, or one"
+                f"object_index has {which.numel()} numbers for {len(where)} contacts; expected as many, or "
+                "one"
             ) from None
         return expanded
 
@@ -202,7 +209,9 @@ class BatchedTouch:
     ) -> torch.Tensor:
         """Return which rows can be computed (B,); with checks, raise an error that names the first other."""
         deepest, files = self.profile.max_indentation, len(self.files)
-        crooked = (frames.mT @ frames - torch.eye(3, dtype=frames.dtype, device=self.device)).abs().amax((1, 2))
+        crooked = (
+            (frames.mT @ frames - torch.eye(3, dtype=frames.dtype, device=self.device)).abs().amax((1, 2))
+        )
         turned = torch.linalg.det(frames.nan_to_num())
         longest = torch.linalg.norm(given["shear"], dim=1)
         faults = {
@@ -222,9 +231,12 @@ class BatchedTouch:
                 f"rad, expected at most {MOST_TWIST:.3g} either way",
             ),
             "friction": (
-                ~((given["friction"] >= 0) & given["friction"].isfinite()), given["friction"], "expected 0 or more"
+                ~((given["friction"] >= 0) & given["friction"].isfinite()), given["friction"],
+                "expected 0 or more",
             ),
-            "scale": (~((given["scale"] > 0) & given["scale"].isfinite()), given["scale"], "m, expected above 0"),
+            "scale": (
+                ~((given["scale"] > 0) & given["scale"].isfinite()), given["scale"], "m, expected above 0"
+            ),
         }  # fmt: skip
         bad = torch.stack([fault for fault, _, _ in faults.values()])
         if self.checks and bad.any():

@@ -42,10 +42,14 @@ from objectfolder.touch.tangential import (
     wave_spreading,
 )
 
-#: Steps on a GPU of a contact on each coarser grid, on the finest, from a warm start, and of a slip.
-COARSE_STEPS, FINE_STEPS, WARM_STEPS, SLIP_STEPS = 24, 12, 24, 80
+#: Steps on a GPU of a contact on each coarser grid, on the finest, from a warm start, and of a slip: half as
+#: many again as the most that any of 500 contacts of 11 objects took.
+COARSE_STEPS, FINE_STEPS, WARM_STEPS, SLIP_STEPS = 10, 12, 14, 48
 
+CPU_STEPS = 400  #: at most of each on a CPU; typically tens suffice
 _CPU_ROWS = 16  # that are solved together on a CPU, to stay in its caches
+
+_NEVER = -1.0  # m, height of what is out of reach: never met
 
 _FULL_SLIP = 0.999  # part of the friction from which a pixel counts as slipping, as in `shear_contacts`
 
@@ -68,7 +72,10 @@ class Waves:
         layer = layer_of(profile)
         self.shape, self.pitch, self.layer = shape, pitch, layer
         self.size = period(shape, round(SPACING * layer.thickness / pitch))
-        along_rows, along_columns = scipy.fft.fftfreq(self.size[0], pitch), scipy.fft.rfftfreq(self.size[1], pitch)
+        along_rows, along_columns = (
+            scipy.fft.fftfreq(self.size[0], pitch),
+            scipy.fft.rfftfreq(self.size[1], pitch),
+        )
         compliance = layer.compliance(2 * np.pi * np.hypot(along_rows[:, None], along_columns))
         self._compliance = torch.from_numpy(compliance.astype(np.float32)).to(device)
 
@@ -86,6 +93,40 @@ class Waves:
         return torch.fft.irfft2(waves, size)[..., : self.shape[0], : self.shape[1]]
 
 
+class _Leaving:
+    """Rows of a batch that leave an iteration as they settle, if this costs no wait for a device."""
+
+    def __init__(self, like: tuple[torch.Tensor, ...], early: bool):
+        self._early = early
+        if early:
+            self._answers = tuple(torch.empty_like(values) for values in like)
+            self._left = torch.arange(len(like[0]))
+
+    def all_settled(self, settled: torch.Tensor) -> bool:
+        """Return whether the iteration can end; False where nobody may look."""
+        return self._early and bool(settled.all())
+
+    def go_on(
+        self, settled: torch.Tensor, answers: tuple[torch.Tensor, ...], every: tuple[torch.Tensor, ...]
+    ) -> tuple[torch.Tensor, ...]:
+        """Keep the answers of settled rows; return everything of the other rows."""
+        if not self._early or not settled.any():
+            return every
+        for to, of in zip(self._answers, answers):
+            to[self._left[settled]] = of[settled]
+        kept = ~settled
+        self._left = self._left[kept]
+        return tuple(of[kept] for of in every)
+
+    def joined(self, answers: tuple[torch.Tensor, ...]) -> tuple[torch.Tensor, ...]:
+        """Return the answers of all rows, in their order."""
+        if not self._early:
+            return answers
+        for to, of in zip(self._answers, answers):
+            to[self._left] = of
+        return self._answers
+
+
 class GelBatch:
     """Soft or rigid gels of B sensors of one profile; what does not change between batches is on the device.
 
@@ -97,11 +138,8 @@ class GelBatch:
         self.profile, self.device = profile, device
         self._early = device.type == "cpu"  # whether rows may leave the batch
         shape, pitch = (profile.height, profile.width), profile.pixel_pitch
-        self.area = self._tensor(pixel_area(profile))
-        self.places = self._tensor(gel_places(profile))
-        self.depth = self._tensor(gel_depth(profile))
-        #: how far the surface lies in front of the apex's plane, towards the camera, m
-        self.rise = self._tensor(profile.camera_to_gel - gel_depth(profile))
+        self.area, self._depth = self._tensor(pixel_area(profile)), self._tensor(gel_depth(profile))
+        self._moments = self._tensor(_moments(profile))
         self.soft = profile.gel == "soft"
         if self.soft:
             self._grids = [Waves(shape, pitch, profile, device)]
@@ -213,40 +251,35 @@ class GelBatch:
         self, pressure: torch.Tensor, height: torch.Tensor, reachable: torch.Tensor, level: int, steps: int
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Take steps of `gel.indent` from a pressure; a converged row has steps of 0."""
-        grid, count = self._grids[level], len(height)
+        grid = self._grids[level]
         tolerance = unit = CONTACT_TOLERANCE * height.amax((1, 2)).clamp(min=0)
-        step = torch.full_like(tolerance, FIRST_STEP)
-        moved = grid.respond(pressure)
-        done, left = (pressure.clone(), moved.clone(), torch.zeros_like(step)), torch.arange(count)
+        step, moved = torch.full_like(tolerance, FIRST_STEP), grid.respond(pressure)
+        height = torch.where(reachable, height, _NEVER)
+        rows = _Leaving((pressure, moved, tolerance), self._early)
+        steps = CPU_STEPS if self._early else steps
         for taken in range(steps + 1):
             gap = moved - height
-            residual = gap * (((pressure > 0) | (gap < 0)) & reachable)
-            error = residual.abs().amax((1, 2))
+            touching = (pressure > 0) | (gap < 0)
+            residual = torch.where(touching, gap, 0.0)
+            error = torch.linalg.vector_norm(residual, math.inf, (1, 2))
             settled = error <= tolerance
-            if taken == steps or (self._early and settled.all()):
+            if taken == steps or rows.all_settled(settled):
                 break
-            if self._early and settled.any():
-                for to, of in zip(done, (pressure, moved, error)):
-                    to[left[settled]] = of[settled]
-                kept = ~settled
-                every = left, pressure, moved, height, reachable, step, tolerance, residual, gap
-                left, pressure, moved, height, reachable, step, tolerance, residual, gap = (
-                    of[kept] for of in every
-                )
-            else:
-                step = torch.where(settled, 0.0, step)
-            touching = ((pressure > 0) | (gap < 0)) & reachable
-            descent = precondition(residual, grid.pitch, grid.layer) * touching
-            before, pressure = pressure, (pressure - step[:, None, None] * descent).clamp(min=0)
-            changed = pressure - before
-            after = grid.respond(pressure)
-            work = _products(changed, after - moved)
+            step = torch.where(settled, 0.0, step)
+            every = pressure, moved, height, step, tolerance, residual, touching
+            pressure, moved, height, step, tolerance, residual, touching = rows.go_on(
+                settled, (pressure, moved, error), every
+            )
+            after = precondition(residual, grid.pitch, grid.layer)
+            after *= touching
+            after *= -step[:, None, None]
+            after += pressure
+            before, pressure = pressure, after.clamp_(min=0)
+            changed, before_moved, moved = pressure - before, moved, grid.respond(pressure)
+            work = _products(changed, moved - before_moved)
             optimal = (-step * _products(changed, residual) / work).clamp(*STEP_BOUNDS)
-            step, moved = torch.where(work > 0, optimal, step), after
-        if self._early:
-            for to, of in zip(done, (pressure, moved, error)):
-                to[left] = of
-            pressure, moved, error = done
+            step = torch.where(work > 0, optimal, step)
+        pressure, moved, error = rows.joined((pressure, moved, error))
         return pressure, moved, error / torch.where(unit > 0, unit, 1.0)
 
     # friction
@@ -274,7 +307,9 @@ class GelBatch:
         bound = friction[:, None, None] * image
         found, residual = self._slide(image, motion, bound)
         followed = self._follow(found)
-        inwards = (torch.cos(half) - 1) * turned + torch.sin(half) * torch.stack([-turned[:, 1], turned[:, 0]], 1)
+        inwards = (torch.cos(half) - 1) * turned + torch.sin(half) * torch.stack(
+            [-turned[:, 1], turned[:, 0]], 1
+        )
         share = (followed * motion).sum(1, keepdim=True) / (motion**2).sum(1, keepdim=True).clamp(min=1e-20)
         followed = followed + share.clamp(0, 1) * inwards
         sideways = followed + self._spread(image)
@@ -324,38 +359,29 @@ class GelBatch:
         step = torch.where(work > 0, (wanted**2).sum((1, 2, 3)) / torch.where(work > 0, work, 1.0), 0.0)
         least = step / 50
         found, residual = torch.zeros_like(wanted), -wanted
-        done, left = (torch.zeros_like(wanted), torch.zeros_like(step)), torch.arange(len(step))
         error = torch.zeros_like(step)
-        for taken in range(SLIP_STEPS if not self._early else 5 * SLIP_STEPS):
+        rows = _Leaving((found, error), self._early)
+        for _ in range(CPU_STEPS if self._early else SLIP_STEPS):
             after = _bounded(found - step[:, None, None, None] * residual, bound)
-            changed = after - found
-            limit = goal * step
-            error = changed.abs().amax((1, 2, 3)) / torch.where(limit > 0, limit, 1.0)
+            changed, limit = after - found, goal * step
+            error = torch.linalg.vector_norm(changed, math.inf, (1, 2, 3)) / torch.where(
+                limit > 0, limit, 1.0
+            )
             settled = error <= 1
-            if self._early and settled.all():
+            if rows.all_settled(settled):
                 break
-            if self._early and settled.any():
-                for to, of in zip(done, (found, error)):
-                    to[left[settled]] = of[settled]
-                kept = ~settled
-                every = left, found, residual, after, changed, step, least, bound, wanted, inside, goal, error
-                left, found, residual, after, changed, step, least, bound, wanted, inside, goal, error = (
-                    of[kept] for of in every
-                )
-                settled = settled[kept]
+            every = found, residual, after, changed, step, least, bound, wanted, inside, goal, error, settled
+            found, residual, after, changed, step, least, bound, wanted, inside, goal, error, settled = (
+                rows.go_on(settled, (found, error), every)
+            )
             gradient = (self._follow(after) - wanted) * inside
-            curvature = (changed * (gradient - residual)).sum((1, 2, 3))
-            squares = (changed**2).sum((1, 2, 3))
+            curvature, squares = _products(changed, gradient - residual), _products(changed, changed)
             better = torch.maximum(squares / torch.where(curvature > 0, curvature, 1.0), least)
-            go = (curvature > 0) & ~settled
-            step = torch.where(go, better, step)
+            step = torch.where((curvature > 0) & ~settled, better, step)
             moving = ~settled[:, None, None, None]
             found = torch.where(moving, after, found)
             residual = torch.where(moving, gradient, residual)
-        if self._early:
-            for to, of in zip(done, (found, error)):
-                to[left] = of
-            found, error = done
+        found, error = rows.joined((found, error))
         return found, error
 
     # motion
@@ -408,29 +434,31 @@ class GelBatch:
         """Return what `markers.marker_flow` does; (B, M, 2) pixels, of ``sideways`` (B, 2, H, W)."""
         images = torch.stack([sideways[:, 0], sideways[:, 1], displacement], 1).flatten(2)
         right, up, nearer = (images[:, :, self._corners] * self._weights).sum(2).unbind(1)
-        depth = (self.depth.flatten()[self._corners] * self._weights).sum(0)
+        depth = (self._depth.flatten()[self._corners] * self._weights).sum(0)
         moved = self._from_axis * depth[:, None] + self._focal * torch.stack([right, -up], 2)
         return moved / (depth - nearer)[..., None] - self._from_axis
 
     def wrench(self, pressure: torch.Tensor, traction: torch.Tensor | None) -> torch.Tensor:
         """Return forces, N, and torques about the apex, N m, on the gel; (B, 6), see `BatchedTouches`."""
-        sides = torch.zeros_like(pressure[:, None]).expand(-1, 2, -1, -1) if traction is None else traction
-        force = torch.cat([pressure[:, None], sides], 1) * self.area
-        right, up = self.places
-        outward, rightward, upward = force.unbind(1)
-        torque = torch.stack(
-            [
-                right * upward - up * rightward,
-                up * outward - self.rise * upward,
-                self.rise * rightward - right * outward,
-            ],
-            1,
+        parts = [pressure] if traction is None else [pressure, *traction.unbind(1)]
+        return sum(
+            (part.flatten(1) @ to for part, to in zip(parts, self._moments)), torch.zeros(6).to(pressure)
         )
-        return torch.cat([force, torque], 1).sum((2, 3), dtype=torch.float64).float()
+
+
+def _moments(profile: SensorProfile) -> np.ndarray:
+    """Return force and torque by unit stresses of pixels towards the camera, right and up; (3, H W, 6)."""
+    right, up = gel_places(profile)
+    lever = np.stack([profile.camera_to_gel - gel_depth(profile), right, up])  # from the apex
+    force = np.eye(3)[:, :, None, None] * np.ones_like(right)
+    torque = np.cross(lever[None], force, axis=1)
+    found = np.concatenate([force, torque], 1) * pixel_area(profile)
+    return found.reshape(3, 6, -1).swapaxes(1, 2)
 
 
 def _products(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    return (a * b).sum((1, 2))
+    """Return the inner products (B,) of rows."""
+    return torch.bmm(a.flatten(1)[:, None], b.flatten(1)[:, :, None])[:, 0, 0]
 
 
 def _bounded(traction: torch.Tensor, bound: torch.Tensor) -> torch.Tensor:

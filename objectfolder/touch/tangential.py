@@ -273,6 +273,7 @@ def wave_compliances(
 
 @lru_cache(maxsize=32)
 def wave_spreading(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarray:
+    """Return `spreading` of the waves of an image; complex64."""
     # The sine wave lags the cosine by a quarter period. A wave of the grid's highest frequency has no sine.
     return (-1j * spreading(layer, np.hypot(*_wavenumbers(rows, columns, pitch)))).astype(np.complex64)
 

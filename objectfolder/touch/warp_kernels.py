@@ -23,7 +23,7 @@ def find_enclosed(
     i = warp.tid()
     if chosen[i] == 0:
         return
-    leaving = int(0)
+    leaving = int(0)  # noqa: RUF046, UP018 - a variable of the kernel
     for k in range(3):
         found = warp.mesh_query_ray(meshes[index[i]], cameras[i], probes[k], _FAR)
         if found.result and warp.dot(found.normal, probes[k]) > 0.0:
