@@ -100,7 +100,8 @@ class BatchedTouch:
     ) -> BatchedTouches:  # fmt: skip
         """Press B sensors on objects, then move the objects sideways and turn them.
 
-        All may be tensors, best on the device, arrays or numbers; one serves all contacts.
+        All may be tensors, arrays or numbers; one serves all contacts. For a CUDA graph, give tensors on the
+        device, a pose, and no checks.
 
         Parameters
         ----------
@@ -148,14 +149,14 @@ class BatchedTouch:
         which, frames, where = self._placed(object_index, pose, points, normals, angle)
         count = len(where)
         index = which.clamp(0, len(self.files) - 1)
+        nothing = torch.zeros((), dtype=torch.float64, device=self.device)
+        defaults = {"friction": self._frictions[index], "scale": self._scales[index]}
+        wanted = {"depth": depth, "shear": shear, "twist": twist, "friction": friction, "scale": scale}
         given = {
-            "depth": self._values("depth", depth, (count,)),
-            "shear": self._values("shear", 0.0 if shear is None else shear, (count, 2)),
-            "twist": self._values("twist", 0.0 if twist is None else twist, (count,)),
-            "friction": self._values(
-                "friction", self._frictions[index] if friction is None else friction, (count,)
-            ),
-            "scale": self._values("scale", self._scales[index] if scale is None else scale, (count,)),
+            name: self._values(
+                name, defaults.get(name, nothing) if of is None else of, (count, 2)[: 1 + (name == "shear")]
+            )
+            for name, of in wanted.items()
         }
         good = self._good_rows(which, frames, where, given)
         clean = {
@@ -212,13 +213,14 @@ class BatchedTouch:
         crooked = (
             (frames.mT @ frames - torch.eye(3, dtype=frames.dtype, device=self.device)).abs().amax((1, 2))
         )
-        turned = torch.linalg.det(frames.nan_to_num())
+        x, y, z = frames.unbind(2)
+        turned = (torch.linalg.cross(x, y) * z).sum(1)
         longest = torch.linalg.norm(given["shear"], dim=1)
         faults = {
             "object_index": ((which < 0) | (which >= files), which, f"expected 0 to {files - 1}"),
             "point": (~where.isfinite().all(1), where, "expected three finite numbers, metres"),
             "pose": (
-                ~(crooked <= RIGID) | (turned <= 0), frames,
+                ~((crooked <= RIGID) & (turned > 0)), frames,
                 f"whose axes are not orthonormal and right-handed within {RIGID:g}; expected a rigid pose",
             ),
             "depth": (
