@@ -1,11 +1,11 @@
-"""Touches in batches: `python perf/batched_touch.py FILE ... [--contacts N] [--threads N ...] [--json FILE]`.
+"""Touches in batches: `python perf/batched_touch.py KEY ... [--workspace DIR] [--json FILE]`.
 
-Agreement of `BatchedTouch` with `ObjectFile.press` over the Object Files, ms a touch in batches of 1, 64, 256
+Agreement of `BatchedTouch` with `ObjectFile.press` over the objects of a workspace, ms a touch in batches of 1, 64, 256
 and 1,024 of the first of them, on CPU threads and on a GPU where there is one, next to single presses and to
 the lookup of colours of Taxim's renderer in the same run, and what a GPU computes, reads and starts at most.
-A name, such as mug, stands for an Object File that comes with the package. Exits with 1 if a target is
-missed.
-Takes four minutes with twenty files and the defaults; on a GPU it needs the extra batch, and no network.
+A key that is not built there, such as mug, stands for an Object File of the package. Exits with 1 if a target
+is missed.
+Takes four minutes with twenty objects and the defaults; on a GPU it needs the extra batch, and no network.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from harness import exit_with_verdict, fresh, parsed, print_rows, require, run_job, write_record
+from harness import ROOT, exit_with_verdict, fresh, parsed, print_rows, require, run_job, write_record
 from rich.console import Console
 from torch.multiprocessing.reductions import StorageWeakRef
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -279,13 +279,18 @@ def missed_targets(rows: list[dict], speeds: list[dict], counts: dict[str, dict[
 def main() -> None:
     run_job({"agreement": agreement, "speed": speed})
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("files", nargs="+", help="Object Files; the first is timed")
-    parser.add_argument("--contacts", type=int, default=100, help="of each file, that are compared")
+    parser.add_argument("keys", nargs="+", help="objects; the first ones are timed")
+    parser.add_argument("--workspace", type=Path, default=ROOT, help="holds build/")
+    parser.add_argument("--contacts", type=int, default=100, help="of each object, that are compared")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, torch.get_num_threads()])
-    parser.add_argument("--timed", type=int, default=2, help="files that are timed, the first ones")
+    parser.add_argument("--timed", type=int, default=2, help="number of objects that are timed")
     parser.add_argument("--json", type=Path, help="file for the figures")
     given = parsed(parser)
-    console, paths = Console(), [str(file_or_sample(Path(name))) for name in given.files]
+    built = [given.workspace / "build" / key / "ObjectFile.safetensors" for key in given.keys]
+    paths = [
+        str(path if path.is_file() else file_or_sample(Path(key))) for key, path in zip(given.keys, built)
+    ]
+    console = Console()
     speeds, rows = [], []
     for path in paths[: given.timed]:
         for threads in sorted(set(given.threads)):
