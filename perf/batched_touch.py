@@ -1,8 +1,9 @@
 """Touches in batches: `python perf/batched_touch.py KEY ... [--workspace DIR] [--json FILE]`.
 
-Agreement of `BatchedTouch` with `ObjectFile.press` over the objects of a workspace, ms a touch in batches of 1, 64, 256
-and 1,024 of the first of them, on CPU threads and on a GPU where there is one, next to single presses and to
-the lookup of colours of Taxim's renderer in the same run, and what a GPU computes, reads and starts at most.
+Agreement of `BatchedTouch` with `ObjectFile.press` over the objects of a workspace, ms a touch in batches of
+1, 64, 256 and 1,024 of the first of them, on CPU threads and on a GPU where there is one, next to single
+presses and to the lookup of colours of Taxim's renderer in the same run, and what a GPU computes, reads and
+starts at most.
 A key that is not built there, such as mug, stands for an Object File of the package. Exits with 1 if a target
 is missed.
 Takes four minutes with twenty objects and the defaults; on a GPU it needs the extra batch, and no network.

@@ -249,6 +249,22 @@ class BatchedTouch:
         return ~bad.any(0)
 
 
+def relative_poses(
+    site_at: torch.Tensor, site_axes: torch.Tensor, body_at: torch.Tensor, body_axes: torch.Tensor
+) -> torch.Tensor:
+    """Return poses of sites in the frames of bodies, as `BatchedTouch.press` takes them; (B, 4, 4) float64.
+
+    Places (B, 3), metres, and axes in columns (B, 3, 3), in the world: of MuJoCo's ``site_xpos``,
+    ``site_xmat``, ``xpos`` and ``xmat``. A site is a sensor as `objectfolder.sim.feeling.Feeling` has it: x
+    out of the sensor, z up in the image, where the gel's apex is untouched.
+    """
+    places, axes, origins, frames = (v.double() for v in (site_at, site_axes, body_at, body_axes))
+    pose = torch.eye(4, dtype=torch.float64, device=places.device).repeat(len(places), 1, 1)
+    pose[:, :3, :3] = frames.mT @ axes
+    pose[:, :3, 3] = (frames.mT @ (places - origins)[:, :, None])[:, :, 0]
+    return pose
+
+
 def _replaced(values: torch.Tensor, good: torch.Tensor, by: float) -> torch.Tensor:
     return torch.where(good.view(-1, *[1] * (values.dim() - 1)), values, by)
 

@@ -160,14 +160,9 @@ class WarpHeights:
         return warp.ScopedStream(stream, sync_enter=False, sync_exit=False)
 
 
-def has_warp() -> bool:
-    """Return whether Warp is installed."""
-    return find_spec("warp") is not None
-
-
 def require_warp() -> None:
     """Raise ObjectFolderError if Warp is not installed."""
-    if not has_warp():
+    if find_spec("warp") is None:
         raise ObjectFolderError(
             f"batches of touches on a GPU need NVIDIA Warp: pip install 'objectfolder[{EXTRA}]'"
         )

@@ -42,6 +42,7 @@ EXTRAS = (
     Extra("mitsuba-llvm", (), "mitsuba", "llvm", (RENDERERS,)),
     Extra("s3", ("[s3]", "moto[s3,server]"), "dvc-s3", "s3 or outage", ("tests/engine/test_remotes.py",)),
     Extra("usd", ("[usd]",), "usd-core", "usd", ("tests/sim/test_usd_export.py",)),
+    Extra("batch", ("[batch,rl]",), "warp-lang", "warp", ("tests/sim/test_batched_touch.py",)),
     Extra("lerobot", ("[hub]", *LEROBOTS), "lerobot", "lerobot", (LEROBOT,), "lerobot", pinned=False),
     Extra("nerfstudio", NERFSTUDIOS, "nerfstudio", "nerfstudio", (NERFSTUDIO,), "nerfstudio", pinned=False),
     Extra("croissant", ("[hub]", "mlcroissant"), "mlcroissant", "croissant", (RELEASE,)),

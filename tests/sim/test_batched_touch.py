@@ -3,6 +3,7 @@
 from dataclasses import replace
 from importlib.util import find_spec
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -10,7 +11,8 @@ from pretend_device import pretend_device
 
 from objectfolder import ObjectFile
 from objectfolder.base.errors import ObjectFolderError
-from objectfolder.sim.batched_touch import BatchedTouch
+from objectfolder.sim.batched_touch import BatchedTouch, relative_poses
+from objectfolder.sim.body import add_body, rigid_body
 from objectfolder.touch.batched_gel import GelBatch
 from objectfolder.touch.batched_rays import EmbreeHeights, WarpHeights, require_warp
 from objectfolder.touch.contact import sensor_frames
@@ -244,6 +246,69 @@ def test_without_checks_a_bad_row_is_nan_and_others_do_not_notice(files, contact
         assert found.wrench[3].isnan().all()
         assert found.height[3].isnan().all()
         np.testing.assert_allclose(found.wrench[others], felt.wrench[others], rtol=1e-4, atol=1e-5)
+
+
+def pressing(file):
+    """A finger that slides along x into an object, which is fixed and turned about the vertical.
+
+    The gel's apex is 1 mm in front of what collides, so that it is pressed in by this.
+    """
+    spec = mujoco.MjSpec()
+    spec.option.gravity = [0, 0, 0]
+    body = add_body(spec, rigid_body(file, [file.to_mesh().convex_hull]), file.key, free=False)
+    body.quat = [np.cos(0.2), 0, 0, np.sin(0.2)]
+    finger = spec.worldbody.add_body(name="finger", pos=[-0.1, 0, 0])
+    finger.add_joint(name="slide", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], damping=[20, 0, 0])
+    finger.add_geom(size=[0.005, 0, 0], mass=0.05)
+    finger.add_site(name="pad", pos=[0.006, 0, 0])
+    spec.add_actuator(name="slide", target="slide", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    return spec.compile()
+
+
+def felt_on_brick(brick, at, axes, body_at, body_axes):
+    """Forces of pads at sites, (B,): depth 0, as the apex is where the site is."""
+    pose = relative_poses(*map(torch.as_tensor, (at, axes, body_at, body_axes)))
+    return BatchedTouch(brick, "digit").press(0, pose, depth=0.0, fitted=False).wrench
+
+
+def test_sites_of_a_simulation_press_where_they_are(brick):
+    """From gap to contact as the finger moves: the deeper, the more, and nothing before."""
+    model = pressing(brick)
+    data, depths = mujoco.MjData(model), np.array([-0.002, 0.0005, 0.001])
+    found = []
+    mujoco.mj_forward(model, data)
+    turn = data.body(brick.key).xmat.reshape(3, 3)
+    start, forward = data.site("pad").xpos @ turn, np.array([1.0, 0.0, 0.0]) @ turn
+    met, _ = brick.surface.caster.first_hit(start[None] / brick.scale, forward[None])
+    reach = met[0] * brick.scale
+    for depth in depths:
+        data.qpos[0] = reach + depth
+        mujoco.mj_kinematics(model, data)
+        of = data.site("pad"), data.body(brick.key)
+        found.append([*(v.copy() for one in of for v in (one.xpos, one.xmat.reshape(3, 3)))])
+    wrench = felt_on_brick(brick, *(np.stack(v) for v in zip(*found)))
+    assert wrench[0].abs().max() == 0
+    assert 0 < wrench[1, 0] < wrench[2, 0]
+
+
+def test_worlds_of_mujoco_warp_press_an_object(brick):
+    """The last steps of 16 worlds in which motors of other strengths press the finger."""
+    warp_worlds = pytest.importorskip("mujoco_warp")
+    import warp
+
+    model, count = pressing(brick), 16
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    worlds, states = warp_worlds.put_model(model), warp_worlds.put_data(model, data, nworld=count)
+    strengths = np.linspace(0.5, 3.0, count, dtype=np.float32)
+    states.ctrl.assign(strengths[:, None])
+    for _ in range(500):
+        warp_worlds.step(worlds, states)
+    site, body = model.site("pad").id, model.body(brick.key).id
+    of = (states.site_xpos, site), (states.site_xmat, site), (states.xpos, body), (states.xmat, body)
+    wrench = felt_on_brick(brick, *(warp.to_torch(array)[:, number] for array, number in of))
+    assert (wrench[:, 0] > 0).all()
+    assert wrench[-1, 0] > wrench[0, 0]
 
 
 def test_arguments_of_other_shapes_are_refused(touch, contacts):
