@@ -106,7 +106,7 @@ def speed(path: str, device: str, threads: str) -> dict:
     for size in BATCHES:
         for name, given in (("press", still), ("sheared", moved)):
             part = {key: of[:size] for key, of in given.items()}
-            row[f"{name}_{size}"] = _timed(lambda part=part: touch.press(0, **part), device) / size
+            row[f"{name}_{size}"] = _timed(lambda part=part: touch.press(0, **part), device, size < 99) / size
     row |= shares(touch, {name: of[: BATCHES[2]] for name, of in still.items()}, device)
     row["ratio"] = row[f"press_{BATCHES[2]}"] / row["single"] if "single" in row else math.nan
     row["bytes"] = _peak(device)
@@ -148,7 +148,7 @@ def shares(touch: BatchedTouch, part: dict[str, torch.Tensor], device: str) -> d
         "gel": lambda: presses.gel.press(height),
         "optics": lambda: presses.optics.render(displacement),
     }
-    return {name: _timed(job, device) / count for name, job in jobs.items()}
+    return {name: _timed(job, device, False) / count for name, job in jobs.items()}
 
 
 class Counted(TorchDispatchMode):
@@ -222,11 +222,12 @@ def predicted(count: int) -> dict[str, dict[str, float]]:
     return rows
 
 
-def _timed(job: Callable[[], object], device: str) -> float:
-    """Return ms of a job after one to warm up."""
+def _timed(job: Callable[[], object], device: str, warm_up: bool = True) -> float:
+    """Return ms of a job, after one to warm up if it is short, or on a GPU."""
     clock = time.perf_counter if device != "cpu" or torch.get_num_threads() > 1 else time.process_time
-    job()
-    _wait(device)
+    if warm_up or device != "cpu":
+        job()
+        _wait(device)
     start = clock()
     job()
     _wait(device)
@@ -284,7 +285,7 @@ def main() -> None:
     parser.add_argument("--workspace", type=Path, default=ROOT, help="holds build/")
     parser.add_argument("--contacts", type=int, default=100, help="of each object, that are compared")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, torch.get_num_threads()])
-    parser.add_argument("--timed", type=int, default=2, help="number of objects that are timed")
+    parser.add_argument("--timed", type=int, default=1, help="number of objects that are timed")
     parser.add_argument("--json", type=Path, help="file for the figures")
     given = parsed(parser)
     built = [given.workspace / "build" / key / "ObjectFile.safetensors" for key in given.keys]
