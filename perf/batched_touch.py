@@ -28,6 +28,7 @@ from objectfolder import ObjectFile
 from objectfolder.objectfile.samples import file_or_sample
 from objectfolder.sim.batched_touch import BatchedTouch
 from objectfolder.touch.batched_gel import GelBatch
+from objectfolder.touch.batched_slip import SlipBatch
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import load_profile
 from objectfolder.touch.taxim import BINS, color_table
@@ -108,7 +109,8 @@ def speed(path: str, device: str, threads: str) -> dict:
             part = {key: of[:size] for key, of in given.items()}
             row[f"{name}_{size}"] = _timed(lambda part=part: touch.press(0, **part), device, size < 99) / size
     row |= shares(touch, {name: of[: BATCHES[2]] for name, of in still.items()}, device)
-    row["ratio"] = row[f"press_{BATCHES[2]}"] / row["single"] if "single" in row else math.nan
+    if "single" in row:
+        row["ratio"] = row[f"press_{BATCHES[2]}"] / row["single"]
     row["bytes"] = _peak(device)
     return row
 
@@ -186,15 +188,16 @@ def predicted(count: int) -> dict[str, dict[str, float]]:
     """Count what a batch takes on a GPU, without one: gel, slip and optics on tensors without values."""
     profile, meta = load_profile(SENSOR), torch.device("meta")
     gel, optics = GelBatch(profile, meta), Optics(profile, meta)
+    friction = SlipBatch(gel)
     height = torch.empty(count, profile.height, profile.width, device=meta)
     shear, twist = torch.empty(count, 2, device=meta), torch.empty(count, device=meta)
     rows: dict[str, dict[str, float]] = {}
     results: dict[str, Any] = {}
 
     def shear_all() -> Any:
-        slips = gel.slip(results["gel"][1], shear, twist, twist)
+        slips = friction.slip(results["gel"][1], shear, twist, twist)
         flow = gel.flow(slips.sideways, results["gel"][0])
-        return gel.drag(height, results["gel"][1], slips.dragged, shear, twist), flow
+        return friction.drag(height, results["gel"][1], slips.dragged, shear, twist), flow
 
     jobs = {
         "gel": lambda: gel.press(height),
@@ -299,11 +302,12 @@ def main() -> None:
             speeds.append(require(fresh(__file__, "speed", path, "cpu", threads)))
         if torch.cuda.is_available():
             speeds.append(require(fresh(__file__, "speed", path, "cuda", 1)))
-    timed = {f"press_{size}": (str(size), ".2f") for size in BATCHES}
-    timed |= {f"sheared_{size}": (f"{size}, sheared", ".2f") for size in BATCHES}
-    form = {"object": ("object", ""), "device": ("on", ""), "single": ("single", ".2f"), **timed}
-    form |= {name: (name, ".2f") for name in ("rays", "gel", "optics", "taxim", "ratio")}
-    print_rows(speeds, "ms a touch, by batch", form, console)
+    head = {"object": ("object", ""), "device": ("on", "")}
+    parts = {name: (name, ".2f") for name in ("rays", "gel", "optics", "taxim", "ratio")}
+    for name, more in (("press", {"single": ("single", ".2f")}), ("sheared", {})):
+        form = head | more | {f"{name}_{size}": (str(size), ".2f") for size in BATCHES}
+        print_rows(speeds, f"{name}, ms a touch, by batch", form, console)
+    print_rows(speeds, f"ms a touch, in a batch of {BATCHES[2]}", head | parts, console)
     counts = predicted(max(BATCHES))
     form = {"object": ("part", ""), "kernels": ("kernels", ".0f"), "bytes": ("bytes a touch", ".3g")}
     form |= {"flops": ("flops a touch", ".3g"), "peak": ("peak bytes", ".3g"), "ms": ("ms a touch", ".4f")}

@@ -16,6 +16,8 @@ from objectfolder.touch.profiles import SensorProfile, load_profile
 from objectfolder.touch.query import MOST_TWIST
 from objectfolder.touch.senses import GeometricSense
 
+_AWAY = 1e3  # m along each axis, where bad rows are computed: their sensors face away from all objects
+
 RIGID = 1e-4  #: most that axes of a pose may differ from orthonormal ones
 
 
@@ -100,8 +102,8 @@ class BatchedTouch:
     ) -> BatchedTouches:  # fmt: skip
         """Press B sensors on objects, then move the objects sideways and turn them.
 
-        All may be tensors, arrays or numbers; one serves all contacts. For a CUDA graph, give tensors on the
-        device, a pose, and no checks.
+        All may be tensors, arrays or numbers; one serves all contacts. With tensors on the device, a pose and
+        no checks, nothing is copied from the host.
 
         Parameters
         ----------
@@ -162,7 +164,10 @@ class BatchedTouch:
         clean = {
             name: _replaced(values, good, 1.0 if name == "scale" else 0.0) for name, values in given.items()
         }
-        frames, where = (_replaced(values, good, 0.0) for values in (frames, where))
+        where = _replaced(where, good, _AWAY)
+        frames = torch.where(
+            good[:, None, None], frames, torch.eye(3, dtype=frames.dtype, device=self.device)
+        )
         pressed = clean["depth"] + (self._offsets[index] if fitted else 0.0)
         contact = index, where, frames, pressed.clamp(0, self.profile.max_indentation), clean["scale"]
         motion = tuple(clean[name].float() for name in ("shear", "twist", "friction")) if moves else None

@@ -8,6 +8,7 @@ import torch
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.touch.batched_gel import GelBatch
 from objectfolder.touch.batched_rays import EmbreeHeights, HeightCaster, WarpHeights
+from objectfolder.touch.batched_slip import SlipBatch
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
 
@@ -55,6 +56,7 @@ class BatchedPress:
             else WarpHeights(surfaces, profile, device)
         )
         self.gel, self.optics = GelBatch(profile, device), Optics(profile, device)
+        self.friction = SlipBatch(self.gel) if self.gel.soft else None
         if background is not None:
             self.optics.background = background
 
@@ -71,6 +73,7 @@ class BatchedPress:
         height, obstructed = self.heights.heightmaps(which, points, frames, depths, scales)
         displacement, pressure, residual = self.gel.press(height, start)
         mask = pressure > 0 if self.gel.soft else height > 0
+        sideways = self.friction.spread(pressure) if self.friction else height.new_zeros(len(height), 2, 1, 1)
         still = torch.zeros_like(residual)
         found = BatchedTouches(
             images=torch.empty(0),
@@ -80,7 +83,7 @@ class BatchedPress:
             wrench=self.gel.wrench(pressure, None),
             area=(mask * self.gel.area).sum((1, 2)),
             obstructed=obstructed.float(),
-            marker_flow=self.gel.flow(self.gel.spread(pressure), displacement),
+            marker_flow=self.gel.flow(sideways.expand(-1, -1, *height.shape[1:]), displacement),
             slipping=still,
             residual=torch.stack([residual, still], 1),
             pressed=pressure,
@@ -93,8 +96,9 @@ class BatchedPress:
         self, press: BatchedTouches, shear: torch.Tensor, twist: torch.Tensor, friction: torch.Tensor
     ) -> BatchedTouches:
         """Return touches, without images, after a motion of the pressed objects."""
-        slips = self.gel.slip(press.pressure, shear, twist, friction)
-        after = self.gel.drag(press.height, press.pressure, slips.dragged, shear, twist)
+        assert self.friction is not None
+        slips = self.friction.slip(press.pressure, shear, twist, friction)
+        after = self.friction.drag(press.height, press.pressure, slips.dragged, shear, twist)
         touched = (press.pressure > 0).flatten(1).any(1)
         moving = (touched & (shear.any(1) | (twist != 0)))[:, None, None]
         before = press.height, press.displacement, press.pressure

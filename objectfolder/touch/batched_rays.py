@@ -63,16 +63,17 @@ class EmbreeHeights:
 class WarpHeights:
     """Heightmaps by NVIDIA Warp: the triangles of all surfaces are on the device, in one hierarchy each.
 
-    Raises ObjectFolderError if Warp is not installed.
+    Raises ObjectFolderError as `require_warp`.
     """
 
     def __init__(self, surfaces: Sequence[Isosurface], profile: SensorProfile, device: torch.device):
-        require_warp()
+        require_warp(device)
         import warp
 
         from objectfolder.touch import warp_kernels
 
         warp.init()
+        device = torch.empty(0, device=device).device  # "cuda" with its number, which Warp asks for
         self._kernels, self._device = warp_kernels, device
         self._on = warp.device_from_torch(device)
         self._meshes = [  # kept alive: kernels get their numbers
@@ -160,8 +161,12 @@ class WarpHeights:
         return warp.ScopedStream(stream, sync_enter=False, sync_exit=False)
 
 
-def require_warp() -> None:
-    """Raise ObjectFolderError if Warp is not installed."""
+def require_warp(device: torch.device) -> None:
+    """Raise ObjectFolderError if Warp is not installed, or has no rays for a device."""
+    if device.type not in ("cpu", "cuda"):
+        raise ObjectFolderError(
+            f"device is {str(device)!r}: NVIDIA Warp casts rays on CUDA devices; take one, or device='cpu'"
+        )
     if find_spec("warp") is None:
         raise ObjectFolderError(
             f"batches of touches on a GPU need NVIDIA Warp: pip install 'objectfolder[{EXTRA}]'"

@@ -13,8 +13,10 @@ from objectfolder import ObjectFile
 from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sim.batched_touch import BatchedTouch, relative_poses
 from objectfolder.sim.body import add_body, rigid_body
+from objectfolder.touch import batched_rays
 from objectfolder.touch.batched_gel import GelBatch
 from objectfolder.touch.batched_rays import EmbreeHeights, WarpHeights, require_warp
+from objectfolder.touch.batched_slip import SlipBatch
 from objectfolder.touch.contact import sensor_frames
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import load_profile
@@ -104,7 +106,7 @@ def test_a_batch_of_two_objects_agrees_with_single_presses(felt, singles):
 def test_the_steps_that_a_gpu_takes_suffice(files, contacts, singles):
     """On a GPU all rows take the same number of steps, without a look at them."""
     touch = BatchedTouch(files, "digit")
-    touch._presses.gel._early = False
+    touch._presses.gel.early = False
     require_agreement(touch.press(**contacts), singles)
 
 
@@ -115,8 +117,9 @@ def test_gels_and_images_are_computed_on_their_device(touch, felt, contacts):
     with pretend_device() as device:
         gel, on = GelBatch(touch.profile, torch.device(device)), {"device": device}
         moved, pressure, residual = gel.press(height.to(device))
-        slips = gel.slip(pressure, shear.to(device), twist.to(device), torch.full((COUNT,), 0.5, **on))
-        after = gel.drag(height.to(device), pressure, slips.dragged, shear.to(device), twist.to(device))
+        friction = SlipBatch(gel)
+        slips = friction.slip(pressure, shear.to(device), twist.to(device), torch.full((COUNT,), 0.5, **on))
+        after = friction.drag(height.to(device), pressure, slips.dragged, shear.to(device), twist.to(device))
         flow, wrench = gel.flow(slips.sideways, moved), gel.wrench(pressure, slips.traction)
         images = Optics(touch.profile, device).render(after[1])
         assert {v.device.type for v in (*after, flow, wrench, images, residual)} == {device}
@@ -203,10 +206,12 @@ def test_rays_of_warp_meet_the_surface_where_those_of_embree_do(files, contacts)
     assert ((found - height).abs() > 1e-6).double().mean() < 1e-4
 
 
-@pytest.mark.skipif(find_spec("warp") is not None, reason="the extra batch is installed")
-def test_without_warp_the_error_says_how_to_install_it():
+def test_where_warp_has_no_rays_the_error_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(batched_rays, "find_spec", lambda name: None)
     with pytest.raises(ObjectFolderError, match=r"objectfolder\[batch\]"):
-        require_warp()
+        require_warp(torch.device("cuda"))
+    with pytest.raises(ObjectFolderError, match=r"'mps'.* CUDA devices"):
+        require_warp(torch.device("mps"))
 
 
 BAD = {
@@ -245,6 +250,7 @@ def test_without_checks_a_bad_row_is_nan_and_others_do_not_notice(files, contact
         others = np.arange(COUNT) != 3
         assert found.wrench[3].isnan().all()
         assert found.height[3].isnan().all()
+        assert torch.equal(found.images[3], touch.background)
         np.testing.assert_allclose(found.wrench[others], felt.wrench[others], rtol=1e-4, atol=1e-5)
 
 
@@ -274,7 +280,7 @@ def felt_on_brick(brick, at, axes, body_at, body_axes):
 def test_sites_of_a_simulation_press_where_they_are(brick):
     """From gap to contact as the finger moves: the deeper, the more, and nothing before."""
     model = pressing(brick)
-    data, depths = mujoco.MjData(model), np.array([-0.002, 0.0005, 0.001])
+    data, depths = mujoco.MjData(model), np.array([-0.01, 0.0005, 0.001])
     found = []
     mujoco.mj_forward(model, data)
     turn = data.body(brick.key).xmat.reshape(3, 3)
