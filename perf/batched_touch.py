@@ -143,12 +143,12 @@ def shares(touch: BatchedTouch, part: dict[str, torch.Tensor], device: str) -> d
     presses.heights.heightmaps = lambda *contact: given.append(contact) or cast(*contact)  # type: ignore
     touch.press(0, **part)
     presses.heights.heightmaps = cast  # type: ignore[method-assign]
-    height, _ = cast(*given[0])
-    displacement, _, _ = presses.gel.press(height)
+    heights = [cast(*contact)[0] for contact in given]
+    displacements = [presses.gel.press(height)[0] for height in heights]
     jobs = {
-        "rays": lambda: cast(*given[0]),
-        "gel": lambda: presses.gel.press(height),
-        "optics": lambda: presses.optics.render(displacement),
+        "rays": lambda: [cast(*contact) for contact in given],
+        "gel": lambda: [presses.gel.press(height) for height in heights],
+        "optics": lambda: [presses.optics.render(moved) for moved in displacements],
     }
     return {name: _timed(job, device, False) / count for name, job in jobs.items()}
 
@@ -288,7 +288,7 @@ def main() -> None:
     parser.add_argument("--workspace", type=Path, default=ROOT, help="holds build/")
     parser.add_argument("--contacts", type=int, default=100, help="of each object, that are compared")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, torch.get_num_threads()])
-    parser.add_argument("--timed", type=int, default=1, help="number of objects that are timed")
+    parser.add_argument("--timed", type=int, default=3, help="number of objects that are timed")
     parser.add_argument("--json", type=Path, help="file for the figures")
     given = parsed(parser)
     built = [given.workspace / "build" / key / "ObjectFile.safetensors" for key in given.keys]

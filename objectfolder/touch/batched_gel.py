@@ -35,7 +35,6 @@ from objectfolder.touch.tangential import gel_places
 COARSE_STEPS, FINE_STEPS, WARM_STEPS = 10, 12, 14
 
 CPU_STEPS = 400  #: at most of each on a CPU; typically tens suffice
-_CPU_ROWS = 16  # that are solved together on a CPU, to stay in its caches
 
 _NEVER = -1.0  # m, height of what is out of reach: never met
 
@@ -159,25 +158,6 @@ class GelBatch:
         if not self.soft:
             none = torch.full_like(height, math.nan)
             return height.clamp(min=0), none, torch.zeros_like(height[:, 0, 0])
-        parts = [
-            self.indent(part, None if start is None else start[rows])
-            for rows, part in zip(self.groups(len(height)), height.split(self._group_size(len(height))))
-        ]
-        displacement, pressure, residual = (torch.cat(of) for of in zip(*parts))
-        return displacement, pressure, residual
-
-    def _group_size(self, count: int) -> int:
-        return _CPU_ROWS if self.early else max(count, 1)
-
-    def groups(self, count: int) -> list[slice]:
-        """Return the rows that are solved together, of a number of them."""
-        size = self._group_size(count)
-        return [slice(first, first + size) for first in range(0, max(count, 1), size)]
-
-    def indent(
-        self, height: torch.Tensor, start: torch.Tensor | None
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Do `press` for one group of a soft gel."""
         reachable = within_reach(height, self.profile.elastomer_thickness)
         met = (height.amax((1, 2)) > 0)[:, None, None]
         if start is None:

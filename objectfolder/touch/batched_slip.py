@@ -66,16 +66,6 @@ class SlipBatch:
         self, pressure: torch.Tensor, shear: torch.Tensor, twist: torch.Tensor, friction: torch.Tensor
     ) -> Slips:
         """Return what `tangential.shear_contacts` does; shears (B, 2), twists and frictions (B,)."""
-        parts = [
-            self._slip_part(pressure[rows], shear[rows], twist[rows], friction[rows])
-            for rows in self._gel.groups(len(pressure))
-        ]
-        found = (torch.cat([getattr(part, name) for part in parts]) for name in Slips.__dataclass_fields__)
-        return Slips(*found)
-
-    def _slip_part(
-        self, pressure: torch.Tensor, shear: torch.Tensor, twist: torch.Tensor, friction: torch.Tensor
-    ) -> Slips:
         image = pressure
         for _ in self._halved:
             image = halve(image)
@@ -165,21 +155,10 @@ class SlipBatch:
         twist: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # fmt: skip
         """Return what `dragged.dragged_contacts` does; ``dragged`` is (B, 2, H, W)."""
-        parts = [
-            self._drag_part(height[rows], pressure[rows], dragged[rows], shear[rows], twist[rows])
-            for rows in self._gel.groups(len(height))
-        ]
-        moved, seen, pressed = (torch.cat(of) for of in zip(*parts))
-        return moved, seen, pressed
-
-    def _drag_part(
-        self, height: torch.Tensor, pressure: torch.Tensor, dragged: torch.Tensor, shear: torch.Tensor,
-        twist: torch.Tensor,
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # fmt: skip
         shift, step = self._in_pixels(dragged), self._in_pixels(shear[:, :, None, None])
         moved = self._met(height, _turned_back(self._axes - step, twist))
         met = self._met(height, _turned_back(self._axes + shift - step, twist))
-        at_points, pressed, _ = self._gel.indent(met, pressure)
+        at_points, pressed, _ = self._gel.press(met, pressure)
         source = self._axes - self._carried(shift)
         seen = _at(at_points - self._sag, source) + self._sag
         return moved, seen.clamp(max=self.profile.max_indentation), _nearest(pressed, source)
