@@ -85,10 +85,9 @@ class SlipBatch:
         slips = in_contact & (torch.hypot(*found.unbind(1)) >= _FULL_SLIP * bound)
         slips = slips & (torch.hypot(*motion.unbind(1)).amax((1, 2)) > 0)[:, None, None]
         slipping = slips.sum((1, 2)) / in_contact.sum((1, 2)).clamp(min=1)
-        fine = [self._refined(of) for of in (sideways, followed, found)]
         pressed = self._refined(image)
-        fine[2] = fine[2] * (pressure / torch.where(pressed > 0, pressed, 1.0))[:, None]
-        return Slips(*fine, slipping, residual)
+        traction = self._refined(found) * (pressure / torch.where(pressed > 0, pressed, 1.0))[:, None]
+        return Slips(self._refined(sideways), self._refined(followed), traction, slipping, residual)
 
     def spread(self, pressure: torch.Tensor) -> torch.Tensor:
         """Return how far presses alone move the surface sideways, (B, 2, H, W), metres."""

@@ -114,8 +114,8 @@ def indent(
     return np.where(touching, height, displacement), pressure
 
 
-def within_reach(height: np.ndarray, thickness: float) -> np.ndarray:
-    """Return where heights (H, W) are within `GAP` of a gel of some thickness, metres; (H, W) bool."""
+def within_reach(height: Array, thickness: float) -> Array:
+    """Return where heights (..., H, W) are within `GAP` of a gel of some thickness, metres; bool."""
     return height > -GAP * thickness * (1 - 1e-6)  # a float32 may be rounded
 
 

@@ -143,12 +143,14 @@ class GeometricTouch:
                 self._batch = BatchedPress([self.surface], self.profile, device, self.background)
         for start in range(0, len(points), _GPU_BATCH):
             part = slice(start, start + _GPU_BATCH)
-            contact = [torch.from_numpy(v[part]).to(device) for v in (points, frames, depths)]
-            which = torch.zeros(len(contact[0]), dtype=torch.int64, device=device)
-            found = self._batch.press(which, *contact, torch.full_like(contact[2], self.scale))
-            names = "height", "displacement", "pressure", "obstructed", "images"
-            *arrays, images = (getattr(found, name).cpu().numpy() for name in names)
-            contacts = measured_contacts(*arrays[:3], arrays[3].astype(np.float64), self.profile)
+            where, axes, pressed = (torch.from_numpy(v[part]).to(device) for v in (points, frames, depths))
+            which = torch.zeros(len(where), dtype=torch.int64, device=device)
+            found = self._batch.press(which, where, axes, pressed, torch.full_like(pressed, self.scale))
+            height, moved, pressure, images = (
+                of.cpu().numpy() for of in (found.height, found.displacement, found.pressure, found.images)
+            )
+            obstructed = found.obstructed.double().cpu().numpy()
+            contacts = measured_contacts(height, moved, pressure, obstructed, self.profile)
             yield Touches(**vars(contacts), images=images, profile=self.profile)
 
     def shown(self, displacement: np.ndarray) -> np.ndarray:
