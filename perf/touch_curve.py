@@ -223,7 +223,9 @@ def main() -> None:
     for run in runs:
         name = "_".join(map(str, run))
         found = job.compute_once(name, partial(trained, job, learnt, *run, console.print))
-        rows.append(found | {"frame": given.frame, "depth": given.depth, "objects": len(job.observations.keys)})
+        rows.append(
+            found | {"frame": given.frame, "depth": given.depth, "objects": len(job.observations.keys)}
+        )
         write_record(given.json, rows)
     together = [f"{n} together, %" for n in TOUCHES[1:]]
     columns = ("touches of an object", "steps", "accuracy, %", "not flat, %", *together, "min")

@@ -104,8 +104,8 @@ def asset(
 ) -> None:
     """Turn a mesh into an asset for simulators: mass, inertia, hulls, look, friction. No build.
 
-    Writes DIR/NAME/ with NAME.xml (MuJoCo), NAME.urdf, NAME.glb or usd/NAME.usd, the convex hulls, the textured
-    surface, thumbnail.png, and asset.json, which says where the mass is from and how sure it is. Takes 10 to
+    Writes DIR/NAME/ with NAME.xml (MuJoCo), NAME.urdf, NAME.glb or usd/NAME.usd, the convex hulls, the
+    textured surface, thumbnail.png, and asset.json, which says where the mass is from and how sure it is. Takes 10 to
     30 seconds, or minutes for furniture of many parts. `objectfolder export` of the built object gives the
     same body.
 

@@ -91,8 +91,8 @@ class ExploreEnv(Game):
             raise ObjectFolderError(
                 f"reduction is {reduction!r}, expected {min(full.height, full.width)} at most for {full.name}"
             )
-        self._profile = replace(full, height=height, width=width)
-        self._optics = Optics(self._profile)
+        self.profile = replace(full, height=height, width=width)
+        self._optics = Optics(self.profile)
         bounds = np.stack([file.bounds for file in self.files])
         self._tallest = float((bounds[:, 1, 2] - bounds[:, 0, 2]).max())
         self._reach = 1.1 * SIZES[1] * float(np.hypot(*abs(bounds).max(1)[:, :2].T).max())
@@ -109,11 +109,14 @@ class ExploreEnv(Game):
         self._episode, self._touches = {}, 0
 
     def _begin(self, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:
+        self._episode, self._touches = self.draw_episode(rng), 0
+        return self._empty_observation(), dict(self._episode)
+
+    def draw_episode(self, rng: np.random.Generator) -> dict[str, Any]:
+        """Draw an object, its size and its yaw: what ``info`` holds."""
         kind = int(rng.integers(len(self.files)))
         scale = self.files[kind].scale * float(np.exp(rng.uniform(*np.log(SIZES))))
-        self._episode = {"object": kind, "scale": scale, "yaw": float(rng.uniform(0, 2 * np.pi))}
-        self._touches = 0
-        return self._empty_observation(), dict(self._episode)
+        return {"object": kind, "scale": scale, "yaw": float(rng.uniform(0, 2 * np.pi))}
 
     def step(self, action: int) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Touch the object, or name it."""
@@ -126,10 +129,7 @@ class ExploreEnv(Game):
         error = self.np_random.normal(size=3) * self.noise
         observation = self._empty_observation()
         if felt.touched[0]:
-            azimuth, height = self._direction(np.array([chosen]))
-            place = np.array([*(felt.radius[0] * azimuth[0, :2]), height[0]]) + error
-            box: spaces.Box = self.observation_space["contact"]  # type: ignore[index]
-            contact = place.astype(np.float32).clip(box.low, box.high)
+            contact = self.felt_places(np.array([chosen]), felt.radius, error)[0]
             observation = {"touch": felt.images[0], "contact": contact, "touched": np.int64(1)}
         self._touches += 1
         cut = self._touches >= self.limit
@@ -140,26 +140,45 @@ class ExploreEnv(Game):
     def feel(self, kind: int, scale: float, yaw: float, places: "Sequence[int] | np.ndarray") -> Probe:
         """Touch an object of a size (m) and yaw (radians) at places (N,), the numbers of actions."""
         file, rows = self.files[kind], np.asarray(places)
-        azimuth, height = self._direction(rows)
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        outward = azimuth @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])  # object frame
-        low = file.bounds[0, 2] * scale / file.scale
-        origins = outward * self._reach + np.stack([0 * height, 0 * height, height + low], 1)
-        found, _ = file.surface.caster.first_hit(origins / scale, -outward)
-        distance = found.astype(np.float64) * scale
-        touched = distance < self._reach
+        points, outward, radius, touched = self.approach(kind, scale, yaw, rows)
         background = self._optics.background.numpy()
         images = np.broadcast_to(background, (len(rows), *background.shape)).astype(np.uint8)
         near = np.flatnonzero(touched)
         if len(near):
-            points = origins[near] - distance[near, None] * outward[near]
-            up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
-            angle, _, _ = sensor_angles(outward[near], outward[near], up)
-            depth = np.full(len(near), DEPTH)
-            caster, profile = file.surface.caster, self._profile
-            pressed = press(caster, points, outward[near], angle, depth, profile, scale)
+            angle, depth = upright_angles(outward[near]), np.full(len(near), DEPTH)
+            caster, profile = file.surface.caster, self.profile
+            pressed = press(caster, points[near], outward[near], angle, depth, profile, scale)
             images[near] = self._optics.render(torch.from_numpy(pressed.displacement)).numpy()
-        return Probe(images, np.where(touched, self._reach - distance, 0.0), touched)
+        return Probe(images, radius, touched)
+
+    def approach(
+        self, kind: int, scale: "float | np.ndarray", yaw: "float | np.ndarray", places: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Find where the gel first meets an object of sizes and yaws (N,), or of one, at places (N,).
+
+        Returns points and outward axes (N, 3) in the object's frame, metres, distances of the points from the
+        vertical axis (N,), 0 where there is none, and whether there is one (N,).
+        """
+        file = self.files[kind]
+        azimuth, height = self._direction(places)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        along, across = azimuth[:, 0] * cos + azimuth[:, 1] * sin, azimuth[:, 1] * cos - azimuth[:, 0] * sin
+        outward = np.stack([along, across, 0 * along], 1)
+        size = np.broadcast_to(np.asarray(scale, np.float64), len(places))[:, None]
+        low = file.bounds[0, 2] * size[:, 0] / file.scale
+        origins = outward * self._reach + np.stack([0 * height, 0 * height, height + low], 1)
+        found, _ = file.surface.caster.first_hit(origins / size, -outward)
+        distance = found.astype(np.float64) * size[:, 0]
+        touched = distance < self._reach
+        distance = np.where(touched, distance, self._reach)
+        return origins - distance[:, None] * outward, outward, self._reach - distance, touched
+
+    def felt_places(self, places: np.ndarray, radius: np.ndarray, error: np.ndarray) -> np.ndarray:
+        """Return contacts (N, 3) float32 as they are observed, world frame, m, with errors (N, 3)."""
+        azimuth, height = self._direction(places)
+        box: spaces.Box = self.observation_space["contact"]  # type: ignore[index]
+        place = np.stack([*(radius * azimuth.T[:2]), height], 1) + error
+        return place.astype(np.float32).clip(box.low, box.high)
 
     def _direction(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the directions (N, 3) from which the gel comes, world frame, and its heights (N,), m."""
@@ -168,9 +187,15 @@ class ExploreEnv(Game):
         return np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1), height
 
     def _empty_observation(self) -> dict[str, Any]:
-        background = self._optics.background.numpy().reshape(self._profile.height, self._profile.width, 3)
+        background = self._optics.background.numpy().reshape(self.profile.height, self.profile.width, 3)
         nowhere = np.zeros(3, np.float32)
         return {"touch": background.astype(np.uint8), "contact": nowhere, "touched": np.int64(0)}
+
+
+def upright_angles(outward: np.ndarray) -> np.ndarray:
+    """Return the angles (N,) of `sensor_frames` at which the images of horizontal sensors are upright."""
+    angles, _, _ = sensor_angles(outward, outward, np.broadcast_to([0.0, 0.0, 1.0], outward.shape))
+    return angles
 
 
 class Explorer:

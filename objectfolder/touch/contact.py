@@ -19,12 +19,12 @@ UP = np.array([1.0, 2.0, 4.0]) / np.sqrt(21.0)
 #: Radius of `contact_normals` in the unit frame: two voxels of a 192^3 distance grid, inside its narrow band.
 NORMAL_RADIUS = 0.01
 
-# A contact is free if material past the base reaches less far than this, as a fraction of the thickness; a
-# retreat along the normal turns perspective rays a little.
-_FREE_OVERLAP = 0.05
+#: A contact is free if material past the base reaches less far than this, as a fraction of the thickness; a
+#: retreat along the normal turns perspective rays a little.
+FREE_OVERLAP = 0.05
 
-# Directions along which no usual mesh has an edge; three, because one ray can still graze an edge.
-_PROBES = np.array([[0.7561, 0.3217, -0.5700], [-0.4129, 0.8836, 0.2205], [-0.2917, -0.6353, 0.7150]])
+#: Directions along which no usual mesh has an edge; three, because one ray can still graze an edge.
+PROBES = np.array([[0.7561, 0.3217, -0.5700], [-0.4129, 0.8836, 0.2205], [-0.2917, -0.6353, 0.7150]])
 
 
 _POINT_BATCH = 256  # points whose surroundings are looked at together, to bound memory
@@ -98,7 +98,8 @@ def sensor_frames(normals: Array, angles: Array) -> Array:
     as_array = torch.as_tensor if library is torch else np.asarray
     given = normals, angles, UP, np.array([0.0, 1.0, 0.0])
     n: Array
-    n, angles, up, side = (as_array(v, dtype=library.float64) for v in given)
+    on = {"device": normals.device} if library is torch else {}
+    n, angles, up, side = (as_array(v, dtype=library.float64, **on) for v in given)
     n = n.reshape(-1, 3)
     angles = library.broadcast_to(angles, (len(n),))
     z = up - (n * up).sum(axis=1, keepdims=True) * n
@@ -158,7 +159,19 @@ def heightmaps(
     angles = np.broadcast_to(np.asarray(angles, np.float64), len(points))
     depths = np.broadcast_to(np.asarray(depths, np.float64), len(points))
     _check_contacts(points, normals, angles, depths, profile)
-    frames = sensor_frames(normals, angles)
+    return framed_heightmaps(caster, points, sensor_frames(normals, angles), depths, profile, scale)
+
+
+def framed_heightmaps(
+    caster: RayCaster,
+    points: np.ndarray,
+    frames: np.ndarray,
+    depths: np.ndarray,
+    profile: SensorProfile,
+    scale: float = 1.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `heightmaps` does, of sensors with the axes of `sensor_frames`; nothing is checked."""
+    normals = -frames[:, :, 0]
     cameras = ((points + normals * (profile.camera_to_gel - depths)[:, None]) / scale).astype(np.float32)
     rays, gel = _pixels(profile, scale)
     gap = np.float32(GAP * profile.elastomer_thickness)
@@ -176,7 +189,7 @@ def heightmaps(
             camera = camera + (normals[i] * (overlap / scale)).astype(np.float32)
             inside = bool(_enclosed(caster, camera[None])[0])
             distance, _, overlap = _first_surface(caster, camera, directions, base, limit, inside)
-        if overlap > _FREE_OVERLAP * profile.elastomer_thickness:
+        if overlap > FREE_OVERLAP * profile.elastomer_thickness:
             distance = limit
         (gel - distance).clip(-gap, profile.max_indentation, out=height[i].reshape(-1))
     return height, obstructed, retreat
@@ -240,6 +253,6 @@ def _check_contacts(
 
 def _enclosed(caster: RayCaster, points: np.ndarray) -> np.ndarray:
     """Return whether the closed surface encloses points (N, 3) in caster units, by majority of three rays."""
-    directions = np.tile(_PROBES, (len(points), 1))
-    _, leaving = caster.first_crossing(points.repeat(len(_PROBES), axis=0), directions)
-    return leaving.reshape(-1, len(_PROBES)).sum(axis=1) >= 2
+    directions = np.tile(PROBES, (len(points), 1))
+    _, leaving = caster.first_crossing(points.repeat(len(PROBES), axis=0), directions)
+    return leaving.reshape(-1, len(PROBES)).sum(axis=1) >= 2

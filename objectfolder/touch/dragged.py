@@ -11,7 +11,7 @@ from objectfolder.touch.gel import GAP, deform, double, halve, within_reach
 from objectfolder.touch.profiles import SensorProfile
 from objectfolder.touch.tangential import MAX_GRID_SIDE
 
-_ROUNDS = 4  # of the fixed point below; friction stretches the surface by a few tenths at most
+ROUNDS = 4  # of the fixed point below; friction stretches the surface by a few tenths at most
 
 
 def dragged_contacts(
@@ -37,7 +37,7 @@ def dragged_contacts(
     object's heights, up to ``max_indentation``, the gel's displacements towards the camera along the pixel
     rays, metres, and pressures, Pa; (N, H, W) float32. Bits of a row do not depend on others.
     """
-    (sag, axes), deepest = _rest(profile), np.float32(profile.max_indentation)
+    (sag, axes), deepest = rest_surface(profile), np.float32(profile.max_indentation)
     thickness = profile.elastomer_thickness
     moved, seen, pressed = (np.empty(height.shape, np.float32) for _ in range(3))
     for i, before in enumerate(height):
@@ -79,7 +79,7 @@ def _carried(shift: np.ndarray) -> np.ndarray:
     step = np.float32(2 ** len(shapes))
     axes = _grid(*coarse[0].shape)
     carried = coarse
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         carried = _at(coarse, _centred(axes - carried / step))
     for shape in reversed(shapes):
         carried = np.stack([double(part, shape) for part in carried])
@@ -87,7 +87,7 @@ def _carried(shift: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _rest(profile: SensorProfile) -> tuple[np.ndarray, np.ndarray]:
+def rest_surface(profile: SensorProfile) -> tuple[np.ndarray, np.ndarray]:
     """Return how far the undeformed gel recedes from its apex, (H, W), and the pixels' `_grid`."""
     sag = gel_depth(profile) - profile.camera_to_gel
     return sag.astype(np.float32), _grid(profile.height, profile.width)

@@ -6,8 +6,10 @@ from functools import lru_cache
 
 import numpy as np
 import scipy  # scipy.fft loads at first use: views and sounds start without it
+import torch
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.touch.arrays import Array, array_library, zeros
 from objectfolder.touch.profiles import SensorProfile
 
 #: Largest gap between gel and object that heightmaps resolve, as a fraction of the elastomer's thickness;
@@ -17,19 +19,19 @@ GAP = 0.15
 #: The Fourier transform makes the contact periodic; the copies are this many thicknesses apart.
 SPACING = 2.5
 
-# Tolerated gap under pressure and overlap without pressure, relative to the deepest overlap.
-_TOLERANCE = 8e-3
+#: Tolerated gap under pressure and overlap without pressure, relative to the deepest overlap.
+CONTACT_TOLERANCE = 8e-3
 
 _MAX_STEPS = 300  # typically tens suffice
-_MIN_GRID_SIDE = 40  # pixels along the shorter side of the coarsest grid
+MIN_GRID_SIDE = 40  #: pixels along the shorter side of the coarsest grid
 
 MAX_DENSE_PIXELS = 512  #: pixels of a grid up to which a matrix is faster than transforms
 
 # Least stiffness in the preconditioner, relative to that of the stiffest wave of the grid.
 _MIN_STIFFNESS = 0.06
 
-# First step size and bounds of the others; 1 is optimal for a perfect preconditioner.
-_STEP, _STEPS = 0.7, (0.2, 3.0)
+#: First step size and bounds of the others; 1 is optimal for a perfect preconditioner.
+FIRST_STEP, STEP_BOUNDS = 0.7, (0.2, 3.0)
 
 
 @dataclass(frozen=True)
@@ -112,8 +114,8 @@ def indent(
     return np.where(touching, height, displacement), pressure
 
 
-def within_reach(height: np.ndarray, thickness: float) -> np.ndarray:
-    """Return where heights (H, W) are within `GAP` of a gel of some thickness, metres; (H, W) bool."""
+def within_reach(height: Array, thickness: float) -> Array:
+    """Return where heights (..., H, W) are within `GAP` of a gel of some thickness, metres; bool."""
     return height > -GAP * thickness * (1 - 1e-6)  # a float32 may be rounded
 
 
@@ -124,14 +126,14 @@ def _solve(
     if start is not None:
         pressure = start * reachable
         displacement = respond(pressure, pitch, layer)
-    elif min(height.shape) >= 2 * _MIN_GRID_SIDE:
+    elif min(height.shape) >= 2 * MIN_GRID_SIDE:
         pressure, _ = _solve(halve(height), halve(reachable) > 0, 2 * pitch, layer)
         pressure = double(pressure, height.shape) * reachable
         displacement = respond(pressure, pitch, layer)
     else:
         pressure = displacement = np.zeros_like(height)
-    tolerance = _TOLERANCE * max(height.max(), 0)  # on a coarse grid, small peaks may not touch
-    step = _STEP
+    tolerance = CONTACT_TOLERANCE * max(height.max(), 0)  # on a coarse grid, small peaks may not touch
+    step = FIRST_STEP
     for _ in range(_MAX_STEPS):
         gap = displacement - height
         touching = ((pressure > 0) | (gap < 0)) & reachable
@@ -146,7 +148,7 @@ def _solve(
         # The optimal step if the preconditioner is right up to a factor.
         work = _sum_of_products(changed, moved)
         if work > 0:
-            step = float(np.clip(-step * _sum_of_products(changed, residual) / work, *_STEPS))
+            step = float(np.clip(-step * _sum_of_products(changed, residual) / work, *STEP_BOUNDS))
     raise ObjectFolderError(
         f"the contact did not converge in {_MAX_STEPS} steps on a gel of {layer}; "
         "a Poisson ratio farther from 0.5 converges faster"
@@ -177,20 +179,20 @@ def _transformed(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray
     return scipy.fft.irfft(waves, rows, axis=0)[:height]
 
 
-def precondition(residual: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
-    """Return the approximate pressure (H, W), Pa, that causes a displacement (H, W), metres; float32.
+def precondition(residual: Array, pitch: float, layer: Layer) -> Array:
+    """Return the approximate pressure (..., H, W), Pa, that causes a displacement (..., H, W), metres.
 
-    Parameters are those of `respond`.
+    Float32, of arrays or tensors; parameters are those of `respond`.
     """
-    centre, side, corner = _stencil(pitch, layer)
-    padded = np.zeros((residual.shape[0] + 2, residual.shape[1] + 2), np.float32)
-    padded[1:-1, 1:-1] = residual
-    columns = padded[:-2] + padded[2:]
-    result = columns[:, :-2] + columns[:, 2:]
+    centre, side, corner = map(float, _stencil(pitch, layer))
+    padded = zeros((*residual.shape[:-2], residual.shape[-2] + 2, residual.shape[-1] + 2), residual)
+    padded[..., 1:-1, 1:-1] = residual
+    columns = padded[..., :-2, :] + padded[..., 2:, :]
+    result = columns[..., :-2] + columns[..., 2:]
     result *= corner
-    columns = columns[:, 1:-1]
-    columns += padded[1:-1, :-2]
-    columns += padded[1:-1, 2:]
+    columns = columns[..., 1:-1]
+    columns += padded[..., 1:-1, :-2]
+    columns += padded[..., 1:-1, 2:]
     columns *= side
     result += columns
     result += centre * residual
@@ -238,25 +240,29 @@ def _stencil(pitch: float, layer: Layer) -> tuple[np.float32, np.float32, np.flo
     return np.float32(centre), np.float32((long - diagonal) / 8), np.float32((centre - axis) / 4)
 
 
-def halve(image: np.ndarray) -> np.ndarray:
-    """Means of 2 x 2 pixels."""
-    height, width = image.shape
-    even = image.astype(np.float32)
-    if height % 2 or width % 2:
-        even = np.pad(even, ((0, height % 2), (0, width % 2)), mode="edge")
-    rows = even[::2] + even[1::2]
-    return (rows[:, ::2] + rows[:, 1::2]) / 4
+def halve(image: Array) -> Array:
+    """Means of 2 x 2 pixels of images (..., H, W), arrays or tensors."""
+    height, width = image.shape[-2:]
+    even = image.float() if isinstance(image, torch.Tensor) else image.astype(np.float32)
+    join = array_library(even).concatenate
+    if height % 2:
+        even = join([even, even[..., -1:, :]], axis=-2)
+    if width % 2:
+        even = join([even, even[..., -1:]], axis=-1)
+    rows = even[..., ::2, :] + even[..., 1::2, :]
+    return (rows[..., ::2] + rows[..., 1::2]) / 4
 
 
-def double(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Interpolate between the centres of 2 x 2 pixels."""
+def double(image: Array, shape: tuple[int, ...]) -> Array:
+    """Interpolate images (..., H, W), arrays or tensors, between the centres of 2 x 2 pixels."""
     for _ in range(2):
-        fine = np.empty((2 * len(image), image.shape[1]), np.float32)
-        fine[::2] = fine[1::2] = 0.75 * image
+        *many, height, width = image.shape
+        fine = zeros((*many, 2 * height, width), image)
+        fine[..., ::2, :] = fine[..., 1::2, :] = 0.75 * image
         quarter = 0.25 * image
-        fine[2::2] += quarter[:-1]
-        fine[0] += quarter[0]
-        fine[1:-1:2] += quarter[1:]
-        fine[-1] += quarter[-1]
-        image = fine.T
-    return image[: shape[0], : shape[1]]
+        fine[..., 2::2, :] += quarter[..., :-1, :]
+        fine[..., 0, :] += quarter[..., 0, :]
+        fine[..., 1:-1:2, :] += quarter[..., 1:, :]
+        fine[..., -1, :] += quarter[..., -1, :]
+        image = fine.swapaxes(-1, -2)
+    return image[..., : shape[0], : shape[1]]

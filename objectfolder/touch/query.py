@@ -243,6 +243,9 @@ class TouchQueries(StoredObject):
     ) -> Answer:
         """Press a tactile sensor on the object.
 
+        A file on a CUDA device answers calls of 64 contacts or more there, if the extra ``batch`` is
+        installed: to the tolerance of the gel's iteration as in smaller calls, not to the bit.
+
         Parameters
         ----------
         points : (N, 3) array

@@ -60,7 +60,14 @@ def press(
 
 def contacts_of(height: np.ndarray, obstructed: np.ndarray, profile: SensorProfile) -> Contacts:
     """Press what the heightmaps (N, H, W) of `heightmaps` show into the sensor's gel."""
-    displacement, pressure = deform(height, profile)
+    return measured_contacts(height, *deform(height, profile), obstructed, profile)
+
+
+def measured_contacts(
+    height: np.ndarray, displacement: np.ndarray, pressure: np.ndarray, obstructed: np.ndarray,
+    profile: SensorProfile,
+) -> Contacts:  # fmt: skip
+    """Return contacts of heights (N, H, W) that `deform` has pressed, with their areas, depths and forces."""
     mask = height > 0 if profile.gel == "rigid" else pressure > 0
     area, volume, force = (_integrals(of, profile) for of in (mask, height * mask, pressure))
     deepest = height.max(axis=(1, 2), initial=0).astype(np.float64)

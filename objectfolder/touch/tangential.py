@@ -12,7 +12,7 @@ from objectfolder.touch.camera import gel_depth, pixel_area, ray_directions
 from objectfolder.touch.gel import MAX_DENSE_PIXELS, SPACING, Layer, double, halve, layer_of, period
 from objectfolder.touch.profiles import SensorProfile
 
-_TOLERANCE = 0.002  # of the motion: error of the surface's displacement where it sticks
+SLIP_TOLERANCE = 0.002  #: of the motion: error of the surface's displacement where it sticks
 _MAX_STEPS = 400  # typically tens suffice
 MAX_GRID_SIDE = 80  #: pixels; grids with a longer shorter side are halved
 
@@ -84,7 +84,7 @@ def shear_contacts(
         )
     layer, pitch = layer_of(profile), profile.pixel_pitch
     count, height, width = pressure.shape
-    place = _places(profile)
+    place = gel_places(profile)
     displacement = np.zeros((count, height, width, 2), np.float32)
     dragged, traction = np.zeros_like(displacement), np.zeros_like(displacement)
     slipping = np.zeros(count)
@@ -95,7 +95,7 @@ def shear_contacts(
         while min(image.shape) >= MAX_GRID_SIDE:
             shapes.append(image.shape)
             image, step = halve(image), 2 * step
-        right, up = _grid(image.shape, step, (height, width), pitch)
+        right, up = coarse_grid(image.shape, step, (height, width), pitch)
         # The gel is dragged along the tangents of circles; their chords point inwards.
         half = twist[i] / 2
         turned = 2 * np.sin(half) * np.stack(np.broadcast_arrays(-up, right))
@@ -140,7 +140,7 @@ def slide(
     """
     traction = np.zeros_like(motion)
     rows, columns = (np.flatnonzero(pressure.any(axis=axis)) for axis in (1, 0))
-    goal = np.abs(motion).max() * _TOLERANCE
+    goal = np.abs(motion).max() * SLIP_TOLERANCE
     if not rows.size or goal == 0 or friction == 0:
         return traction
     window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
@@ -188,7 +188,7 @@ def _transformed(traction: np.ndarray, shape: tuple[int, ...], pitch: float, lay
     # Between the pixels of a part there are few shifts, for which smaller transforms do.
     fast = (scipy.fft.next_fast_len(2 * part - 1, real=True) for part in traction.shape[1:])
     rows, columns = map(min, wholes, fast)
-    right, mixed, up = _compliances(rows, columns, wholes, pitch, layer)
+    right, mixed, up = wave_compliances(rows, columns, wholes, pitch, layer)
     waves = scipy.fft.rfft2(traction, (rows, columns))
     moved = np.empty_like(waves)
     moved[0] = right * waves[0] + mixed * waves[1]
@@ -200,8 +200,8 @@ def _spread(pressure: np.ndarray, pitch: float, layer: Layer) -> np.ndarray:
     """Return the tangential displacement under a pressure (H, W); (2, H, W)."""
     height, width = pressure.shape
     rows, columns = period((height, width), round(SPACING * layer.thickness / pitch))
-    right, up = _units(rows, columns, pitch)
-    waves = scipy.fft.rfft2(pressure, (rows, columns)) * _spreading(rows, columns, pitch, layer)
+    right, up = unit_waves(rows, columns, pitch)
+    waves = scipy.fft.rfft2(pressure, (rows, columns)) * wave_spreading(rows, columns, pitch, layer)
     return scipy.fft.irfft2(np.stack([right * waves, up * waves]), (rows, columns))[:, :height, :width]
 
 
@@ -236,7 +236,7 @@ def _whole(shape: tuple[int, ...], pitch: float, layer: Layer) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def _units(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
+def unit_waves(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
     """Return unit wave vectors' components along image right and up."""
     right, up = _wavenumbers(rows, columns, pitch)
     length = np.hypot(right, up)
@@ -245,7 +245,7 @@ def _units(rows: int, columns: int, pitch: float) -> tuple[np.ndarray, np.ndarra
 
 
 @lru_cache(maxsize=64)
-def _compliances(
+def wave_compliances(
     rows: int, columns: int, wholes: tuple[int, ...], pitch: float, layer: Layer
 ) -> tuple[np.ndarray, ...]:
     """Return the displacements of waves, right by right, right by up, and up by up; float32, m/Pa.
@@ -272,12 +272,13 @@ def _compliances(
 
 
 @lru_cache(maxsize=32)
-def _spreading(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarray:
+def wave_spreading(rows: int, columns: int, pitch: float, layer: Layer) -> np.ndarray:
+    """Return `spreading` of the waves of an image; complex64."""
     # The sine wave lags the cosine by a quarter period. A wave of the grid's highest frequency has no sine.
     return (-1j * spreading(layer, np.hypot(*_wavenumbers(rows, columns, pitch)))).astype(np.complex64)
 
 
-def _grid(
+def coarse_grid(
     shape: tuple[int, ...], step: float, image: tuple[int, ...], pitch: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the distances of a halved image's pixels from the centre of the whole, right (1, W), up (H, 1).
@@ -289,7 +290,7 @@ def _grid(
 
 
 @lru_cache(maxsize=16)
-def _places(profile: SensorProfile) -> np.ndarray:
+def gel_places(profile: SensorProfile) -> np.ndarray:
     """Return the pixels' places on the undeformed gel, right and up of the optical axis, m; (2, H, W)."""
     rays, gel = ray_directions(profile), gel_depth(profile)
     return np.stack([-rays[..., 1] * gel, rays[..., 2] * gel])

@@ -51,6 +51,7 @@ EXTRAS = (
         "usd",
         ("tests/sim/test_usd_export.py",),
     ),
+    Extra("batch", ("[batch,rl]",), "warp-lang", "warp", ("tests/sim/test_batched_touch.py",)),
     Extra("lerobot", ("[hub]", *LEROBOTS), "lerobot", "lerobot", (LEROBOT,), "lerobot", pinned=False),
     Extra("nerfstudio", NERFSTUDIOS, "nerfstudio", "nerfstudio", (NERFSTUDIO,), "nerfstudio", pinned=False),
     Extra("croissant", ("[hub]", "mlcroissant"), "mlcroissant", "croissant", (RELEASE,)),

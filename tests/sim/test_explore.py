@@ -1,7 +1,9 @@
+import gymnasium
 import numpy as np
 import pytest
 from stable_baselines3 import PPO
 
+from objectfolder.base.errors import ObjectFolderError
 from objectfolder.sim.explore import AZIMUTHS, COST, HEIGHTS, ExploreEnv, Explorer, explore
 
 PLACES = AZIMUTHS * HEIGHTS
@@ -76,3 +78,35 @@ def test_the_next_touch_is_where_objects_differ(env, explorer):
     env.reset(seed=0)
     explorer.learn(place, env.step(place)[0])
     assert explorer.chances.max() > 0.9
+
+
+def test_a_vector_of_environments_feels_what_each_alone_does(brick):
+    """Alike in all but the rounding of images; episodes that end make room for the next."""
+    many = gymnasium.make_vec(
+        "objectfolder.sim:ObjectFolder/Explore-v0", num_envs=3, vectorization_mode="vector_entry_point",
+        objects=[brick, "die"], limit=3,
+    )  # fmt: skip
+    alone = [ExploreEnv([brick, "die"], limit=3) for _ in range(3)]
+    observed, info = many.reset(seed=5)
+    single = [env.reset(seed=5 + k) for k, env in enumerate(alone)]
+    assert info["yaw"].tolist() == [first[1]["yaw"] for first in single]
+    for actions in ([MIDDLE, MIDDLE + 4, 70], [3, PLACES, 17], [5, 6, 7], [8, 9, 10]):
+        observed, reward, ended, cut, info = many.step(np.array(actions))
+        assert many.observation_space.contains(observed)
+        for k, env in enumerate(alone):
+            seen, earned, over, truncated, told = env.step(actions[k])
+            assert (reward[k], ended[k], cut[k]) == (earned, over, truncated)
+            last = (
+                info["final_obs"][k] if over or truncated else {name: of[k] for name, of in observed.items()}
+            )
+            assert last["touched"] == seen["touched"]
+            assert last["contact"] == pytest.approx(seen["contact"], abs=1e-6)
+            assert np.abs(last["touch"].astype(int) - seen["touch"]).max() <= 2
+            if over or truncated:
+                assert info["final_info"]["scale"][k] == told["scale"]
+                _, told = env._begin(env.np_random)
+            assert info["scale"][k] == told["scale"]
+    with pytest.raises(ObjectFolderError, match="expected 3 whole numbers from 0 to 73"):
+        many.step(np.array([0, 0, 74]))
+    with pytest.raises(ObjectFolderError, match="one for each of 3"):
+        many.reset(seed=[1, 2])

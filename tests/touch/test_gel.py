@@ -201,7 +201,7 @@ def test_small_grids_answer_as_by_transforms(rng, monkeypatch):
 def test_solution_is_that_of_a_hundred_times_tighter_tolerance(digit, monkeypatch, seed):
     height = terrain(digit, seed)
     displacement, pressure = deform(height, digit)
-    monkeypatch.setattr("objectfolder.touch.gel._TOLERANCE", 1e-4)
+    monkeypatch.setattr("objectfolder.touch.gel.CONTACT_TOLERANCE", 1e-4)
     exact, exact_pressure = deform(height, digit)
     assert pressure.sum(dtype=float) == pytest.approx(exact_pressure.sum(dtype=float), rel=5e-3)
     assert np.abs(displacement - exact).max() < 0.01 * height.max()
