@@ -105,9 +105,9 @@ def asset(
     """Turn a mesh into an asset for simulators: mass, inertia, hulls, look, friction. No build.
 
     Writes DIR/NAME/ with NAME.xml (MuJoCo), NAME.urdf, NAME.glb or usd/NAME.usd, the convex hulls, the
-    textured surface, thumbnail.png, and asset.json, which says where the mass is from and how sure it is. Takes 10 to
-    30 seconds, or minutes for furniture of many parts. `objectfolder export` of the built object gives the
-    same body.
+    textured surface, thumbnail.png, and asset.json, which says where the mass is from and how sure it is.
+    Takes 10 to 30 seconds, or minutes for furniture of many parts. `objectfolder export` of the built object
+    gives the same body.
 
     `objectfolder asset can.obj --material steel --scale 0.102 --shell 0.3 --out assets`
 

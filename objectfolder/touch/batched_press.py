@@ -1,8 +1,9 @@
 """Presses of many sensors on many objects at once, on one device."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
+import numpy as np
 import torch
 
 from objectfolder.mesh.isosurface import Isosurface
@@ -11,8 +12,10 @@ from objectfolder.touch.batched_rays import EmbreeHeights, HeightCaster, WarpHei
 from objectfolder.touch.batched_slip import SlipBatch
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile
+from objectfolder.touch.simulate import Touches, measured_contacts
 
 _CPU_ROWS = 16  # that are pressed together on a CPU, to stay in its caches
+_GPU_ROWS = 256  # whose answers are copied to the host together
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,26 @@ class BatchedPress:
         self.friction = SlipBatch(self.gel) if self.gel.soft else None
         if background is not None:
             self.optics.background = background
+
+    def touches(
+        self, points: np.ndarray, frames: np.ndarray, depths: np.ndarray, scale: float
+    ) -> Iterator[Touches]:
+        """Yield what contacts with the first surface feel, in batches.
+
+        Contact points (N, 3), m, object frame; the sensors' `sensor_frames`; depths (N,), m; and the longest
+        side of the object, m.
+        """
+        for start in range(0, len(points), _GPU_ROWS):
+            part = slice(start, start + _GPU_ROWS)
+            where, axes, deep = (torch.from_numpy(v[part]).to(self.device) for v in (points, frames, depths))
+            which = torch.zeros(len(where), dtype=torch.int64, device=self.device)
+            found = self.press(which, where, axes, deep, torch.full_like(deep, scale))
+            height, moved, pressure, images = (
+                of.cpu().numpy() for of in (found.height, found.displacement, found.pressure, found.images)
+            )
+            obstructed = found.obstructed.double().cpu().numpy()
+            contacts = measured_contacts(height, moved, pressure, obstructed, self.profile)
+            yield Touches(**vars(contacts), images=images, profile=self.profile)
 
     def press(
         self, which: torch.Tensor, points: torch.Tensor, frames: torch.Tensor, depths: torch.Tensor,

@@ -7,7 +7,6 @@ File holds. A net from position to image memorises the training contacts (29 dB 
 
 import threading
 from collections.abc import Iterator
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,19 +15,17 @@ import torch
 from objectfolder.base.recent import Recent
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.nets.storage import NetKind, real, whole
-from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals, sensor_frames
+from objectfolder.touch.contact import NORMAL_RADIUS, contact_normals
 from objectfolder.touch.optics import Optics
 from objectfolder.touch.profiles import SensorProfile, require_renderer
-from objectfolder.touch.simulate import Touches, measured_contacts, press
+from objectfolder.touch.simulate import Touches, press
 
 if TYPE_CHECKING:
-    from objectfolder.touch.batched_press import BatchedPress
     from objectfolder.touch.tacto_rays import TactoRays
 
 
 _OTHERS = 8  # other sensors that are cached: making their optics takes as long as a touch
 _BATCH = 16  # contacts simulated at once, to bound memory
-_LARGE, _GPU_BATCH = 64, 256  # contacts from which a GPU with Warp simulates them, and how many at once
 
 
 class GeometricTouch:
@@ -37,9 +34,7 @@ class GeometricTouch:
     Fitted are the ``depth_offset`` (metres), which is added to every press depth, and, for renderer tacto
     (`objectfolder.touch.truth.render_contacts`), the rounds of averaging the normals (`smooth`). The
     ``background`` (H, W, 3) uint8 is the image of the untouched sensor; default: that of the profile. The
-    device is that of renderer gel: ray casting and gel deformation stay on the CPU, except in calls of 64
-    contacts or more on a CUDA device if Warp is there (extra ``batch``). They agree to the tolerance of the
-    gel's iteration, not to the bit.
+    device is that of renderer gel: ray casting and gel deformation stay on the CPU.
     """
 
     _rays: "TactoRays | None"
@@ -59,7 +54,6 @@ class GeometricTouch:
         self.profile = profile
         self.depth_offset = depth_offset
         self.renderer = renderer
-        self._batch: BatchedPress | None = None
         self._others, self._lock = Recent[GeometricTouch](_OTHERS), threading.Lock()
         self._optics = Optics(profile, device)
         if background is not None:
@@ -117,10 +111,7 @@ class GeometricTouch:
         self, points: np.ndarray, normals: np.ndarray, angles: np.ndarray, depths: np.ndarray
     ) -> Iterator[Touches]:
         """Yield full results of contacts in batches; arguments as in `heightmaps`, object frame."""
-        pressed = np.clip(depths + self.depth_offset, 0, self.profile.max_indentation)
-        if len(pressed) >= _LARGE and self.renderer == "gel" and has_fast_rays(self._optics.device):
-            yield from self._touches_on_device(points, sensor_frames(normals, angles), pressed)
-            return
+        pressed = self.pressed(depths)
         for start in range(0, max(len(pressed), 1), _BATCH):
             part = slice(start, start + _BATCH)
             contact = points[part], normals[part], angles[part], pressed[part]
@@ -131,27 +122,15 @@ class GeometricTouch:
                 images = self.shown(contacts.displacement)
             yield Touches(**vars(contacts), images=images, profile=self.profile)
 
-    def _touches_on_device(
-        self, points: np.ndarray, frames: np.ndarray, depths: np.ndarray
-    ) -> Iterator[Touches]:
-        """Yield what `touches` does, of sensors with these axes, computed on the device."""
-        from objectfolder.touch.batched_press import BatchedPress
+    def pressed(self, depths: np.ndarray) -> np.ndarray:
+        """Return the depths (N,) that the sensor is pressed to, with the offset."""
+        out: np.ndarray = np.clip(depths + self.depth_offset, 0, self.profile.max_indentation)
+        return out
 
-        device = self._optics.device
-        with self._lock:
-            if self._batch is None:
-                self._batch = BatchedPress([self.surface], self.profile, device, self.background)
-        for start in range(0, len(points), _GPU_BATCH):
-            part = slice(start, start + _GPU_BATCH)
-            where, axes, pressed = (torch.from_numpy(v[part]).to(device) for v in (points, frames, depths))
-            which = torch.zeros(len(where), dtype=torch.int64, device=device)
-            found = self._batch.press(which, where, axes, pressed, torch.full_like(pressed, self.scale))
-            height, moved, pressure, images = (
-                of.cpu().numpy() for of in (found.height, found.displacement, found.pressure, found.images)
-            )
-            obstructed = found.obstructed.double().cpu().numpy()
-            contacts = measured_contacts(height, moved, pressure, obstructed, self.profile)
-            yield Touches(**vars(contacts), images=images, profile=self.profile)
+    @property
+    def device(self) -> torch.device:
+        """Where images are computed."""
+        return self._optics.device
 
     def shown(self, displacement: np.ndarray) -> np.ndarray:
         """Return images (N, H, W, 3) of a gel displaced by (N, H, W) metres."""
@@ -194,11 +173,6 @@ class GeometricTouch:
         net = cls(surface, scale, profile, offset, config["renderer"], background, device)
         net.smooth(int(config["smoothing"]))
         return net
-
-
-def has_fast_rays(device: torch.device) -> bool:
-    """Return whether a device casts rays faster than Embree: a CUDA device, if Warp is installed."""
-    return device.type == "cuda" and find_spec("warp") is not None
 
 
 _SENSOR = {

@@ -11,9 +11,10 @@ from pretend_device import pretend_device
 
 from objectfolder import ObjectFile
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.metrics import psnr
 from objectfolder.sim.batched_touch import BatchedTouch, relative_poses
 from objectfolder.sim.body import add_body, rigid_body
-from objectfolder.touch import batched_rays
+from objectfolder.touch import batched_rays, senses
 from objectfolder.touch.batched_gel import GelBatch
 from objectfolder.touch.batched_rays import EmbreeHeights, WarpHeights, require_warp
 from objectfolder.touch.batched_slip import SlipBatch
@@ -331,3 +332,21 @@ def test_arguments_of_other_shapes_are_refused(touch, contacts):
 def test_an_unusable_device_is_refused(files):
     with pytest.raises(ObjectFolderError, match="which torch cannot use here"):
         BatchedTouch(files, device="no such device")
+
+
+def test_large_calls_of_a_file_are_answered_on_a_gpu(brick, brick_path, monkeypatch):
+    """Here by the same code on a CPU, whose rays are Embree's."""
+    points, file = brick.sample_surface(70), ObjectFile.load(brick_path)
+    expected = brick.press(points, 0.0012, 0.4)
+    monkeypatch.setattr(senses, "has_fast_rays", lambda device: True)
+    found = file.press(points, 0.0012, 0.4)
+    for name in ("images", "height", "displacement", "pressure", "force", "obstructed"):
+        one, other = getattr(found, name), getattr(expected, name)
+        assert (one.dtype, one.shape) == (other.dtype, other.shape)
+    assert any(
+        (getattr(found, name) != getattr(expected, name)).any() for name in ("pressure", "displacement")
+    )
+    np.testing.assert_allclose(found.force, expected.force, rtol=1e-4, atol=1e-6)
+    assert psnr(np.mean((found.images / 255 - expected.images / 255) ** 2)) > 70
+    few = file.press(points[:3], 0.0012, 0.4)
+    assert (few.images == brick.press(points[:3], 0.0012, 0.4).images).all()

@@ -15,7 +15,7 @@ from objectfolder.mesh.grid import DistanceGrid
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.mesh.sampling import sample_surface
 from objectfolder.mesh.sdf import distance_grid
-from objectfolder.touch import gel, geometric_net
+from objectfolder.touch import gel
 from objectfolder.touch.geometric_net import GeometricTouch
 from objectfolder.touch.geometric_training import fit_contacts
 from objectfolder.touch.profiles import load_profile
@@ -161,28 +161,6 @@ def test_device_draws_the_images_only(surface, points):
     assert GeometricTouch.from_tensors(surface, SCALE, tensors, config, "meta")._optics.device.type == "meta"
     with pytest.raises(NotImplementedError, match="meta"):
         answer(net, contacts(points[:1], profile))
-
-
-def test_large_calls_are_answered_on_a_gpu(surface, monkeypatch):
-    """Here by the same code on a CPU, whose rays are Embree's."""
-    digit, rng = load_profile("digit"), np.random.default_rng(0)
-    few = {name: of[:70] for name, of in contacts(sample_surface(*BALL, 70, rng), digit).items()}
-    pose = few["points"], few["normals"], few["angles"], few["depths"]
-    alone, large = (GeometricTouch(surface, SCALE, digit, depth_offset=1e-5) for _ in range(2))
-    expected = [*alone.touches(*pose)]
-    monkeypatch.setattr(geometric_net, "has_fast_rays", lambda device: True)
-    (found,) = large.touches(*pose)
-    assert len(expected) > 1
-    for field in dataclasses.fields(found):
-        if field.name != "profile":
-            values = np.concatenate([getattr(part, field.name) for part in expected])
-            assert getattr(found, field.name).dtype == values.dtype
-            assert getattr(found, field.name).shape == values.shape
-    force = np.concatenate([part.force for part in expected])
-    np.testing.assert_allclose(found.force, force, rtol=1e-4)
-    assert decibel(found.images, np.concatenate([part.images for part in expected])) > 70
-    small = next(large.touches(*(of[:3] for of in pose)))
-    assert np.array_equal(small.images, expected[0].images[:3])
 
 
 def test_threads_share_the_nets_of_other_sensors(surface):

@@ -366,7 +366,9 @@ def test_presses_of_one_depth_change_touches_alone(brick, sampled, tmp_path, ask
     assert is_sampled(observation_request(brick, wanted, 7), tmp_path)
     queries = dict(np.load(tmp_path / "queries.npz", allow_pickle=False))
     assert (load(tmp_path, "touch") == brick.touch(queries["touch_point"], 0.001)).all()
-    assert (queries["touch_point"] == np.load(sampled / "queries.npz")["touch_point"]).all()
+    assert (
+        queries["touch_point"] == np.load(sampled / "queries.npz", allow_pickle=False)["touch_point"]
+    ).all()
     sample_observations(brick, WANTED, 7, tmp_path)
     assert found == ["touch", "touch"]
     assert contents(tmp_path) == contents(sampled)
