@@ -19,6 +19,7 @@ from objectfolder.touch.query import ContactPoses, FixedContact, TouchSense
 from objectfolder.touch.simulate import Touches
 
 if TYPE_CHECKING:
+    from objectfolder.touch.batched_press import BatchedPress
     from objectfolder.touch.geometric_net import GeometricTouch
     from objectfolder.touch.released_images import ReleasedDepth
 
