@@ -77,6 +77,8 @@ EXCEPTIONS = {
     # The caller gives a path or a folder of its own.
     "objectfolder/benchmarks/datasets/lerobot.py:_write_frames": "in the new folder of write_lerobot",
     "objectfolder/sim/export.py:_write_meshes": "in an export_folder",
+    "objectfolder/sim/gltf.py:fill_glb": "in an export_folder, or the new folder of an asset",
+    "objectfolder/sim/usd.py:fill_usd": "in an export_folder, or the new folder of an asset",
     "objectfolder/hub/fetch/files.py:collect": "in a folder that it makes, in a temporary one",
     "objectfolder/hub/fetch/archive.py:extract": "removes the folder that it has made",
     "objectfolder/hub/fetch/archive.py:_extract_tar": "in the folder that extract has made; no links",

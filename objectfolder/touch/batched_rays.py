@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from objectfolder.base.errors import ObjectFolderError
+from objectfolder.base.installation import install_command
 from objectfolder.mesh.isosurface import Isosurface
 from objectfolder.touch.camera import gel_depth, ray_directions
 from objectfolder.touch.contact import FREE_OVERLAP, PROBES, framed_heightmaps
@@ -169,5 +170,5 @@ def require_warp(device: torch.device) -> None:
         )
     if find_spec("warp") is None:
         raise ObjectFolderError(
-            f"batches of touches on a GPU need NVIDIA Warp: pip install 'objectfolder[{EXTRA}]'"
+            f"batches of touches on a GPU need NVIDIA Warp; for it: {install_command(EXTRA)}"
         )
