@@ -22,6 +22,7 @@ EXTRAS = {
     "bench": "grasp stability: scores and baselines (scikit-learn); 0.06 GB",
     "rl": "robot environments, export mjcf and urdf (MuJoCo); 0.1 GB",
     "hub": "export of training sets, releases of hf://; 0.3 GB",
+    "batch": "touches in batches on a GPU (NVIDIA Warp); 0.4 GB",
     "usd": "export usd (OpenUSD); 0.1 GB",
     "ray": "build --engine ray, on a cluster; 0.25 GB",
     "s3": "remotes on S3; 0.03 GB",

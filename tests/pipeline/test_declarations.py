@@ -135,9 +135,9 @@ def test_stages_of_robots_depend_on_the_hulls(stage):
 MAX_MODULES = {
     **{"generate": 53, "normalize": 50, "voxelize": 49, "modal": 47, "radiation": 35, "render_views": 49},
     **{"render_touch": 38, "train_vision": 70, "train_audio": 31, "train_touch": 48, "pack": 20},
-    **{"evaluate": 105, "observe": 105, "close_ups": 108, "decompose": 101, "grasp_data": 115},
+    **{"evaluate": 106, "observe": 106, "close_ups": 109, "decompose": 102, "grasp_data": 116},
     # Of benchmarks: those that ask for samples alone, and those that ask an object.
-    **{"samples": 51, "objects": 131, "reconstruct": 125, "recognize": 123, "retrieve": 123},
+    **{"samples": 51, "objects": 132, "reconstruct": 126, "recognize": 124, "retrieve": 124},
 }
 
 

@@ -6,14 +6,15 @@ deep (`levelled`), and turned until its second moments stand upright (`upright`)
 images of each other: training draws one of them, and `Mirrored` answers for all.
 """
 
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
 from torch import nn
 from torch.nn.functional import affine_grid, grid_sample
 
-from objectfolder.touch.inverse import PhotometricInverse
+if TYPE_CHECKING:
+    from objectfolder.touch.inverse import PhotometricInverse
 
 DEPTH = 1.0  #: of all touches once they are levelled, mm
 DEEPEST = 3.0  #: displacement that is kept of a levelled touch, mm
@@ -50,7 +51,7 @@ def upright(displacement: torch.Tensor, ratio: float) -> torch.Tensor:
     return turned[:, 0]
 
 
-def own_shapes(images: np.ndarray, inverse: PhotometricInverse) -> torch.Tensor:
+def own_shapes(images: np.ndarray, inverse: "PhotometricInverse") -> torch.Tensor:
     """Return the gel of touches (B, H, W, 3) uint8 in their own frame; (B, h, w), mm."""
     height, width = images.shape[1:3]
     return upright(levelled(inverse.displacement(images)), height / width)
