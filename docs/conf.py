@@ -49,7 +49,7 @@ autodoc_default_options = {
     "member-order": "bysource",
     "exclude-members": "model_config",
 }
-autodoc_mock_imports = ["bpy", "metaworld", "pyrender", "OpenGL"]
+autodoc_mock_imports = ["bpy", "warp", "metaworld", "pyrender", "OpenGL"]
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 90
