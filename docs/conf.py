@@ -123,7 +123,8 @@ def prepare_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any,
     lines[:] = [re.sub(r"\bdocs/([\w/]+)\.md\b", r":doc:`/\1`", line) for line in lines]
     if (getattr(obj, "__module__", None) or "").startswith("objectfolder."):
         errors = []
-        with suppress(StopIteration):  # a class that a call has made has no line of its own
+        # A class that a call has made has no line of its own; nor has what a mocked decorator returns.
+        with suppress(StopIteration, ValueError):
             errors = validate(name)["errors"]
         for code, problem in errors:
             if code in ("PR02", "GL06", "GL07"):
