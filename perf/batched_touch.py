@@ -139,10 +139,10 @@ def shares(touch: BatchedTouch, part: dict[str, torch.Tensor], device: str) -> d
     """Return the ms a touch of rays, gel and optics."""
     presses, count = touch._presses, len(part["points"])
     given: list = []
-    cast = presses.heights.heightmaps
-    presses.heights.heightmaps = lambda *contact: given.append(contact) or cast(*contact)  # type: ignore
+    cast = presses.heights.cast_heights
+    presses.heights.cast_heights = lambda *contact: given.append(contact) or cast(*contact)  # type: ignore
     touch.press(0, **part)
-    presses.heights.heightmaps = cast  # type: ignore[method-assign]
+    presses.heights.cast_heights = cast  # type: ignore[method-assign]
     heights = [cast(*contact)[0] for contact in given]
     displacements = [presses.gel.press(height)[0] for height in heights]
     jobs = {

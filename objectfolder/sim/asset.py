@@ -74,9 +74,9 @@ class Asset:
     @cached_property
     def body(self) -> RigidBody:
         """Mass, inertia, friction and convex hulls; takes 10 to 20 s at its first use."""
-        return self.rigid_body()
+        return self.make_body()
 
-    def rigid_body(self, max_hulls: int = MAX_HULLS) -> RigidBody:
+    def make_body(self, max_hulls: int = MAX_HULLS) -> RigidBody:
         """Return the rigid body with at most this many hulls."""
         return rigid_body(self.file, convex_hulls(self.file.to_mesh(), max_hulls))
 
@@ -113,7 +113,7 @@ class Asset:
         fills = [_fill(name) for name in dict.fromkeys(formats)]
         place = Path(out) / self.key
         with new_folder(f"{self.key}: asset", place, NEEDED, "") as new:
-            body = self.body if max_hulls == MAX_HULLS else self.rigid_body(max_hulls)
+            body = self.body if max_hulls == MAX_HULLS else self.make_body(max_hulls)
             model = PhysicsModel(self.file, body, self.look, self.facts())
             for fill in fills:
                 fill(new, model)
@@ -164,8 +164,8 @@ def asset(
 ) -> Asset:
     """Turn a mesh into an asset for physics engines, without a workspace or a build.
 
-    Mass, inertia and hulls are those that `objectfolder build` of the same mesh and then `objectfolder
-    export` would give.
+    Mass, inertia and hulls are those that ``objectfolder build`` of the same mesh and then ``objectfolder
+    export`` would give.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def asset(
     unit : {"m", "cm", "mm"}
         Of the mesh's coordinates.
     wall, bridge
-        As for `objectfolder add`.
+        As for ``objectfolder add``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Gels of many sensors at once, as tensors on any device: `gel` for a batch.
+"""Gels of many sensors at once, as tensors on any device.
 
 The iteration is that of single presses, with the same steps and tolerances, so that the answers agree
 to these tolerances. A row that has converged stays as it is. On a GPU all rows take a fixed number of

@@ -92,8 +92,8 @@ class BatchedPress:
     ) -> BatchedTouches:  # fmt: skip
         """Press, then move the objects by a shear (B, 2), a twist (B,) under a friction (B,), if given.
 
-        Other parameters are those of `HeightCaster.heightmaps`; start is that of `GelBatch.press`. Nothing is
-        checked, and on a GPU nothing waits for the device.
+        Other parameters are those of `HeightCaster.cast_heights`; start is that of `GelBatch.press`. Nothing
+        is checked, and on a GPU nothing waits for the device.
         """
         given = [which, points, frames, depths, scales, *(motion or (None,) * 3), start]
         size = _CPU_ROWS if self.device.type == "cpu" else max(len(which), 1)
@@ -110,7 +110,7 @@ class BatchedPress:
         scales: torch.Tensor, shear: torch.Tensor | None, twist: torch.Tensor | None,
         friction: torch.Tensor | None, start: torch.Tensor | None,
     ) -> BatchedTouches:  # fmt: skip
-        height, obstructed = self.heights.heightmaps(which, points, frames, depths, scales)
+        height, obstructed = self.heights.cast_heights(which, points, frames, depths, scales)
         displacement, pressure, residual = self.gel.press(height, start)
         mask = pressure > 0 if self.gel.soft else height > 0
         sideways = self.friction.spread(pressure) if self.friction else height.new_zeros(len(height), 2, 1, 1)

@@ -26,14 +26,14 @@ EXTRA = "batch"  #: of the package, which brings Warp
 class HeightCaster(Protocol):
     """What finds objects in front of gels."""
 
-    def heightmaps(
+    def cast_heights(
         self, which: torch.Tensor, points: torch.Tensor, frames: torch.Tensor, depths: torch.Tensor,
         scales: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip
-        """Return heights (B, H, W) float32 and obstructed parts (B,), as `contact.heightmaps`.
+        """Return heights (B, H, W) float32 and obstructed parts (B,), as `heightmaps`.
 
         ``which`` (B,) numbers the surfaces; points (B, 3), frames (B, 3, 3), depths (B,) and scales (B,) are
-        those of `contact.framed_heightmaps`, float64 tensors on the device.
+        those of `framed_heightmaps`, float64 tensors on the device.
         """
 
 
@@ -43,7 +43,7 @@ class EmbreeHeights:
     def __init__(self, surfaces: Sequence[Isosurface], profile: SensorProfile):
         self._surfaces, self._profile = surfaces, profile
 
-    def heightmaps(
+    def cast_heights(
         self, which: torch.Tensor, points: torch.Tensor, frames: torch.Tensor, depths: torch.Tensor,
         scales: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip
@@ -100,7 +100,7 @@ class WarpHeights:
         self._rays, self._base, self._limit, self._probes = tensors
         self._gel = torch.from_numpy(gel).to(device).view(self._shape)
 
-    def heightmaps(
+    def cast_heights(
         self, which: torch.Tensor, points: torch.Tensor, frames: torch.Tensor, depths: torch.Tensor,
         scales: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip

@@ -1,4 +1,4 @@
-"""Friction on many gels at once, as tensors on any device: `tangential` and `dragged` for a batch."""
+"""Friction on many gels at once, as tensors on any device."""
 
 import math
 from dataclasses import dataclass

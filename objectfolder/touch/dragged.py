@@ -88,7 +88,7 @@ def _carried(shift: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def rest_surface(profile: SensorProfile) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far the undeformed gel recedes from its apex, (H, W), and the pixels' `_grid`."""
+    """Return how far the undeformed gel recedes from its apex, (H, W), and the grid of its pixels."""
     sag = gel_depth(profile) - profile.camera_to_gel
     return sag.astype(np.float32), _grid(profile.height, profile.width)
 

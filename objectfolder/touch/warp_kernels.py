@@ -1,4 +1,4 @@
-"""Kernels of `batched_rays`, compiled by NVIDIA Warp at first use and cached: the rays of `contact`."""
+"""Kernels that cast the rays of batches, compiled by NVIDIA Warp at first use and cached."""
 
 # mypy: disable-error-code="valid-type"
 
