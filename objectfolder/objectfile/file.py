@@ -94,7 +94,7 @@ class ObjectFile(VisionQueries, SoundQueries, TouchQueries):
     ):
         self._header = checked_nets(checked_header(header, path), path)
         self.tensors = tensors
-        self.device = _usable(device)
+        self.device = usable_device(device)
         self._path = path
         self._parts = StoredParts(self._header, tensors, self.device)
         self._answers: dict[torch.dtype, Answers] = {}
@@ -259,8 +259,8 @@ def _generator(seed: int | np.random.Generator | None) -> np.random.Generator:
         raise ObjectFolderError(f"{error}, a numpy Generator or None") from None
 
 
-def _usable(device: Device) -> torch.device:
-    """Return a device on which a tensor has been, and come back."""
+def usable_device(device: Device) -> torch.device:
+    """Return a device on which a tensor has been, and come back; raise ObjectFolderError if that fails."""
     try:
         found = torch.device(device)
         torch.zeros(1, device=found).cpu()

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from objectfolder.base.errors import ObjectFolderError, shortened
-from objectfolder.objectfile.file import ObjectFile
+from objectfolder.objectfile.file import ObjectFile, usable_device
 from objectfolder.sim.calls import open_files
 from objectfolder.touch.batched_press import BatchedPress, BatchedTouches
 from objectfolder.touch.contact import sensor_frames
@@ -65,7 +65,7 @@ class BatchedTouch:
         sensor: "str | Path | SensorProfile | None" = None, device: str | torch.device = "cpu",
         checks: bool = True,
     ):  # fmt: skip
-        self.files, self.checks, self.device = open_files(files), checks, _usable(device)
+        self.files, self.checks, self.device = open_files(files), checks, usable_device(device)
         nets = [_geometric(file, sensor is None) for file in self.files]
         self.profile = nets[0].profile if sensor is None else load_profile(sensor)
         for file, net in zip(self.files, nets):
@@ -222,27 +222,27 @@ class BatchedTouch:
         turned = (torch.linalg.cross(x, y) * z).sum(1)
         longest = torch.linalg.norm(given["shear"], dim=1)
         faults = {
-            "object_index": ((which < 0) | (which >= files), which, f"expected 0 to {files - 1}"),
-            "point": (~where.isfinite().all(1), where, "expected three finite numbers, metres"),
+            "object_index": ((which < 0) | (which >= files), which, f", expected 0 to {files - 1}"),
+            "point": (~where.isfinite().all(1), where, ", expected three finite numbers, metres"),
             "pose": (
                 ~((crooked <= RIGID) & (turned > 0)), frames,
-                f"whose axes are not orthonormal and right-handed within {RIGID:g}; expected a rigid pose",
+                f", whose axes are not orthonormal and right-handed within {RIGID:g}; expected a rigid pose",
             ),
             "depth": (
                 ~((given["depth"] >= 0) & (given["depth"] <= deepest)), given["depth"],
-                f"m, expected 0 to {deepest:g} m, the maximal indentation of sensor {self.profile.name!r}",
+                f" m, expected 0 to {deepest:g} m, the maximal indentation of sensor {self.profile.name!r}",
             ),
-            "shear": (~(longest <= deepest), given["shear"], f"m, expected at most {deepest:g} m of length"),
+            "shear": (~(longest <= deepest), given["shear"], f" m, expected at most {deepest:g} m of length"),
             "twist": (
                 ~(given["twist"].abs() <= MOST_TWIST + 1e-6), given["twist"],
-                f"rad, expected at most {MOST_TWIST:.3g} either way",
+                f" rad, expected at most {MOST_TWIST:.3g} either way",
             ),
             "friction": (
                 ~((given["friction"] >= 0) & given["friction"].isfinite()), given["friction"],
-                "expected 0 or more",
+                ", expected 0 or more",
             ),
             "scale": (
-                ~((given["scale"] > 0) & given["scale"].isfinite()), given["scale"], "m, expected above 0"
+                ~((given["scale"] > 0) & given["scale"].isfinite()), given["scale"], " m, expected above 0"
             ),
         }  # fmt: skip
         bad = torch.stack([fault for fault, _, _ in faults.values()])
@@ -250,7 +250,7 @@ class BatchedTouch:
             name, (fault, values, expected) = next(pair for pair in faults.items() if pair[1][0].any())
             row, many = int(fault.nonzero()[0, 0]), int(fault.sum())
             of = f" ({many} of {len(fault)} rows)" if many > 1 else ""
-            raise ObjectFolderError(f"contact {row}: {name} is {values[row].tolist()} {expected}{of}")
+            raise ObjectFolderError(f"contact {row}: {name} is {values[row].tolist()}{expected}{of}")
         return ~bad.any(0)
 
 
@@ -289,16 +289,3 @@ def _geometric(file: ObjectFile, own: bool) -> Any:
             "object with train_touch.net: geometric and render_touch.renderer: gel"
         )
     return sense.net
-
-
-def _usable(device: str | torch.device) -> torch.device:
-    """Return a device on which a tensor has been, and come back."""
-    try:
-        found = torch.device(device)
-        torch.zeros(1, device=found).cpu()
-    except Exception as error:  # each kind of device has its own
-        raise ObjectFolderError(
-            f"device is {device!r}, which torch cannot use here ({shortened(error, 200)}); "
-            "expected a device of this machine, such as 'cpu'"
-        ) from error
-    return found

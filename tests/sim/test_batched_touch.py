@@ -216,7 +216,7 @@ def test_where_warp_has_no_rays_the_error_says_what_to_do(monkeypatch):
 
 
 BAD = {
-    "object_index": (2, "contact 3: object_index is 2 expected 0 to 1"),
+    "object_index": (2, "contact 3: object_index is 2, expected 0 to 1"),
     "points": ([0.0, np.nan, 0.0], "contact 3: point is .*nan.* expected three finite"),
     "normals": ([0.0, 0.0, 2.0], "contact 3: pose .*not orthonormal"),
     "angle": (np.inf, "contact 3: pose .*not orthonormal"),
