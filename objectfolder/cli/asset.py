@@ -14,11 +14,18 @@ from rich.table import Table
 from rich.text import Text
 
 from objectfolder.base.errors import ObjectFolderError, plural, quoted
-from objectfolder.base.materials import material_names
 from objectfolder.cli.console import console, print_line, print_wide, track_progress
 from objectfolder.cli.export import SIMULATION, HullsOption, require_libraries
 from objectfolder.cli.files import folder_to_write
-from objectfolder.cli.objects import as_kilograms, as_metres, check_options
+from objectfolder.cli.objects import (
+    MassOption,
+    MaterialOption,
+    ScaleOption,
+    UnitOption,
+    UpOption,
+    WallOption,
+    check_options,
+)
 
 if TYPE_CHECKING:
     from objectfolder.sim.assets import AssetOutcome
@@ -52,24 +59,9 @@ def asset(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the assets.", callback=folder_to_write)],
-    material: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MATERIAL", help=f"{', '.join(material_names())}, or a YAML file (docs/conventions.md)."
-        ),
-    ] = None,
-    scale: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES", parser=as_metres, help="Longest side in metres; default: the size of the mesh."
-        ),
-    ] = None,
-    mass: Annotated[
-        float | None,
-        typer.Option(
-            metavar="KG", parser=as_kilograms, help="Mass of the real object; default: volume times density."
-        ),
-    ] = None,
+    material: MaterialOption = None,
+    scale: ScaleOption = None,
+    mass: MassOption = None,
     shell: Annotated[
         float | None,
         typer.Option(
@@ -87,16 +79,9 @@ def asset(
             "--format", metavar="LIST", parser=_formats, help="Of mjcf, urdf, usd and glb, joined by commas."
         ),
     ] = "mjcf,urdf,glb",
-    up: Annotated[
-        str | None, typer.Option(metavar="y|z", help="Up axis; default: y for glTF, else z.")
-    ] = None,
-    unit: Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of the mesh coordinates.")] = "m",
-    wall: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES", parser=as_metres, help="Thickness of open sheets; default: 2 % of the size."
-        ),
-    ] = None,
+    up: UpOption = None,
+    unit: UnitOption = "m",
+    wall: WallOption = None,
     hulls: HullsOption = 16,
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", min=1, help="Objects at a time; default: one per core.")

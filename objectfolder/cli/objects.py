@@ -40,6 +40,38 @@ def as_kilograms(text: str) -> float:
         raise typer.BadParameter(f"{text!r} is not a number of kilograms, such as {example:g}") from None
 
 
+MaterialOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="MATERIAL", help=f"{', '.join(material_names())}, or a YAML file (docs/conventions.md)."
+    ),
+]
+ScaleOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES", parser=as_metres, help="Longest side in metres; default: the size of the mesh."
+    ),
+]
+UpOption = Annotated[str | None, typer.Option(metavar="y|z", help="Up axis; default: y for glTF, else z.")]
+UnitOption = Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of the mesh coordinates.")]
+WallOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        parser=as_metres,
+        help="Thickness of open sheets in metres; default: 2 % of the size.",
+    ),
+]
+MassOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="KG",
+        parser=as_kilograms,
+        help="Mass of the real object, for simulations; default: volume of the solid times density.",
+    ),
+]
+
+
 def add(
     mesh: Annotated[
         Path,
@@ -51,30 +83,11 @@ def add(
     name: Annotated[
         str | None, typer.Option(metavar="NAME", help="Key of the object, such as `blue_mug`.")
     ] = None,
-    material: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MATERIAL", help=f"{', '.join(material_names())}, or a YAML file (docs/conventions.md)."
-        ),
-    ] = None,
-    scale: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES", parser=as_metres, help="Longest side in metres; default: the size of the mesh."
-        ),
-    ] = None,
-    up: Annotated[
-        str | None, typer.Option(metavar="y|z", help="Up axis; default: y for glTF, else z.")
-    ] = None,
-    unit: Annotated[str, typer.Option(metavar="m|cm|mm", help="Unit of the mesh coordinates.")] = "m",
-    wall: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            parser=as_metres,
-            help="Thickness of open sheets in metres; default: 2 % of the size.",
-        ),
-    ] = None,
+    material: MaterialOption = None,
+    scale: ScaleOption = None,
+    up: UpOption = None,
+    unit: UnitOption = "m",
+    wall: WallOption = None,
     bridge: Annotated[
         str,
         typer.Option(
@@ -82,14 +95,7 @@ def add(
             help="Fill gaps narrower than half a cell of the sound grid; fem: for sound only.",
         ),
     ] = "all",
-    mass: Annotated[
-        float | None,
-        typer.Option(
-            metavar="KG",
-            parser=as_kilograms,
-            help="Mass of the real object, for simulations; default: volume of the solid times density.",
-        ),
-    ] = None,
+    mass: MassOption = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show the examined meshes; add nothing.")
     ] = False,
