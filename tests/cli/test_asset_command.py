@@ -73,6 +73,21 @@ def test_a_folder_goes_on_where_it_was(folder, tmp_path):
     assert "block exists already, made from another mesh, with other options" in text
 
 
+@pytest.mark.slow  # each process starts for seconds
+def test_assets_made_at_a_time_are_the_same(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "VoxelizeConfig", VoxelizeConfig)  # processes do not know the coarse one
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    (folder / "scrap.obj").unlink()
+    made = {}
+    for jobs in (1, 2):
+        out = tmp_path / f"out{jobs}"
+        run(folder, "--material", "wood", "--out", out, "--format", "mjcf", "-j", jobs)
+        files = sorted(path for path in out.rglob("*") if path.is_file())
+        made[jobs] = {path.relative_to(out): path.read_bytes() for path in files}
+    assert {path.parts[0] for path in made[1]} == {"assets.csv", "block", "tin"}
+    assert made[1] == made[2]
+
+
 def test_a_table_lists_objects(folder, tmp_path):
     table = folder / "objects.csv"
     table.write_text(

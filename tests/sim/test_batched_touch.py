@@ -307,7 +307,7 @@ def test_worlds_of_mujoco_warp_press_an_object(brick):
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     worlds, states = warp_worlds.put_model(model), warp_worlds.put_data(model, data, nworld=count)
-    strengths = np.linspace(0.5, 3.0, count, dtype=np.float32)
+    strengths = np.linspace(1.0, 3.0, count, dtype=np.float32)
     states.ctrl.assign(strengths[:, None])
     for _ in range(500):
         warp_worlds.step(worlds, states)
